@@ -30,6 +30,7 @@ from boresight.pipeline.report.no_result import write_no_result
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
+from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.requirement import (
@@ -77,6 +78,7 @@ class RunRequest:
     begun_s: float = scalar("time.perf_counter() at its start")
     overwrite: bool = scalar("replace a result of another dump or of other settings", default=False)
     requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
+    about: Path | None = scalar("TOML file of what the operator says of the result", default=None)
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
     after_joint: tuple[Callable[[Path, list[str]], str], ...] = scalar(
         "of several dumps: called with the folder and the names of the dumps, returns lines to print",
@@ -137,7 +139,7 @@ def run_dump(
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([dump], request.settings)
-        required = write_requirement(out, request.requirement)
+        required = _keep_stated(out, request)
         if _is_finished(out, inputs, request, executor):
             if required and request.report:
                 _draw(out, executor)
@@ -156,7 +158,7 @@ def run_dumps(
     """
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
-        required = write_requirement(out, request.requirement)
+        required = _keep_stated(out, request)
         if _is_finished(out, inputs, request, executor):
             if required and request.report:
                 _draw_dumps(out)
@@ -310,8 +312,16 @@ def _finished(out: Path) -> RunOutcome:
     return RunOutcome("\n".join(lines), frozenset(outcomes), _is_met(out))
 
 
+def _keep_stated(out: Path, request: RunRequest) -> bool:
+    """Keep requirement and operator's words beside the result; whether there are any."""
+    return write_about(out, request.about) | write_requirement(out, request.requirement)
+
+
 def _note(
     out: Path, request: RunRequest, dumps: dict[str, Any], counts: dict[str, int] | None = None
 ) -> None:
-    elapsed = {"elapsed_s": time.perf_counter() - request.begun_s}
-    write_run(out, dumps | elapsed | (counts or {}) | request.facts)
+    times = {
+        "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "elapsed_s": time.perf_counter() - request.begun_s,
+    }
+    write_run(out, dumps | times | (counts or {}) | request.facts)

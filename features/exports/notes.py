@@ -7,11 +7,11 @@ from pathlib import Path
 
 from boresight.features.exports.one_line import one_line
 from boresight.geometry.record import record, scalar
-from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.ownership import origin_of
 from boresight.pipeline.results.reading import read_saved_result
 from boresight.pipeline.results.sightings_tables import read_sightings
@@ -33,10 +33,14 @@ class Notes:
     frames: str = scalar("the frames of matrix and coordinates")
     valid: str = scalar("UTC of the first and the last strip of the result")
     verdict: str = scalar("outcome of the result's verdict")
+    result: str = scalar("id of the result, and when its run ended")
+    inputs: str = scalar("digest of all input files and settings")
+    about: str = scalar("what the operator says of the result", default="")
 
     def items(self) -> dict[str, str]:
-        """The notes by name, in order."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        """The notes by name, in order, without empty ones."""
+        texts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return {name: text for name, text in texts.items() if text}
 
     def lines(self) -> list[str]:
         """The notes as "name: text"."""
@@ -46,16 +50,20 @@ class Notes:
 def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
     """The notes of a finished result; what it does not say is "not known". `RawDataError` where damaged."""
     installation, origin = read_saved_result(result).installation, origin_of(result)
+    identity, about = identity_of_result(result), saved_about(result)
     verdict = installation.get("verdict")
     outcome = str(verdict.get("outcome", UNKNOWN)) if isinstance(verdict, dict) else UNKNOWN
     return Notes(
         created=f"{created}Z",
-        program=one_line(f"boresight {installation.get('version', __version__)}"),
-        mission=one_line(_mission(result, dump)),
+        program=one_line(identity.program),
+        mission=one_line(about.pop("mission", "") or _mission(result, dump)),
         dump=one_line(UNKNOWN if origin is None else origin.dump),
         frames=FRAMES,
         valid=_valid(result),
         verdict=one_line(outcome),
+        result=one_line(f"{identity.result}, {identity.finished}"),
+        inputs=one_line(identity.inputs),
+        about=one_line("; ".join(f"{key}: {text}" for key, text in about.items())),
     )
 
 

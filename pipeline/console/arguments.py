@@ -10,6 +10,7 @@ import typer
 from boresight.pipeline.files.object_store import dump_folder
 
 __all__ = [
+    "AboutFile",
     "DumpArgument",
     "DumpOption",
     "DumpsArgument",
@@ -20,6 +21,14 @@ __all__ = [
     "StaleEop",
 ]
 
+AboutFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--about",
+        help="TOML file with mission, document, organisation, author, reviewer, approver, remark: for the "
+        "page, the signed sheets and the exports.",
+    ),
+]
 DumpArgument = Annotated[
     Path,
     typer.Argument(metavar="DUMP", parser=dump_folder, help="Folder or address (s3://...) with a dump.toml."),

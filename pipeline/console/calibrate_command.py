@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import platform
+import shlex
+import sys
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterator
@@ -24,6 +26,7 @@ from boresight.pipeline.calibration_run import (
     run_dumps,
 )
 from boresight.pipeline.console.arguments import (
+    AboutFile,
     DumpsArgument,
     RequireArcsec,
     RequireMetres,
@@ -50,6 +53,7 @@ from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for, processors
 from boresight.pipeline.stages.joint import open_dumps
+from boresight.version import commit
 
 __all__ = ["calibrate_command"]
 
@@ -111,6 +115,7 @@ def calibrate_command(
     report: WithReport = True,
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
+    about: AboutFile = None,
     accept_inconsistent: AcceptInconsistent = False,
     accept: Accept = None,
     overwrite: Overwrite = False,
@@ -134,6 +139,7 @@ def calibrate_command(
         begun_s=begun_s,
         overwrite=overwrite,
         requirement=Requirement(require_arcsec, require_m),
+        about=about,
         after_joint=tuple(map(function_at, context.obj if len(dumps) > 1 else ())),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
@@ -173,6 +179,8 @@ def _machine() -> dict[str, object]:
         "python": platform.python_version(),
         "machine": platform.platform(),
         "version": __version__,
+        "commit": commit(),
+        "command": shlex.join(["boresight", *sys.argv[1:]]),
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
     }
 

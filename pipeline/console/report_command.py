@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from boresight.pipeline.console.arguments import (
+    AboutFile,
     RequireArcsec,
     RequireMetres,
     ResultArgument,
@@ -16,6 +17,7 @@ from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.pdf import print_page
 from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.reading import read_saved_result
 from boresight.pipeline.results.requirement import (
     Requirement,
@@ -35,11 +37,13 @@ def report_command(
     pdf: Annotated[bool, typer.Option("--pdf", help="Print the page to report.pdf, too (Chromium).")] = False,
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
+    about: AboutFile = None,
 ) -> Answer:
     """Draw one HTML page about a result, from what was saved, readable without a network.
 
     Example: boresight report demo-result --pdf --require-arcsec 1
     """
+    write_about(result, about)
     write_requirement(result, Requirement(require_arcsec, require_m))
     path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
     lines = [f"{path.stat().st_size / 1e6:.1f} MB -> {path}"]

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.budget import uncertainty_budget
 from boresight.calib.finding import Finding
 from boresight.calib.information import solve_total
 from boresight.calib.noise_spectrum import allan_deviation
@@ -188,6 +189,10 @@ def _accuracy(dump: Dump, calibration: DumpCalibration, ground: pa.Table) -> dic
             calibration.settings.sigma_position_m,
             calibration.settings.sigma_clock_s * speed_m_s,
         ),
+        "budget": [
+            {"source": one.source, "covariance_rad2": one.covariance.tolist()}
+            for one in uncertainty_budget(calibration.strips, estimate.R_cs, calibration.settings)
+        ],
         "improvements": [
             {"change": one.change, "sigma_rad": (estimate.sigma_theta * one.sigma_ratio).tolist()}
             for one in found

@@ -254,9 +254,8 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
             shape = Ellipse((0.0, 0.0), float(size[1]), float(size[0]), angle=angle, linewidth=1.4)
             shape.set(edgecolor=INK, facecolor="none", linestyle=dash)
             axes.add_patch(shape)
-        reach = 1.15 * ELLIPSE_SIGMAS[1] * np.sqrt(np.diag(part))
-        axes.set_xlim(-reach[0], reach[0])
-        axes.set_ylim(-reach[1], reach[1])
+        reach = 1.15 * ELLIPSE_SIGMAS[1] * float(np.sqrt(np.diag(part).max()))
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         axes.plot(0.0, 0.0, "+", color=INK, markersize=8)
         correlation = part[0, 1] / np.sqrt(part[0, 0] * part[1, 1])
         text = (
@@ -267,7 +266,7 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
             drawn(
                 figure,
                 f"ellipse-{names.lower()}",
-                f"{text} Solid: 1σ (39 %), dashed: 95 %; each axis has its own scale.",
+                f"{text} Solid: 1σ (39 %), dashed: 95 %; both axes have one scale.",
                 f"Covariance ellipse of the axes {text}",
             )
         )

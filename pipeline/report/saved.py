@@ -13,6 +13,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import INTERIOR
+from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["Number", "Saved", "number_from", "read_saved"]
@@ -59,6 +60,8 @@ class Saved:
     map: pa.Table = scalar("evidence/map.parquet")
     allan: pa.Table = scalar("evidence/allan.parquet")
     requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
+    identity: dict[str, str] = scalar("which result this is, by name")
+    about: dict[str, str] = scalar("what its operator says of it; empty where nothing")
     validation: dict[str, Any] = scalar("validation.json; empty where there is none")
     interior: dict[str, Any] = scalar("interior/interior.json; empty where there is none")
     interior_png: bytes = scalar("interior/interior.png; empty where there is none")
@@ -108,6 +111,8 @@ def read_saved(result: Path) -> Saved:
     return Saved(
         installation=installation,
         context=read_json(result / "evidence" / "context.json"),
+        identity=identity_of_result(result).items(),
+        about=saved_about(result),
         **{name: read_json(path) if path.is_file() else {} for name, path in own.items()},
         interior_png=picture.read_bytes() if own["interior"].is_file() and picture.is_file() else b"",
         **tables,

@@ -10,6 +10,7 @@
     work/                        finished exposures and strips, for a run that is started again
     run.json                     times and counts of the run that wrote the rest
     requirement.json             the accuracy required, where one was given
+    about.json                   what the operator says of the result, where `--about` was given
     validation.json              errors against the truth, where `validate` found them
     interior/                    what `remote-camera-calibrate` found, where it was asked to write there
 

@@ -40,7 +40,8 @@ __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identit
 
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
 OWN_FILES = (
-    "installation.json run.json requirement.json validation.json report.html report.pdf dumps.json".split()
+    "installation.json run.json requirement.json about.json dumps.json".split()
+    + "validation.json report.html report.pdf".split()
     + [f"interior/{n}" for n in "interior.json interior.png remote_camera.toml".split()]
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]

@@ -28,6 +28,8 @@ NOTES = Notes(
     frames="f",
     valid="v",
     verdict="consistent",
+    result="0123456789abcdef, 2026-01-01T00:00:00Z",
+    inputs="i",
 )
 EPOCH = Epoch.from_utc("2025-03-20T02:31:07Z")
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)

@@ -12,7 +12,17 @@ from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes
 from boresight.features.exports.rpc import Rpc, RpcError, rpc_text
 
-NOTES = Notes(created="c", program="p", mission="m", dump="d", frames="f", valid="v", verdict="w")
+NOTES = Notes(
+    created="c",
+    program="p",
+    mission="m",
+    dump="d",
+    frames="f",
+    valid="v",
+    verdict="w",
+    result="r",
+    inputs="i",
+)
 KML = "{http://www.opengis.net/kml/2.2}"
 
 

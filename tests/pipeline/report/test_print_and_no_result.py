@@ -7,10 +7,12 @@ import shutil
 
 import pytest
 from command_line import app
+from pypdf import PdfReader
 from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report import pdf
+from boresight.pipeline.results.identity import identity_of_result
 
 
 def test_without_a_browser_the_message_says_what_is_needed(tmp_path, monkeypatch):
@@ -32,7 +34,15 @@ def test_the_report_is_printed_on_a4(finished, tmp_path):
     sizes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", content)
     width, height = (float(size) for size in sizes[0])
     assert (width, height) == pytest.approx((595.3, 841.9), abs=1.0)  # points: 210 x 297 mm
-    assert len(sizes) > 5  # pages: tables, cards, settings and inputs are all there
+    assert 5 < len(sizes) <= 12  # pages: two sheets to be signed, then tables, cards, settings, inputs
+    pages = [page.extract_text() for page in PdfReader(result / "report.pdf").pages]
+    assert "1σ, m on the ground" in pages[0] and "Result to be signed" not in pages[0]
+    assert "Result to be signed" in pages[1]
+    # The last row of the last table of the second sheet: it holds all of them.
+    assert "approver" in pages[1] and "Uncertainty budget" in pages[1]
+    own = identity_of_result(result).result
+    for n, text in enumerate(pages, 1):
+        assert f"{n} of {len(pages)}" in text and f"boresight result {own}" in text
 
 
 def test_a_run_without_a_result_leaves_a_page_that_names_the_cause(handmade, tmp_path):

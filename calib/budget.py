@@ -1,0 +1,127 @@
+"""Uncertainty budget: what each source of error contributes to the covariance of the installation matrix.
+
+A best linear estimate x = G y of data whose errors are independent parts, R = R_1 + R_2 + ..., has the
+covariance C = sum of G R_s G'. If the variance of one part grows by the factor 1 + d, G changes too, but C
+does so only to second order through G, whose choice makes C least. So G R_s G' = dC / d ln(variance of s),
+a derivative that needs no more than the covariance of data with slightly larger errors. The parts sum to C:
+with all variances times k, C is k times as large (Euler's theorem on homogeneous functions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.forecast import forecast_from_strips
+from boresight.calib.heads import carried
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+
+__all__ = ["ErrorShare", "uncertainty_budget"]
+
+STEP = 1e-3  # relative change of a variance: what it leaves out is of its own size, a thousandth of a share
+
+
+@record(kw_only=True)
+class ErrorShare:
+    """What one source of error contributes."""
+
+    source: str = scalar("the source, in words")
+    covariance: Floats = array("3, 3", "its part of the covariance of theta, axes of c, rad²")
+
+
+def uncertainty_budget(
+    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+) -> tuple[ErrorShare, ...]:
+    """The budget of a calibration, the source with the largest shares of the three variances first.
+
+    Parameters
+    ----------
+    strips : sequence of StripSightings
+        The strips that were calibrated; no target is rejected.
+    R_cs : Rotation
+        Their installation matrix.
+    settings : CalibrationSettings
+        Their error model.
+
+    Returns
+    -------
+    tuple of ErrorShare
+        Of the sources that contribute. Their covariances sum to that of the strips, but for `STEP`.
+
+    Raises
+    ------
+    ValueError
+        If no strip has a target between usable star exposures.
+    """
+    model = replace(settings, robust=False)
+    fitted = with_attitudes([carried(strip) for strip in strips], model.attitudes)
+
+    def covariance(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
+        return forecast_from_strips(these, R_cs, model).after(len(these)).covariance
+
+    now = covariance(fitted, model)
+    larger = {
+        source: covariance([change(one) for one in fitted], model) for source, change in OF_SIGHTINGS.items()
+    }
+    root = np.sqrt(1.0 + STEP)
+    for source, names in OF_SETTINGS.items():
+        stated = {name: root * getattr(model, name) for name in names}
+        larger[source] = covariance(fitted, replace(model, **stated))
+    found = [ErrorShare(source=source, covariance=(C - now) / STEP) for source, C in larger.items()]
+    shares = [np.diag(one.covariance) / np.diag(now) for one in found]
+    order = np.argsort([-float(share.sum()) for share in shares])
+    return tuple(found[n] for n in order.tolist() if shares[n].max() > STEP)
+
+
+def _noisier(noise: AttitudeNoise) -> AttitudeNoise:
+    root = np.sqrt(1.0 + STEP)
+    names = ("white_rad", "correlated_rad", "constant_rad")
+    return replace(noise, **{name: root * getattr(noise, name) for name in names})
+
+
+def _attitudes(strip: StripSightings) -> StripSightings:
+    """The strip with attitudes of larger variance, of all heads."""
+    assert strip.attitudes is not None
+    others = tuple(
+        replace(one, covariance_h=(1.0 + STEP) * one.covariance_h, noise=_noisier(one.noise))
+        for one in strip.others
+    )
+    fitted = replace(strip.attitudes, covariance_s=(1.0 + STEP) * strip.attitudes.covariance_s)
+    return replace(strip, attitudes=fitted, noise=_noisier(strip.noise), others=others)
+
+
+def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:
+    def change(strip: StripSightings) -> StripSightings:
+        ground = strip.ground
+        factor = np.where(ground.is_star == of_stars, 1.0 + STEP, 1.0)[:, None, None]
+        return replace(strip, ground=replace(ground, cov_c=factor * ground.cov_c))
+
+    return change
+
+
+def _coordinates(strip: StripSightings) -> StripSightings:
+    ground = strip.ground
+    return replace(strip, ground=replace(ground, cov_target_i=(1.0 + STEP) * ground.cov_target_i))
+
+
+OF_SIGHTINGS: Mapping[str, Callable[[StripSightings], StripSightings]] = {
+    "attitudes of the star exposures": _attitudes,
+    "image points of the targets": _images(of_stars=False),
+    "image points of stars in strips": _images(of_stars=True),
+    "coordinates of targets and stars": _coordinates,
+}
+OF_SETTINGS: Mapping[str, tuple[str, ...]] = {
+    "position of the satellite": ("sigma_position_m",),
+    "clock": ("sigma_clock_s",),
+    "vibration": ("sigma_vibration_rad", "sigma_vibration_exposure_rad"),
+    "motion between exposures": ("sigma_motion_rad",),
+    "distortion over the field": ("sigma_distortion_rad",),
+    "place and shape of each CCD": ("sigma_ccd_shift_rad", "sigma_ccd_slope_rad", "sigma_ccd_bend_rad"),
+}

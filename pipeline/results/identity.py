@@ -1,0 +1,93 @@
+"""Which result this is: its id, who made it when with what from what, and what its operator says of it.
+
+The same block stands on the page, in the signed sheets and in every export. Of a result's files only run.json
+tells time, commit and command, so that all others are the same, bit for bit, for the same inputs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, StringConstraints
+
+from boresight.geometry.record import record, scalar
+from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.results.writing import write_json
+
+__all__ = ["ABOUT", "About", "Identity", "identity_of_result", "result_id", "saved_about", "write_about"]
+
+ABOUT = "about.json"
+UNKNOWN = "not known"
+ID_DIGITS = 16  # hexadecimal: two results of 2^32 share one with probability 1/2
+
+Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]
+
+
+class About(BaseModel):
+    """What an operator says of a result: the keys of the file given by `--about`, all optional."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    mission: Text | None = None
+    document: Text | None = None  # number of the document that the result becomes
+    organisation: Text | None = None
+    author: Text | None = None
+    reviewer: Text | None = None
+    approver: Text | None = None
+    remark: Text | None = None
+
+
+@record(kw_only=True)
+class Identity:
+    """A result, as texts."""
+
+    result: str = scalar("id: the first 16 hexadecimal digits of the SHA-256 of installation.json")
+    finished: str = scalar("when the run ended, UTC")
+    program: str = scalar("program, version and commit")
+    command: str = scalar("the command line")
+    dump: str = scalar("folder or address of the dump, or of the dumps")
+    inputs: str = scalar("digest of all input files and settings")
+
+    def items(self) -> dict[str, str]:
+        """The texts by name, in order."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+
+def result_id(result: Path) -> str:
+    """Id of a finished result, which anyone can make with `sha256sum installation.json`."""
+    return hashlib.sha256((result / "installation.json").read_bytes()).hexdigest()[:ID_DIGITS]
+
+
+def identity_of_result(result: Path) -> Identity:
+    """The identity of a finished result; what an older version did not keep is "not known"."""
+    path = result / "run.json"
+    run: dict[str, Any] = read_json(path) if path.is_file() else {}
+    commit = f" (commit {run['commit']})" if run.get("commit") else ""
+    dumps = run.get("dumps")
+    return Identity(
+        result=result_id(result),
+        finished=str(run.get("finished_utc", UNKNOWN)),
+        program=f"boresight {run.get('version', UNKNOWN)}{commit}",
+        command=str(run.get("command", UNKNOWN)),
+        dump=", ".join(map(str, dumps.values())) if dumps else str(run.get("dump", UNKNOWN)),
+        inputs=str(run.get("inputs", UNKNOWN)),
+    )
+
+
+def write_about(result: Path, file: Path | None) -> bool:
+    """Keep what a TOML file says of a result in its folder; whether one was given. An earlier one is
+    replaced. `RawDataError` names a wrong key.
+    """
+    if file is None:
+        return False
+    write_json(result / ABOUT, read_toml(file, About, str(file)).model_dump(exclude_none=True))
+    return True
+
+
+def saved_about(result: Path) -> dict[str, str]:
+    """What the operator said of a result, by the keys of `About`; empty where nothing was said."""
+    path = result / ABOUT
+    return {key: str(value) for key, value in read_json(path).items()} if path.is_file() else {}
