@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Empty: modules are compiled once, not by every process, whatever the shell says (pip leaves that to Python).
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: demo test suite lint types docs install lock clean
+.PHONY: demo test suite lint types docs pictures install lock clean
 
 install: $(VENV)/.installed
 
@@ -44,6 +44,13 @@ suite: install
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Pictures, recordings and printed results of README and docs from the present code; Chromium and pdftoppm draw.
+# Those of real data are drawn where these are (scripts/figures/real_mission.py).
+pictures: install
+	$(BIN)/python scripts/refresh_tutorial.py
+	for figure in frames plan report sky_trace star_path strip_form strip_timing target_path terminal; do \
+	  $(BIN)/python scripts/figures/$$figure.py || exit 1; done
 
 clean:
 	rm -rf $(VENV) build demo-result site

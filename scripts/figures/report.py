@@ -1,7 +1,10 @@
-"""The first screen of the demo's report in a headless Chromium: `python scripts/figures/report.py`."""
+"""The first screen of the demo's report in a headless Chromium, and its two sheets to be signed, which
+poppler's `pdftoppm` draws from the PDF: `python scripts/figures/report.py`.
+"""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -10,6 +13,13 @@ from pathlib import Path
 from boresight.pipeline.report.pdf import chromium
 
 ROOT = Path(__file__).parents[2]
+SHEETS = ROOT / "docs" / "images"  # signed-1.png, signed-2.png
+DOTS_PER_INCH = 100
+ABOUT = """mission = "Mini"
+document = "MINI-CAL-001"
+author = "A. Calibrator"
+reviewer = "R. Reviewer"
+"""
 PICTURE = ROOT / "docs" / "images" / "report.png"
 SIZE_PX = 1280, 900
 
@@ -19,17 +29,29 @@ def main() -> None:
     browser = chromium()
     if browser is None:
         raise SystemExit("no Chromium found: the picture is taken by one")
-    fixture, boresight = str(ROOT / "fixtures" / "mini"), (sys.executable, "-m", "boresight")
+    if (pdftoppm := shutil.which("pdftoppm")) is None:
+        raise SystemExit("no pdftoppm found: it draws the sheets (package poppler-utils)")
+    boresight = (sys.executable, "-m", "boresight")
     with tempfile.TemporaryDirectory() as folder:
-        result = f"{folder}/result"
-        subprocess.run([*boresight, "calibrate", fixture, "--out", result], check=True, cwd=ROOT)
-        subprocess.run([*boresight, "validate", result, "--dump", fixture], check=True, cwd=ROOT)
+        Path(folder, "fixtures").symlink_to(ROOT / "fixtures")
+        fixture, result = "fixtures/mini", f"{folder}/demo-result"
+        subprocess.run([*boresight, "calibrate", fixture, "--out", "demo-result"], check=True, cwd=folder)
+        subprocess.run([*boresight, "validate", "demo-result", "--dump", fixture], check=True, cwd=folder)
         command = [str(browser), "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
         command += [f"--user-data-dir={folder}/profile", "--window-size={},{}".format(*SIZE_PX)]
         page = Path(result, "report.html").as_uri()
         subprocess.run(
             [*command, f"--screenshot={PICTURE}", page], check=True, capture_output=True, timeout=120
         )
+        about = Path(folder, "about.toml")
+        about.write_text(ABOUT)
+        asked = ["report", result, "--about", str(about), "--require-arcsec", "10", "--pdf"]
+        subprocess.run([*boresight, *asked], check=True, cwd=folder)
+        drawn = ["-png", "-gray", "-r", str(DOTS_PER_INCH), "-f", "1", "-l", "2"]
+        paged = Path(folder, "page")
+        subprocess.run([pdftoppm, *drawn, f"{result}/report.pdf", paged], check=True)
+        for n, page_png in enumerate(sorted(Path(folder).glob("page-*.png")), 1):
+            shutil.copyfile(page_png, SHEETS / f"signed-{n}.png")
 
 
 if __name__ == "__main__":
