@@ -21,6 +21,7 @@ __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
 WIDTH, BEST_HEIGHT, GAP = 1000.0, 780.0, 12.0  # of the sheet; its best shape, around scenes
 CAPTION = 36.0  # room for a line of 12 px where the sheet is only 360 px wide
 ARROW = 0.045  # of the sheet's width: length of the arrow that nine of ten residuals fall below
+LONGEST = 2.5 * ARROW * WIDTH  # units of the sheet: a gross error must not cross the map
 
 
 @record(kw_only=True)
@@ -55,6 +56,7 @@ class SpotView:
     x: float = scalar("place")
     y: float = scalar("place")
     arrow: str = scalar("path of the residual's arrow; empty if there is none")
+    is_cut: bool = scalar("the residual is longer than its arrow")
     number: str = scalar("number of its reason in the legend; empty if used")
 
 
@@ -200,16 +202,22 @@ def _spot(
     x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
     dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
     number = numbers.get(row.why or row.state, "") if row.state in (REJECTED, UNMATCHED) else ""
-    return SpotView(row=row, x=round(x, 2), y=round(y, 2), arrow=_arrow(x, y, dx, dy), number=number)
+    return SpotView(
+        row=row,
+        x=round(x, 2),
+        y=round(y, 2),
+        arrow=_arrow(x, y, dx, dy),
+        is_cut=bool(np.hypot(dx, dy) > LONGEST),
+        number=number,
+    )
 
 
 def _arrow(x: float, y: float, dx: float, dy: float) -> str:
     """A line with a head from (x, y); nothing where the length is not known."""
     if not np.isfinite(dx + dy) or dx == dy == 0.0:
         return ""
-    most = 6.0 * ARROW * WIDTH  # a gross error must not cross the whole map
-    length = float(np.hypot(dx, dy))
-    dx, dy = (dx * min(1.0, most / length), dy * min(1.0, most / length))
+    shown = min(1.0, LONGEST / float(np.hypot(dx, dy)))
+    dx, dy = dx * shown, dy * shown
     head = np.array(
         [[-0.3 * dx - 0.14 * dy, -0.3 * dy + 0.14 * dx], [-0.3 * dx + 0.14 * dy, -0.3 * dy - 0.14 * dx]]
     )

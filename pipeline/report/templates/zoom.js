@@ -23,9 +23,18 @@ for (const box of document.querySelectorAll(".zoom")) {
     const wide = clamp(w, whole.w / most, whole.w);
     show({ w: wide, x: x - wide / 2, y: y - wide * whole.h / whole.w / 2 });
   };
+  const marks = [...svg.querySelectorAll("[style*='--x']")].map(({ style }) => ({ x: +style.getPropertyValue("--x"), y: +style.getPropertyValue("--y") }));
+  function middle(w) { // of the view, or the mark nearest to it where a view `w` wide would show none
+    const x = view.x + view.w / 2, y = view.y + view.h / 2, h = w * whole.h / whole.w;
+    const off = (mark) => Math.max(Math.abs(mark.x - x) / w, Math.abs(mark.y - y) / h);
+    const nearest = marks.reduce((best, mark) => (off(mark) < off(best) ? mark : best), marks[0] || { x, y });
+    if (off(nearest) <= 0.45) return { x, y };
+    view = { ...view, x: nearest.x - view.w / 2, y: nearest.y - view.h / 2 };
+    return nearest;
+  }
   function zoom(factor, at) {
-    const centre = at || { x: view.x + view.w / 2, y: view.y + view.h / 2 };
     const w = clamp(view.w / factor, whole.w / most, whole.w);
+    const centre = at || middle(w);
     const ratio = w / view.w;
     show({ w, x: centre.x - (centre.x - view.x) * ratio, y: centre.y - (centre.y - view.y) * ratio });
   }

@@ -6,7 +6,9 @@ from __future__ import annotations
 import asyncio
 import csv
 import importlib.util
+import itertools
 import json
+import re
 import shutil
 import subprocess
 import tempfile
@@ -400,6 +402,38 @@ def test_a_thousand_targets_open_within_a_second(address, finished, tmp_path):
     assert rows == 25 and text.startswith("1 to 25 of 1")
     assert int(text.split()[-1]) >= 1000
     assert seconds <= 1.0
+
+
+SHOWN_SPOTS = """(() => { const edge = document.querySelector('#map-sheet').getBoundingClientRect();
+  return [...document.querySelectorAll('.spot')].filter((spot) => { const at = spot.getBoundingClientRect();
+    const x = at.x + at.width / 2, y = at.y + at.height / 2;
+    return x > edge.left && x < edge.right && y > edge.top && y < edge.bottom; }).length; })()"""
+
+
+def test_the_map_shows_targets_however_often_the_button_is_pressed(address, finished, tmp_path):
+    # Targets near the corners alone, as those of strips side by side: the sheet's middle lies between them.
+    places = itertools.cycle(["--x:80;--y:70", "--x:930;--y:60", "--x:90;--y:300", "--x:900;--y:310"])
+    sheet, n = re.subn(
+        r"(?<=style=\")--x:[\d.]+;--y:[\d.]+(?=\" aria-label)",
+        lambda _: next(places),
+        report_html(read_saved(finished[1])),
+    )
+    assert n == 12  # the targets of the strip
+    page = tmp_path / "corners.html"
+    page.write_text(sheet, encoding="utf-8")
+
+    async def look() -> list[int]:
+        browser = await opened(address)
+        await browser.go(page, 1280, "light")
+        seen = []
+        for _ in range(5):
+            await browser.value("document.querySelector('.map button[data-zoom=\"2\"]').click()")
+            await settled(browser)
+            seen.append(await browser.value(SHOWN_SPOTS))
+        assert browser.complaints() == []
+        return seen
+
+    assert min(asyncio.run(look())) >= 1
 
 
 async def spent(browser: Browser) -> float:
