@@ -240,7 +240,7 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for strip in facts.strips:
         for times, ms in _sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng):
             make = partial(rows_late, (strip,), 1e-3 * ms)
-            blind = "clock|late|time|one.way" if len(facts.strips) == 1 else ""
+            blind = "clock|late|time|one.way" if len(facts.strips) == 1 else f"clock of the rows.*{strip}"
             yield Fault("strip clock", strip, ms, "ms", times, make, (strip, LATE), blind, (strip,))
     if len(facts.strips) > 1:
         for times, ms in _sized(2.0, rng):
@@ -250,8 +250,9 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for strip in facts.strips:  # 12 targets, each to 0.08 px, over 2000 rows
         for times, part in _sized(3e-4, rng):
             make = partial(period, (strip,), part)
+            blind = f"row period.*{strip}"
             yield Fault(
-                "row period", strip, 100.0 * part, "%", times, make, (strip, "period|rate"), "", (strip,)
+                "row period", strip, 100.0 * part, "%", times, make, (strip, "period|rate"), blind, (strip,)
             )
     for times, part in _sized(3e-4, rng):
         make = partial(period, facts.strips, part)
@@ -379,9 +380,9 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             "files",
             30.0,
             make,
-            ("ccd 0\\b", "exchang|swap|file"),
+            ("ccds? 0\\b", "exchang|swap|file"),
             "",
-            ("CCD 0", "CCD 1"),
+            ("CCD 0", "CCD 1", *facts.strips),
         )
     if facts.images:
         yield from _of_strip_images(facts, rng)
@@ -650,6 +651,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             30.0,
             partial(mirrored, axis),
             (orbit,),
+            "velocity of the orbit" if sky_only else "",
         )
 
 

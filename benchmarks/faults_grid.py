@@ -168,7 +168,7 @@ def judged(case: Case) -> Case:
     allowed = own | {name.partition("-")[0] for name in own}  # a target is named with its strip
     innocents = accused if case["harmless"] else set() if "*" in own else accused - allowed
     blind = bool(case["blind_words"]) and any(
-        re.search(case["blind_words"], one.lower()) for one in case["blind"]
+        re.search(case["blind_words"], one.lower()) and hides(one, errors) for one in case["blind"]
     )
     return {
         "wrong": wrong,
@@ -180,6 +180,12 @@ def judged(case: Case) -> Case:
         "first": text,
         "innocents": sorted(innocents),
     }
+
+
+def hides(spot: str, errors: list[float]) -> bool:
+    """Whether an entry of what a result cannot see states that as large an error may hide in it."""
+    one = json.loads(spot)
+    return bool(one["is_unseen"]) or one["hidden_sigma"] >= max((abs(e) for e in errors), default=0.0)
 
 
 # ---- the grid ----

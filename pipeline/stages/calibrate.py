@@ -39,12 +39,13 @@ from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.earth_table import EarthTableCheck, check_earth_table, earth_findings
+from boresight.pipeline.stages.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, exchanged_in_sky
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
 from boresight.pipeline.stages.matchings import match_again, match_first
-from boresight.pipeline.stages.missing import what_is_missing
+from boresight.pipeline.stages.missing import targets_out_of_view, what_is_missing
 from boresight.pipeline.stages.moved_inputs import moved_inputs
 from boresight.pipeline.stages.point_slips import without_hidden_points
 from boresight.pipeline.stages.reasons import rejection_reason
@@ -202,13 +203,17 @@ def calibrate_dump(
     )
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     convention = None
+    exchanged = exchanged_exposures(dump, heads)
     if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
         convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
     return DumpCalibration(
         estimate=found,
         verdict=verdict.with_findings(
             [
-                *([convention] if convention else _target_findings(dump, last, found, reliability, stars)),
+                *exchanged,
+                *([convention] if convention else []),
+                *([] if convention or exchanged else _target_findings(dump, last, found, reliability, stars)),
+                *targets_out_of_view(dump, last.tasks, last.matched),
                 *input_findings(dump, last.tasks, omissions),
                 *assumed_motion(last.strips, error_model),
                 *earth_findings(earth, dump.earth_file),
@@ -310,6 +315,8 @@ def _cause_of_no_result(
     """Why strips do not determine a matrix: a convention, or what the hypotheses tell of all observations
     together, none rejected.
     """
+    if exchanged := exchanged_exposures(dump, heads):
+        return exchanged[0]
     if finding := likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings)):
         return finding
     plain = replace(error_model, robust=False)

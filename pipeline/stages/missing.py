@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from boresight.calib.estimate import NotObservable
+from boresight.calib.finding import Finding
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.record import Bools, Floats
@@ -20,7 +21,7 @@ from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.sky_strip import NAME_UNSURE
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
-__all__ = ["in_view", "misses", "nearest_miss", "uncertainty_m", "what_is_missing"]
+__all__ = ["in_view", "misses", "nearest_miss", "targets_out_of_view", "uncertainty_m", "what_is_missing"]
 
 MIRROR_TRIALS = 3  # exposures
 FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain
@@ -111,6 +112,30 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
         f"{across_m / 1e3:.1f} km across the track and {along_m / 1e3:.1f} km along it ({along_s:.1f} s); "
         "check the targets' latitude and longitude, the strips' times and the pre-launch installation matrix"
     )
+
+
+def targets_out_of_view(
+    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
+) -> list[Finding]:
+    """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
+    seen = any(len(one.target_id) or any(o.kind == "target" for o in one.omissions) for one in matched)
+    if seen or not tasks or not dump.targets:
+        return []
+    misses_m = [np.hypot(*nearest_miss(task, dump.targets)[:2]) for task in tasks]
+    nearest = f"the nearest lies {np.nanmin(misses_m) / 1e3:.0f} km from a strip"
+    if not np.isfinite(misses_m).any():
+        nearest = "the camera looks past the Earth"
+    return [
+        Finding(
+            cause="orbit, times or coordinates",
+            item="all targets",
+            text=f"none of {len(dump.targets)} comes into view of a strip, {nearest}: "
+            f"check the orbit, utc_first_row in strips.csv, targets.csv.",
+            file="targets.csv",
+            field="",
+            refutes=True,
+        )
+    ]
 
 
 def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
