@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -57,22 +58,25 @@ def experiment_command(
     rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
     with progress_bars() as told:
         given = rendered if pixels else chosen
-        text = _experiment(name, out, given, lambda done, total: told(name, done, total))
+        text = _experiment(name, out, given, told)
     return Answer(text=text)
 
 
 def _experiment(
-    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Callable[[int, int], None]
+    name: str,
+    out: Path,
+    settings: ExperimentSettings | PixelSettings,
+    progress: Callable[[str, int, int | None], None],
 ) -> str:
     """Run one experiment or all; what to print."""
     if isinstance(settings, PixelSettings):
-        table, written = run_from_pixels(name, out, settings, progress)
+        table, written = run_from_pixels(name, out, settings, partial(progress, name))
         lines = COMPARISONS[f"{name}-pixels"](table)
     elif name == "all":
         tables, page = run_all(out, settings, template("experiments.html.j2"), progress)
         return f"all: {len(tables)} experiments -> {page}"
     else:
-        table, written = run_experiment(name, out, settings, progress)
+        table, written = run_experiment(name, out, settings, partial(progress, name))
         lines = COMPARISONS[name](table)
     files = ", ".join(str(path) for path in written)
     return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from base64 import b64encode
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import jinja2
@@ -27,7 +28,7 @@ from boresight.pipeline.files.whole_file import write_text
 
 __all__ = ["run_all", "verdict_of"]
 
-Progress = Callable[[int, int], None]
+NamedProgress = Callable[[str, int, int], None]  # experiment, done, in all
 Row = tuple[str, ...]  # cells of a line of a table; the first is its head, the last the verdict
 
 AXES = ("X", "Y", "Z")
@@ -48,7 +49,10 @@ class Section:
 
 
 def run_all(
-    out: Path, settings: ExperimentSettings, template: jinja2.Template, progress: Progress | None = None
+    out: Path,
+    settings: ExperimentSettings,
+    template: jinja2.Template,
+    progress: NamedProgress = lambda name, done, total: None,
 ) -> tuple[dict[str, pd.DataFrame], Path]:
     """Run all `EXPERIMENTS` into `out` and write `paper.html` there; tables by name, and the page's path.
 
@@ -56,8 +60,8 @@ def run_all(
     needs no other file.
     """
     begin, tables, sections = time.process_time(), {}, []
-    for n, name in enumerate(EXPERIMENTS):
-        tables[name], written = run_experiment(name, out, settings)
+    for name in EXPERIMENTS:
+        tables[name], written = run_experiment(name, out, settings, partial(progress, name))
         title, caption, head, rows = SECTIONS[name]
         sections.append(
             Section(
@@ -70,8 +74,6 @@ def run_all(
                 details="\n".join(COMPARISONS[name](tables[name])),
             )
         )
-        if progress:
-            progress(n + 1, len(EXPERIMENTS))
     facts = [line.split(maxsplit=1) for line in record_head("all", time.process_time() - begin)[1:] if line]
     text = template.render(facts=facts, sections=sections)
     page = out / "paper.html"

@@ -8,6 +8,7 @@ Moon are ERFA's (`epv00`, `moon98`), beyond its nodes the orbit is continued und
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import erfa
@@ -74,6 +75,11 @@ class ScanSettings:
             raise ValueError(f"count must be 1 to the candidates, {self.candidates}, got {self.count}")
 
 
+# Gravity with J2 alone: what it leaves out of a low orbit, drag above all, is some 10 km after a day and 100
+# after three: 1 deg from the Earth's centre, far less than the angles kept to the Earth's limb.
+MOST_CONTINUED_S = 3.0 * 86400.0
+
+
 @record(kw_only=True)
 class ScanCameras:
     """Both cameras, the matrix between them, and the satellite's orbit."""
@@ -117,6 +123,7 @@ def choose_scans(
     start_s: float,
     errors: CalibrationSettings,
     settings: ScanSettings,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ScanChoice:
     """The best scans from `start_s` (seconds since the orbit's epoch) on.
 
@@ -132,6 +139,8 @@ def choose_scans(
         Priors of clock, vibration and distortion.
     settings : ScanSettings
         Scans and exclusion angles.
+    progress : callable, optional
+        Called with the candidates that were looked at, and all.
 
     Returns
     -------
@@ -140,8 +149,10 @@ def choose_scans(
     Raises
     ------
     ValueError
-        If fewer candidates than `settings.count` are clear of Sun, Moon and Earth and hold stars.
+        If fewer candidates than `settings.count` are clear of Sun, Moon and Earth and hold stars, or the time
+        lies further from the orbit's than `MOST_CONTINUED_S`.
     """
+    _check_reach(cameras.orbit, start_s, start_s + 3600.0 * settings.hours)
     rng = np.random.default_rng(settings.seed)
     instants = start_s + 3600.0 * settings.hours * np.arange(settings.candidates) / settings.candidates
     p_i, v_i = _states(cameras.orbit, instants)
@@ -152,6 +163,7 @@ def choose_scans(
         one = _candidate(f"scan{n:05d}", cameras, sky, (t, p_i[n], v_i[n]), rate, settings, rng)
         if one is not None:
             found.append(one)
+        progress(n + 1, settings.candidates)
     if len(found) < settings.count:
         raise ValueError(
             f"{len(found)} of {settings.candidates} candidates hold stars, clear of Sun, Moon and Earth; "
@@ -212,6 +224,18 @@ def angles_to_bodies(epoch: Epoch, t_s: float, p_i: Floats, axes_i: Floats) -> F
     bodies = np.array([one / np.linalg.norm(one) for one in (sun, moon, -p_i)])
     angles = np.arccos(np.clip(axes_i @ bodies.T, -1.0, 1.0))
     return np.asarray(angles - [0.0, 0.0, np.arcsin(WGS84.semi_major_m / np.linalg.norm(p_i))])
+
+
+def _check_reach(orbit: Orbit, first_s: float, last_s: float) -> None:
+    """`ValueError` where an orbit would be continued too far."""
+    begin, end = orbit.span_s
+    if first_s >= begin - MOST_CONTINUED_S and last_s <= end + MOST_CONTINUED_S:
+        return
+    utc = [str(one)[:16] for one in orbit.epoch.utc_from_seconds(np.array([first_s, last_s, begin, end]))]
+    raise ValueError(
+        f"scans are asked for from {utc[0]} to {utc[1]}, the orbit covers {utc[2]} to {utc[3]} and is "
+        f"continued by {MOST_CONTINUED_S / 86400.0:.0f} days at most; give another orbit or time"
+    )
 
 
 def _states(orbit: Orbit, t_s: Floats) -> tuple[Floats, Floats]:

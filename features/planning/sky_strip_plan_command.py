@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from boresight.features.planning.scan_files import scan_lines, scan_table, write
 from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, choose_scans
 from boresight.pipeline.console.arguments import DumpArgument
 from boresight.pipeline.console.messages import Answer
+from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -60,7 +62,15 @@ def sky_strip_plan_command(
     )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:
-        found = choose_scans(_scan_cameras(opened), survey_of(opened.star_catalogue), start, errors, asked)
+        with progress_bars() as told:
+            found = choose_scans(
+                _scan_cameras(opened),
+                survey_of(opened.star_catalogue),
+                start,
+                errors,
+                asked,
+                partial(told, "scans looked at"),
+            )
     except ValueError as error:
         raise DataNotSufficientError(str(error)) from error
     lines, files = scan_lines(found, opened.epoch), tuple[Path, ...]()

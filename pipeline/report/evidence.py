@@ -29,7 +29,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc
 
 from boresight.calib.budget import uncertainty_budget
 from boresight.calib.finding import Finding
@@ -132,10 +131,6 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
         "strips": int(estimate.n_strips),
         "chi2_stars": float(estimate.chi2_stars),
         "dof_stars": int(estimate.dof_stars),
-        "p_value": float(chdtrc(estimate.dof, estimate.chi2)) if estimate.dof > 0 else None,
-        "p_value_stars": float(chdtrc(estimate.dof_stars, estimate.chi2_stars))
-        if estimate.dof_stars > 0
-        else None,
         "noise": {
             name: float(getattr(estimate.noise, name))
             for name in ("stars", "stars_sigma", "targets", "targets_sigma")

@@ -35,6 +35,19 @@ def chosen(**asked):
     return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings)
 
 
+@pytest.mark.parametrize("days", [-4.5, 3.2, 731.0])
+def test_an_orbit_is_not_continued_further_than_stated(days):
+    with pytest.raises(ValueError, match=r"the orbit covers 2024-11-20T03:39 .* continued by 3 days at most"):
+        choose_scans(CAMERAS, all_hipparcos(), days * 86400.0, CalibrationSettings(), ScanSettings())
+
+
+def test_candidates_are_told_as_they_are_looked_at():
+    told = []
+    asked = ScanSettings(candidates=40, count=2)
+    choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), asked, lambda *one: told.append(one))
+    assert told == [(n, 40) for n in range(1, 41)]
+
+
 def test_angles_to_sun_moon_and_limb_are_those_of_astropy():
     p_i, _ = DUMP.orbit.states_i(np.array([0.0]))
     axis = np.array([0.6, -0.64, 0.48])
