@@ -48,6 +48,8 @@ __all__ = [
 # Squared residual of a star over its variance that may bias a least-squares fit: 6.3 sigma, a robust start
 # is needed then (set by hand).
 GROSS = 40.0
+# A step of Gauss-Newton after which the next is below 1e-13 rad, residuals being some 1e-4.
+SETTLED_RAD = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,6 +292,8 @@ def _refined(R_si: Floats, u_s: Floats, u_i: Floats, information: Floats, start:
         psi = np.linalg.solve(N + 1e-14 * size[:, None, None] * np.eye(3), right[:, :, None])[:, :, 0]
         psi[np.linalg.norm(psi, axis=1) > 0.1] = 0.0
         R_si = _rotation_matrices(psi) @ R_si
+        if np.abs(psi).max(initial=0.0) < SETTLED_RAD:
+            break
     return R_si
 
 

@@ -37,7 +37,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_images import grey_image, read_star_image
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from boresight.star_id.field import FieldSolution, nominal_camera, solve_list
+from boresight.star_id.field import FieldSolution, nominal_camera, ra_dec_roll, solve_list
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.finding.star_list import list_stars as stars_of_image
 from boresight.star_id.identification.identify import NotIdentified
@@ -627,10 +627,11 @@ def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:
 
 def _solution(found: FieldSolution, stars: Stars, observer: Observer | None) -> StarSolution:
     assert found.cov_s is not None  # solve_list gives it
+    ra_deg, dec_deg, roll_deg = np.degrees(ra_dec_roll(found.camera, found.R_si)).tolist()
     return StarSolution(
-        ra_deg=float(np.degrees(found.ra_rad)),
-        dec_deg=float(np.degrees(found.dec_rad)),
-        roll_deg=float(np.degrees(found.roll_rad)),
+        ra_deg=ra_deg,
+        dec_deg=dec_deg,
+        roll_deg=roll_deg,
         fov_deg=float(np.degrees(found.fov_x_rad)),
         sigma_arcsec=(found.pointing_sigma_rad / ARCSEC, found.roll_sigma_rad / ARCSEC),
         R_si=found.R_si,
