@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,9 +15,11 @@ from boresight.pipeline.console.messages import (
     wrong_usage,
 )
 from boresight.pipeline.console.progress import progress_bars
-from boresight.pipeline.files.dump_writer import images_in, write_dump
+from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.whole_file import is_vacant
+from boresight.pipeline.run.processes import FORKS
+from boresight.pipeline.run.workers import executor_for
 from boresight.simulator.scenario import ScenarioError
 
 __all__ = ["simulate_command"]
@@ -29,6 +31,10 @@ def simulate_command(
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     set_: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting: strips.count=5. May be repeated.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes on this machine; default: one a core, one for a small mission.", min=1),
     ] = None,
 ) -> Answer:
     """Render a mission with known truth: raw star images and strips, written as a dump.
@@ -45,14 +51,13 @@ def simulate_command(
     mission = fly(chosen, seed)
     changes = "".join(f" --set {item}" for item in set_ or [])
     command = f"boresight {__version__}: simulate {chosen.name} --seed {seed}{changes}"
-    images, done = images_in(mission), itertools.count(1)
-    with progress_bars() as progress:
-        write_dump(
-            mission,
-            out,
-            created_by=command[:500],
-            on_image=lambda name: progress("rendering", next(done), images),
-        )
+    pixels = sum(strip.samples * strip.lines for strip in mission.strips)
+    with progress_bars() as progress, executor_for(workers if FORKS else 1, None, pixels) as executor:
+
+        def each(render: Callable[[Rendered], None], images: Sequence[Rendered]) -> list[None]:
+            return executor.map(render, images, lambda done, _: progress("images", done, len(images)))
+
+        write_dump(mission, out, created_by=command[:500], each=each)
     strips = len({strip.strip_id for strip in mission.strips})
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     return Answer(

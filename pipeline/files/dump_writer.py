@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,29 +25,36 @@ from boresight.simulator.mission_records import (
     ChipImage,
     Mission,
     OrbitReport,
+    RenderedExposure,
     RenderedStrip,
     TerrainReport,
     Truth,
 )
 from boresight.simulator.scenario import scenario_to_dict
 
-__all__ = ["images_in", "write_dump"]
+__all__ = ["Each", "Rendered", "write_dump"]
 
 # Degree of the Lagrange interpolation that a written orbit states.
 INTERPOLATION_DEGREE = 7
 SIMULATED_ID = "2024-000A"  # international designator that no satellite has
 SMALL_PIXELS = 4_000_000  # smaller images are compressed as far as possible: they may become fixtures
 
-
-def images_in(mission: Mission) -> int:
-    """Number of images that `write_dump` renders."""
-    return len(mission.exposures) + len(mission.strips)
+Rendered = RenderedStrip | RenderedExposure
+Each = Callable[[Callable[[Rendered], None], Sequence[Rendered]], Iterable[None]]
 
 
 def write_dump(
-    mission: Mission, root: Path, *, created_by: str, on_image: Callable[[str], None] = lambda name: None
+    mission: Mission,
+    root: Path,
+    *,
+    created_by: str,
+    each: Each = map,
 ) -> None:
-    """Write the dump to `root`; call `on_image(file)` after each image. `FileExistsError` if not empty."""
+    """Write the dump to `root`. `FileExistsError` if not empty.
+
+    `each` applies a function to the images, one after another or in forked processes: a mission cannot be
+    pickled. Every image has random numbers of its own, so that the bytes do not depend on it.
+    """
     if not is_vacant(root):
         raise FileExistsError(f"{root} exists and is not an empty folder")
     ground = ("chips", "terrain") if mission.terrain is not None else ()
@@ -62,8 +70,11 @@ def write_dump(
     }
     write_toml(root / "installation.toml", installation)
     (root / "orbit.oem").write_text(_oem(mission, mission.orbit), encoding="utf-8")
-    _write_exposures(root, mission, on_image)
-    _write_strips(root, mission, on_image)
+    images: list[Rendered] = [*mission.strips, *mission.exposures]  # the longest work first
+    for _ in each(partial(_write_image, root), images):
+        pass
+    _write_exposures(root, mission)
+    _write_strips(root, mission)
     if mission.terrain is not None:
         _write_targets(root, mission)
         _write_terrain(root / "terrain" / "dem.tif", mission.terrain)
@@ -103,26 +114,33 @@ def _oem(mission: Mission, orbit: OrbitReport) -> str:
     )
 
 
-def _write_exposures(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
+def _write_image(root: Path, image: Rendered) -> None:
+    if isinstance(image, RenderedStrip):
+        _write_strip_image(root / _file_of_strip(image), image)
+    else:
+        (root / f"exposures/{image.exposure_id}.png").write_bytes(png_of_noise(image.image()))
+
+
+def _file_of_strip(strip: RenderedStrip) -> str:
+    return f"strips/{strip.strip_id}_ccd{strip.ccd}.tif"
+
+
+def _write_exposures(root: Path, mission: Mission) -> None:
     utc = mission.epoch.utc_from_seconds([exposure.t_s for exposure in mission.exposures])
     rows = []
     for exposure, instant in zip(mission.exposures, utc):
         file = f"exposures/{exposure.exposure_id}.png"
-        (root / file).write_bytes(png_of_noise(exposure.image()))
         rows.append([exposure.exposure_id, file, instant, exposure.exposure_s])
-        on_image(file)
     write_csv(root / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], rows)
 
 
-def _write_strips(root: Path, mission: Mission, on_image: Callable[[str], None]) -> None:
+def _write_strips(root: Path, mission: Mission) -> None:
     utc = mission.epoch.utc_from_seconds([strip.t_first_row_s for strip in mission.strips])
     rows, with_kind = [], any(strip.kind != "ground" for strip in mission.strips)
     for strip, instant in zip(mission.strips, utc):
-        file = f"strips/{strip.strip_id}_ccd{strip.ccd}.tif"
-        _write_strip_image(root / file, strip)
+        file = _file_of_strip(strip)
         kind = [strip.kind] if with_kind else []
         rows.append([strip.strip_id, strip.ccd, file, instant, repr(strip.row_period_s), strip.lines, *kind])
-        on_image(file)
     columns = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"]
     write_csv(root / "strips.csv", [*columns, "kind"] if with_kind else columns, rows)
 

@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run.executor import InOrder
 
-__all__ = ["Processes"]
+__all__ = ["FORKS", "Processes"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
@@ -41,6 +41,7 @@ DIED = (EOFError, ConnectionError)  # of a pipe whose other end is closed
 START: ForkContext | SpawnContext = (
     multiprocessing.get_context("fork") if sys.platform == "linux" else multiprocessing.get_context("spawn")
 )
+FORKS = START.get_start_method() == "fork"  # a process has what this one has, functions without a name too
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,7 @@ class Processes:
         processes, or where other programs take the processors for longer than `PATIENCE_S` at the end.
         """
         outcomes: dict[int, Outcome] = {}
-        if not items or START.get_start_method() != "fork":
+        if not items or not FORKS:
             yield outcomes
             return
         process = _Process(function, items, _work_ahead)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.dump_writer import write_dump
+from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.star_images import read_exposure
+from boresight.pipeline.run.processes import FORKS, Processes
 from boresight.simulator.mission_records import Mission
 
 SMALL = (
@@ -35,6 +37,23 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mission, Path, Dump
     mission = fly(named_scenario("mini", SMALL), 3)
     write_dump(mission, root, created_by="a test")
     return mission, root, open_dump(root)
+
+
+@pytest.mark.skipif(not FORKS, reason="NO FORK on this system: missions are rendered by one process")
+def test_images_rendered_by_several_processes_are_the_same_bytes(
+    flown: tuple[Mission, Path, Dump], tmp_path: Path
+) -> None:
+    mission, root, _ = flown
+    told: list[int] = []
+
+    def each(render: Callable[[Rendered], None], images: Sequence[Rendered]) -> list[None]:
+        return Processes(3).map(render, images, lambda done, _: told.append(done))
+
+    write_dump(mission, tmp_path / "dump", created_by="a test", each=each)
+    files = sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
+    assert files == sorted(p.relative_to(tmp_path / "dump") for p in tmp_path.rglob("*") if p.is_file())
+    assert [f for f in files if (root / f).read_bytes() != (tmp_path / "dump" / f).read_bytes()] == []
+    assert told == list(range(1, len(mission.strips) + len(mission.exposures) + 1))
 
 
 def test_cameras_and_matrix_come_back_to_fourteen_digits(flown: tuple[Mission, Path, Dump]) -> None:
