@@ -75,9 +75,8 @@ AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do
 
 @record(kw_only=True)
 class ReliabilitySettings:
-    """False-alarm rates of all hypotheses together, and what counts as harm."""
+    """False-alarm rate of all hypotheses together, and what counts as harm."""
 
-    probability_refuted: float = scalar("that right inputs are refuted", default=5e-4)
     probability_found: float = scalar("that right inputs are said to look wrong", default=2e-3)
     sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
     harm_sigma: float = scalar("change of theta, in its 1-sigma, by which a cause refutes", default=1.0)
@@ -198,7 +197,7 @@ def examine(
     inputs : sequence of MovedInput
         Further inputs whose errors were evaluated by prediction.
     limits : ReliabilitySettings, optional
-        False-alarm rates and what counts as harm.
+        False-alarm rate and what counts as harm.
     table_of : callable
         Gives the table of hypotheses; default: that of dumps.
 
@@ -464,7 +463,6 @@ def _finding(
 
     value, sigma = float(fit.size[-1]), float(fit.sigma[-1])
     worst = max(harm(n) for n in rivals)
-    refutes = worst > limits.harm_sigma and p_value < limits.probability_refuted
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
     text += _rivals(h, [one.table[n] for n in rivals if n != best])
@@ -477,7 +475,7 @@ def _finding(
         unit=h.unit,
         file=h.file,
         field=h.field,
-        refutes=refutes,
+        refutes=worst > limits.harm_sigma,
         effect_rad=published - fit.theta,
         effect_sigma=worst,
         p_value=min(p_value, 1.0),

@@ -273,8 +273,9 @@ def assess(
         weakest_axis_c=vectors[:, -1],
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
-    causes = [*(reliability.findings if reliability else ()), *_orbit_finding(estimate, found)]
-    return verdict.with_findings(causes)
+    causes = reliability.findings if reliability else ()
+    heads_told = [one for one in _head_findings(heads) if not any(one.item == c.item for c in causes)]
+    return verdict.with_findings(heads_told or causes or tuple(_orbit_finding(estimate, found)))
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
@@ -412,6 +413,23 @@ def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: Ver
     statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
     p_value = float(chdtrc(3, statistic / settings.sigma_overstated**2))
     return _check(CheckKind.START_MATRIX, statistic, 3, 3, p_value, settings)
+
+
+def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
+    """The head whose attitudes contradict those of the others, by the least likely of the checks that fail:
+    it turns whole strips, which any hypothesis about them then explains in part.
+    """
+    for check in sorted((one for one in checks if one.names), key=lambda one: one.p_value)[:1]:
+        yield Finding(
+            cause="attitudes of a head",
+            item=f"head {check.names[0][0]}",
+            text=f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
+            "file, rotation label, clock, aberration and noise in dump.toml, and its mounting.",
+            file="dump.toml",
+            field="star_cameras",
+            refutes=True,
+            p_value=check.p_value,
+        )
 
 
 def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:

@@ -11,6 +11,7 @@ id, so the result is the same bit for bit.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
@@ -161,19 +162,19 @@ def calibrate_dump(
     R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
     mountings = stated_mountings(heads)
     computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
-    before: tuple[MatchedTargets, ...] = ()
     first: _Pass | None = None
+    last: _Pass | None = None
     for number in range(1, settings.run.passes + 1):
         last = _one_pass(
-            number, before, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner
+            number, last, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner
         )
         R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
         computed += last.computed
-        first, before = first or last, last.matched
+        first = first or last
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
-    assert first is not None
+    assert first is not None and last is not None
     found = last.estimate.with_reference(heads[0].head.name)
     observed = [*last.matched, *map(as_matched, last.named)]
     omissions = (
@@ -212,7 +213,11 @@ def calibrate_dump(
             [
                 *exchanged,
                 *([convention] if convention else []),
-                *([] if convention or exchanged else _target_findings(dump, last, found, reliability, stars)),
+                *(
+                    []
+                    if convention or exchanged
+                    else _target_findings(dump, last, found, reliability, verdict.findings, stars)
+                ),
                 *targets_out_of_view(dump, last.tasks, last.matched),
                 *input_findings(dump, last.tasks, omissions),
                 *assumed_motion(last.strips, error_model),
@@ -253,7 +258,7 @@ class _Pass:
 
 def _one_pass(
     number: int,
-    before: Sequence[MatchedTargets],
+    before: _Pass | None,
     dump: Dump,
     heads: Sequence[HeadSightings],
     sky: SkySide,
@@ -264,8 +269,7 @@ def _one_pass(
     runner: StageRunner,
 ) -> _Pass:
     """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
-    `before` are the targets matched in the pass before. `DataNotSufficientError` where the data do not
-    determine all three angles.
+    `before` is the pass before. `DataNotSufficientError` where the data do not determine all three angles.
     """
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
@@ -279,7 +283,9 @@ def _one_pass(
     if number == 1:
         tasks, matched, flags = match_first(tasks, start_from, runner)
     else:
-        matched, flags = match_again(tasks, before, settings.run.settled_px, runner, f"matching-{number}")
+        matched, flags = match_again(
+            tasks, before.matched if before else (), settings.run.settled_px, runner, f"matching-{number}"
+        )
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=number > 1)
     strips = [*_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
@@ -289,7 +295,8 @@ def _one_pass(
     if isinstance(estimate, NotObservable):
         known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
         text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known)
-        if cause := _cause_of_no_result(dump, heads, strips, tasks, settings, error_model):
+        seen = strips or (before.strips if before else ())  # names that the strips together took away
+        if cause := _cause_of_no_result(dump, heads, seen, tasks, settings, error_model):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known, *unmatched])
     return _Pass(
@@ -354,20 +361,28 @@ def _agreeing_strips(dump: Dump, heads: Sequence[HeadSightings], settings: Setti
 
 
 def _target_findings(
-    dump: Dump, last: _Pass, estimate: InstallationEstimate, reliability: Reliability, stars: Counts
+    dump: Dump,
+    last: _Pass,
+    estimate: InstallationEstimate,
+    reliability: Reliability,
+    told: Sequence[Finding],
+    stars: Counts,
 ) -> list[Finding]:
-    """Targets and stars that contradict the rest or were not found, and that no common cause explains."""
-    items = [one.item for one in reliability.findings]
-    strips = {name.rpartition("/")[0] for one in reliability.findings for name in one.targets}
+    """Targets and stars that contradict the rest or were not found, and that no common cause
+    `told` explains.
+    """
+    items = [one.item for one in told]
+    strips = {name.rpartition("/")[0] for one in told for name in one.targets}
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
     images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
     exchanged = [
         *exchanged_in_ground(last.tasks, last.matched),
         *exchanged_in_sky(dump, last.sky, last.named, stars, estimate.R_cs),
     ]
+    items += [ccd for one in exchanged for ccd in re.findall(r"CCD \d+", one.item)]
     return [
         *exchanged,
-        *single_targets(list(suspected), is_explained=bool(reliability.findings)),
+        *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
         *lost_targets(last.tasks, last.matched, items),
         *lost_stars(images, stars, STARS_LOST, items),
         *strips_without_stars(dump, last.sky, last.named, stars, strips),

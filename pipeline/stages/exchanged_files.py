@@ -24,7 +24,6 @@ from boresight.star_id.strip_stars.find import StripStars
 __all__ = ["exchanged_in_ground", "exchanged_in_sky"]
 
 FEWEST = 3  # targets or stars that are found with the exchange
-LEAST_OF_CCD = 2  # in view of each of the two
 Found = Callable[[int, int], int]
 
 
@@ -54,7 +53,7 @@ def exchanged_in_sky(
 
         def found(a: int, b: int, task: SkyTask = task, stars: StripStars = one.found) -> int:
             other = replace(stars, ccd=np.where(stars.ccd == a, b, np.where(stars.ccd == b, a, stars.ccd)))
-            again = stars_found(task, other, bright, R_cs)
+            again = stars_found(dump, task, other, bright, R_cs)
             return again[task.strip.strip_id, a][0] + again[task.strip.strip_id, b][0]
 
         own = {key: value for key, value in counts.items() if key[0] == task.strip.strip_id}
@@ -62,7 +61,7 @@ def exchanged_in_sky(
 
 
 def _findings(strip_id: str, counts: Counts, found: Found, what: str) -> Iterator[Finding]:
-    empty = [ccd for (_, ccd), (kept, n) in sorted(counts.items()) if not kept and n >= LEAST_OF_CCD]
+    empty = [ccd for (_, ccd), (kept, n) in sorted(counts.items()) if n and not kept]
     for a, b in combinations(empty, 2):
         n, seen = sum(counts[strip_id, ccd][1] for ccd in (a, b)), found(a, b)
         if seen >= max(FEWEST, 0.5 * n):

@@ -110,7 +110,8 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     return (
         f"no target comes into view: the nearest, {target_id}, misses strip {strip_id} by "
         f"{across_m / 1e3:.1f} km across the track and {along_m / 1e3:.1f} km along it ({along_s:.1f} s); "
-        "check the targets' latitude and longitude, the strips' times and the pre-launch installation matrix"
+        "check times and frame of the orbit, the strips' times, the targets' latitude and longitude and the "
+        "pre-launch installation matrix"
     )
 
 

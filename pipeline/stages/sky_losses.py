@@ -18,8 +18,8 @@ from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.left_out import Counts, lost_ccds
-from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips
-from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
+from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
+from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -33,11 +33,11 @@ __all__ = [
 ]
 
 FEWEST = 3  # stars that agree by themselves
-LOST_SHARE = 0.1  # of a CCD's bright stars that are missing in a good strip: none of 60 were
+LOST_SHARE = 0.04  # of a CCD's bright stars that are missing in a good strip: none of 259 were
 
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
-NEAR_PX = 16.0  # of where the matrix places a star: a detection is that star
+NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
 EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
 
 
@@ -95,15 +95,27 @@ def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> Su
     return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
 
 
-def stars_found(task: SkyTask, found: StripStars, bright: SurveyedStars, R_cs: Rotation) -> Counts:
+def stars_found(
+    dump: Dump, task: SkyTask, found: StripStars, bright: SurveyedStars, R_cs: Rotation
+) -> Counts:
     """By strip and CCD: stars with a detection where they must be, and all that must be there."""
-    expected = crossings(task, bright, R_cs)
+    expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
     counts: dict[tuple[str, int], tuple[int, int]] = {}
     for ccd in task.strip.images.ccds:
         there = expected.xy_px[expected.ccd == ccd]
         off_px = np.abs(there[:, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
-        counts[task.strip.strip_id, ccd] = int((off_px < NEAR_PX).any(axis=1).sum()), len(there)
+        counts[task.strip.strip_id, ccd] = int((off_px < near_px).any(axis=1).sum()), len(there)
     return counts
+
+
+def _near_px(dump: Dump, task: SkyTask) -> float:
+    """How far a star may lie from where a right matrix places it: by the errors of the attitudes, the stated
+    scatter and what is not stated.
+    """
+    variance = np.einsum("kaka->ka", task.covariance_c)  # rad², axes of c
+    attitude = np.sqrt(np.max(variance[:, :2].max(axis=1) + variance[:, 2] * _reach(task) ** 2))
+    sigma_px = (scatter_px(dump), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)
+    return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
 
 
 def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Counts:
@@ -111,7 +123,7 @@ def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rot
     if not any(len(one.rows) for one in named):
         return {}
     bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
-    each = [stars_found(task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)]
+    each = [stars_found(dump, task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)]
     return {key: count for counts in each for key, count in counts.items()}
 
 

@@ -36,7 +36,7 @@ from boresight.pipeline.stages.strip import orbit_around
 from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "named_sightings"]
+__all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "named_sightings", "scatter_px"]
 
 
 @record(kw_only=True)
@@ -86,13 +86,17 @@ def name_in_sky_strips(
     """Named stars of each strip, by a mounting and its 1-sigma (3,), rad; see `name_sky_stars`."""
     if not side.tasks:
         return ()
-    vibration = dump.errors.vibration_arcsec * ARCSEC / dump.line_camera.pixel_rad
-    scatter = float(np.hypot(dump.errors.look_px, vibration))
-    survey = survey_of(dump.star_catalogue)
+    scatter, survey = scatter_px(dump), survey_of(dump.star_catalogue)
     return tuple(
         name_sky_stars(task, found, survey, R_cs, sigma_rad, known=known, scatter_px=scatter)
         for task, found in zip(side.tasks, side.found)
     )
+
+
+def scatter_px(dump: Dump) -> float:
+    """1-sigma of what displaces one star of a strip against another: distortion, vibration."""
+    vibration = dump.errors.vibration_arcsec * ARCSEC / dump.line_camera.pixel_rad
+    return float(np.hypot(dump.errors.look_px, vibration))
 
 
 def named_sightings(

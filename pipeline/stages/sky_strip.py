@@ -45,6 +45,7 @@ from boresight.star_id.strip_stars.strip_names import (
 
 __all__ = [
     "NAME_UNSURE",
+    "NOT_STATED_PX",
     "NamedStars",
     "SkyTask",
     "as_matched",
@@ -57,7 +58,7 @@ __all__ = [
 # Cause of a star that is not used since its identification may be wrong, in lists and counts.
 NAME_UNSURE = "name unsure"
 _NODES = 33  # lines at which the motion of the image points is given
-_NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors
+NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
 # Margin around a strip's field, rad, within which catalogue stars are looked up: more than aberration and
 # refraction.
@@ -306,7 +307,7 @@ def _directions(
         R_ci=(R_cs * task.track.R_si(t_s)).as_matrix(),
         brightness=np.where(found.saturated, np.nan, -2.5 * np.log10(np.maximum(found.flux_dn, 1e-9))),
         attitude_c=task.track.errors_s(t_s, task.covariance_c),
-        variance=(measured_px2 + scatter_px**2 + _NOT_STATED_PX**2) * task.camera.pixel_rad**2,
+        variance=(measured_px2 + scatter_px**2 + NOT_STATED_PX**2) * task.camera.pixel_rad**2,
     )
 
 
@@ -358,7 +359,7 @@ def _field(
         v_mag=near.places.v_mag,
         limit_rad=limit,
         spread=spread,
-        slack_rad=2.0 * _NOT_STATED_PX * camera.pixel_rad,
+        slack_rad=2.0 * NOT_STATED_PX * camera.pixel_rad,
         strip_area=2.0 * half_swath * long,
     )
 

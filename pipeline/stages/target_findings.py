@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import xlogy
 
 from boresight.calib.finding import Finding
 from boresight.calib.reliability import Contradiction
@@ -31,6 +32,8 @@ __all__ = [
 ]
 
 FEWEST = 3  # targets that make a pattern
+SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
+GROUP_PENALTY = 3.0  # of a group: one more number, in units of the logarithm of a likelihood
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 SHOWN = 4  # names in a sentence
@@ -42,6 +45,7 @@ class Suspected:
 
     target_id: str = scalar("id of the target")
     strip_id: str = scalar("strip that shows it")
+    ccd: int = scalar("CCD that shows it, from 0")
     distance: float = scalar("from where the other targets place it, in standard errors")
     east_m: float = scalar("how far its stated place lies east of the one that the strip shows")
     north_m: float = scalar("the same to the north")
@@ -68,6 +72,7 @@ def suspected_targets(
         yield Suspected(
             target_id=one.target_id,
             strip_id=one.strip_id,
+            ccd=one.ccd,
             distance=one.distance,
             east_m=east_m,
             north_m=north_m,
@@ -81,29 +86,26 @@ def _places(matched: MatchedTargets) -> Iterator[tuple[str, int, tuple[float, ..
     yield from ((one.target_id, one.ccd, one.xy_px) for one in matched.contradicting)
 
 
-def single_targets(suspected: Sequence[Suspected], *, is_explained: bool = False) -> Iterator[Finding]:
-    """A finding for each target, and for strips of which more than three are off, one for the strip; none
-    for such a strip where a common cause is found already.
+def single_targets(
+    suspected: Sequence[Suspected], counts: Counts, *, is_explained: bool = False
+) -> Iterator[Finding]:
+    """A finding for each target that is off and, where more than three of a strip, of a CCD or of a CCD in
+    one strip are, one for that group; none for groups where a common cause is found already. `counts` are
+    the targets found, and in view.
     """
-    of_strip: dict[str, list[Suspected]] = defaultdict(list)
-    for one in suspected:
-        of_strip[one.strip_id].append(one)
-    crowded = {strip_id for strip_id, those in of_strip.items() if len(those) > FEWEST}
-    for strip_id in sorted(crowded) if not is_explained else ():
-        names = [one.target_id for one in of_strip[strip_id]]
-        more = " and more" if len(names) > SHOWN else ""
-        yield Finding(
-            cause="coordinates or chips",
-            item=f"{len(names)} targets in strip {strip_id}",
-            text=f"{', '.join(names[:SHOWN])}{more} contradict the rest, and no common cause explains them: "
-            "check targets.csv and the chips.",
-            file="targets.csv",
-            targets=tuple(f"{strip_id}/{name}" for name in names),
-        )
+    rest, cells = list(suspected), defaultdict[str, list[Suspected]](list)
+    for group in _groups(suspected, counts):
+        those, rest = _split(rest, group)
+        strip_id, ccd = group
+        if strip_id is not None and ccd is not None:
+            cells[strip_id] += those
+        elif not is_explained:
+            yield _of_group(group, those)
+    for strip_id, those in cells.items() if not is_explained else ():
+        yield _of_cells(strip_id, those)
     of_target: dict[str, list[Suspected]] = defaultdict(list)
-    for one in suspected:
-        if one.strip_id not in crowded:
-            of_target[one.target_id].append(one)
+    for one in rest:
+        of_target[one.target_id].append(one)
     for target_id, those in of_target.items():
         worst = max(those, key=lambda one: one.distance)
         file, what = ("points.csv", "it") if worst.is_point else ("targets.csv", "its chip or coordinates")
@@ -125,6 +127,92 @@ def single_targets(suspected: Sequence[Suspected], *, is_explained: bool = False
         )
 
 
+Group = tuple[str | None, int | None]  # strip and CCD; None: all
+
+
+def _split(suspected: Sequence[Suspected], group: Group) -> tuple[list[Suspected], list[Suspected]]:
+    """Those in a group, and the others."""
+    strip_id, ccd = group
+    inside = [strip_id in (None, one.strip_id) and ccd in (None, one.ccd) for one in suspected]
+    return [x for x, is_in in zip(suspected, inside) if is_in], [
+        x for x, is_in in zip(suspected, inside) if not is_in
+    ]
+
+
+def _groups(suspected: Sequence[Suspected], counts: Counts) -> list[Group]:
+    """What more than three targets that are off have in common: strips, CCDs or CCDs in one strip, whichever
+    explains most. The gain of a group is that of the likelihood if it has a share of its own, less a penalty.
+    """
+    kinds: list[set[Group]] = [
+        {(one.strip_id, None) for one in suspected},
+        {(None, one.ccd) for one in suspected},
+        {(one.strip_id, one.ccd) for one in suspected},
+    ]
+    best, most = list[Group](), 0.0
+    for kind in kinds:
+        sizes = {group: len(_split(suspected, group)[0]) for group in kind}
+        crowded = sorted((group for group in kind if sizes[group] > FEWEST), key=lambda group: -sizes[group])
+        gain = sum(_gain(sizes[group], _in_view(counts, group)) for group in crowded)
+        if gain > most:
+            best, most = crowded, gain
+    return best
+
+
+def _in_view(counts: Counts, group: Group) -> int:
+    """Targets in view of a group."""
+    strip_id, ccd = group
+    return sum(n for (s, c), (_, n) in counts.items() if strip_id in (None, s) and ccd in (None, c))
+
+
+def _gain(k: int, n: int) -> float:
+    """Of the logarithm of the likelihood, if k of n targets are off with a share of their own."""
+    n = max(k, n)
+    own = float(xlogy(k, k / n / SUSPECT_SHARE) + xlogy(n - k, (1.0 - k / n) / (1.0 - SUSPECT_SHARE)))
+    return own - GROUP_PENALTY
+
+
+def _of_group(group: Group, those: Sequence[Suspected]) -> Finding:
+    """Targets of one strip, or of one CCD, that contradict the rest."""
+    strip_id, ccd = group
+    names = tuple(f"{one.strip_id}/{one.target_id}" for one in those)
+    more = " and more" if len(those) > SHOWN else ""
+    shown = f"{', '.join([one.target_id for one in those][:SHOWN])}{more}"
+    if strip_id is None:
+        images = "ccd in points.csv" if those[0].is_point else "files in strips.csv"
+        return Finding(
+            cause="look directions of a CCD",
+            item=f"CCD {ccd}",
+            text=f"{len(those)} of its targets contradict the rest: check rotation_mrad, x_offset_mm, "
+            f"y_first_mm in remote_camera.toml; or {images} exchanged.",
+            file="remote_camera.toml",
+            field="rotation_mrad, x_offset_mm, y_first_mm",
+            targets=names,
+        )
+    file = "points.csv" if those[0].is_point else "targets.csv"
+    chips = "" if those[0].is_point else " and the chips"
+    return Finding(
+        cause="coordinates or chips",
+        item=f"{len(those)} targets in strip {strip_id}",
+        text=f"{shown} contradict the rest, and no common cause explains them: check {file}{chips}.",
+        file=file,
+        targets=names,
+    )
+
+
+def _of_cells(strip_id: str, those: Sequence[Suspected]) -> Finding:
+    """Targets of CCDs in one strip that contradict the rest."""
+    ccds = sorted({one.ccd for one in those})
+    file, field = ("points.csv", "ccd") if those[0].is_point else ("strips.csv", "file")
+    return Finding(
+        cause="images of a CCD",
+        item=f"{' and '.join(f'CCD {ccd}' for ccd in ccds)} in strip {strip_id}",
+        text=f"{len(those)} targets contradict the rest: check {field} in {file}, CCDs may be exchanged.",
+        file=file,
+        field=field,
+        targets=tuple(f"{strip_id}/{one.target_id}" for one in those),
+    )
+
+
 def lost_targets(
     tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], explained: Sequence[str]
 ) -> Iterator[Finding]:
@@ -135,7 +223,11 @@ def lost_targets(
     by_cell = counts_of(matched)
     counts, lost = over_strips(by_cell), lost_ccds(by_cell)
     empty = _flat_images(images, matched)
-    silent = [ccd for ccd, (kept, n) in counts.items() if not kept and n >= FEWEST and ccd not in empty]
+    silent = [
+        ccd
+        for ccd, (kept, n) in counts.items()
+        if not kept and n >= FEWEST and ccd not in empty and f"CCD {ccd}" not in explained
+    ]
     no_majority = bool(set(lost) & set(silent)) and 2 * len(silent) >= len(counts)
     displaced = [ccd for ccd in lost if ccd not in empty and f"CCD {ccd}" not in explained]
     for ccd, strips in empty.items():
@@ -145,10 +237,14 @@ def lost_targets(
         ccds = silent if no_majority else displaced
         gone = tuple(name for one in matched for ccd in ccds for name in _of_ccd(one, ccd))
         yield displaced_ccds(ccds, counts, "targets", gone, refutes=no_majority)
+    shown = any(len(one.target_id) for one in matched)
     for one in matched:
         names = [o.name for o in one.omissions if o.cause == Reason.NO_COMMON_ROTATION.replace("_", " ")]
         if not len(one.target_id) and len(names) >= FEWEST and f"strip {one.strip_id}" not in explained:
             flat = [is_flat(images[one.strip_id], ccd) for ccd in images[one.strip_id].ccds]
+            if not shown and not all(flat):
+                yield _lost_ground(sum(len(x.omissions) for x in matched))
+                return
             yield lost_strip(one.strip_id, tuple(names), all_flat=all(flat))
         yield from _excluded(one.omissions)
 
@@ -236,6 +332,16 @@ def lost_strip(strip_id: str, targets: tuple[str, ...], *, all_flat: bool) -> Fi
         text=f"none of its {len(targets)} targets found; {text}.",
         file="strips.csv",
         targets=targets,
+    )
+
+
+def _lost_ground(n: int) -> Finding:
+    return Finding(
+        cause="orbit, times or coordinates",
+        item="all strips of the ground",
+        text=f"none of {n} targets found in any: check times and frame of the orbit, utc_first_row in "
+        "strips.csv, targets.csv; or cloud.",
+        file="orbit, strips.csv",
     )
 
 

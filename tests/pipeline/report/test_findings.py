@@ -70,12 +70,14 @@ def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
     assert list(clouds("s1", seen | {USED: used[:2]})) == []  # too few to know what the ground looks like
 
 
-def suspected(strip_id, target_id, distance=9.0):
-    return Suspected(strip_id=strip_id, target_id=target_id, distance=distance, east_m=-30.0, north_m=1.0)
+def suspected(strip_id, target_id, distance=9.0, ccd=0):
+    return Suspected(
+        strip_id=strip_id, target_id=target_id, ccd=ccd, distance=distance, east_m=-30.0, north_m=1.0
+    )
 
 
 def test_a_single_target_that_contradicts_the_rest_is_named_once_with_its_place():
-    (found,) = single_targets([suspected("s1", "t1"), suspected("s2", "t1", 12.0)])
+    (found,) = single_targets([suspected("s1", "t1"), suspected("s2", "t1", 12.0)], {})
     assert found.item == "target t1 (strips s1, s2)" and found.targets == ("s1/t1", "s2/t1")
     assert found.is_fault and not found.refutes
     assert "about 30 m west of the true place (12.0 σ)" in found.text
@@ -83,8 +85,27 @@ def test_a_single_target_that_contradicts_the_rest_is_named_once_with_its_place(
 
 
 def test_many_targets_of_a_strip_are_one_finding():
-    (found,) = single_targets([suspected("s1", f"t{n}") for n in range(5)])
-    assert found.item == "5 targets in strip s1" and len(found.targets) == 5
+    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
+    off = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
+    (found,) = single_targets(off, seen)
+    assert found.item == "10 targets in strip s1" and len(found.targets) == 10
+    assert list(single_targets(off, seen, is_explained=True)) == []
+
+
+def test_many_targets_of_a_ccd_are_one_finding_about_its_look_directions():
+    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
+    off = [suspected(f"s{k}", f"t{n}", ccd=2) for k in (1, 2, 3) for n in range(3)]
+    found, other = single_targets([*off, suspected("s2", "t9", ccd=1)], seen)
+    assert found.item == "CCD 2" and len(found.targets) == 9 and "rotation_mrad" in found.text
+    assert other.item == "target t9 (strip s2)"
+
+
+def test_all_targets_of_two_ccds_in_one_strip_are_one_finding_about_its_images():
+    seen = {(strip, ccd): (6, 6) for strip in ("s1", "s2", "s3") for ccd in range(4)}
+    off = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
+    (found,) = single_targets(off, seen)
+    assert found.item == "CCD 1 and CCD 2 in strip s2" and len(found.targets) == 11
+    assert found.file == "strips.csv" and "exchanged" in found.text
 
 
 def strip_of(name, lost, found):
