@@ -52,7 +52,12 @@ from boresight.pipeline.stages.point_slips import without_hidden_points
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.sky_losses import LOST_SHARE as STARS_LOST
-from boresight.pipeline.stages.sky_losses import named_alone, sky_counts, strips_without_stars
+from boresight.pipeline.stages.sky_losses import (
+    named_alone,
+    reversed_strips,
+    sky_counts,
+    strips_without_stars,
+)
 from boresight.pipeline.stages.sky_side import (
     SkySide,
     find_in_sky_strips,
@@ -296,7 +301,7 @@ def _one_pass(
         known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
         text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
-        if cause := _cause_of_no_result(dump, heads, seen, tasks, settings, error_model):
+        if cause := _cause_of_no_result(dump, heads, sky, seen, tasks, settings, error_model):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known, *unmatched])
     return _Pass(
@@ -314,6 +319,7 @@ def _one_pass(
 def _cause_of_no_result(
     dump: Dump,
     heads: Sequence[HeadSightings],
+    sky: SkySide,
     strips: Sequence[StripSightings],
     tasks: Sequence[StripTask],
     settings: Settings,
@@ -324,6 +330,8 @@ def _cause_of_no_result(
     """
     if exchanged := exchanged_exposures(dump, heads):
         return exchanged[0]
+    if reversed_strip := next(reversed_strips(dump, sky), None):
+        return reversed_strip
     if finding := likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings)):
         return finding
     plain = replace(error_model, robust=False)
@@ -379,13 +387,14 @@ def _target_findings(
         *exchanged_in_ground(last.tasks, last.matched),
         *exchanged_in_sky(dump, last.sky, last.named, stars, estimate.R_cs),
     ]
+    refuted = any(one.refutes for one in told)  # single items may be what a common cause leaves
     items += [ccd for one in exchanged for ccd in re.findall(r"CCD \d+", one.item)]
     return [
         *exchanged,
-        *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
+        *single_targets([] if refuted else list(suspected), counts_of(last.matched), is_explained=bool(told)),
         *lost_targets(last.tasks, last.matched, items),
         *lost_stars(images, stars, STARS_LOST, items),
-        *strips_without_stars(dump, last.sky, last.named, stars, strips),
+        *([] if refuted else strips_without_stars(dump, last.sky, last.named, stars, strips)),
     ]
 
 

@@ -27,6 +27,7 @@ __all__ = [
     "as_bright_as_named",
     "crossings",
     "named_alone",
+    "reversed_strips",
     "sky_counts",
     "stars_found",
     "strips_without_stars",
@@ -169,6 +170,35 @@ TRIALS: Mapping[str, Changed] = {
 }
 
 
+def _only(side: SkySide, n: int) -> SkySide:
+    """One strip of several."""
+    return replace(
+        side, tasks=(side.tasks[n],), found=(side.found[n],), computed=side.computed[n : n + 1], omissions=()
+    )
+
+
+def _order(dump: Dump, only: SkySide) -> str:
+    """With which other order of its image the stars of a strip are named, in words; empty: with none."""
+    (task,), (found,) = only.tasks, only.found
+    trials = ((words, replace(only, found=(changed(found, task),))) for words, changed in TRIALS.items())
+    return next((words for words, trial in trials if _is_named(dump, trial)), "")
+
+
+def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
+    """Strips of the sky of which no star is named as stated, but with rows or columns reversed."""
+    for n, task in enumerate(side.tasks):
+        only = _only(side, n)
+        if not _is_named(dump, only) and (words := _order(dump, only)):
+            yield Finding(
+                cause="order of an image",
+                item=f"strip {task.strip.strip_id}",
+                text=f"none of its stars named, but {words} they are: check file in strips.csv.",
+                file="strips.csv",
+                field="file",
+                refutes=True,
+            )
+
+
 def strips_without_stars(
     dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, explained: Collection[str]
 ) -> Iterator[Finding]:
@@ -180,14 +210,11 @@ def strips_without_stars(
         expected = sum(seen for (name, _), (_, seen) in counts.items() if name == strip_id)
         if len(one.rows) or expected < FEWEST or strip_id in explained:
             continue
-        only = replace(side, tasks=(task,), found=(side.found[n],), computed=side.computed[n : n + 1])
-        trials = (
-            (words, replace(only, found=(changed(side.found[n], task),))) for words, changed in TRIALS.items()
-        )
+        only = _only(side, n)
         file, cause, alone = "file, utc_first_row", "images, clock or attitudes", _is_named(dump, only)
         if alone:
             text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
-        elif words := next((words for words, trial in trials if _is_named(dump, trial)), ""):
+        elif words := _order(dump, only):
             file, cause = "file", "order of an image"
             text = f"none of its {expected} brightest stars found, but {words} they are"
         else:
