@@ -16,6 +16,7 @@ from boresight.pipeline.console.arguments import (
     ResultArgument,
     StaleEop,
 )
+from boresight.pipeline.console.completion import among, strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, Answer, say, tell
 from boresight.pipeline.files.whole_file import write_whole
 
@@ -28,13 +29,15 @@ def export_command(
         list[str],
         typer.Option(
             "--format",
-            help="spice, spice-ck, aem, acm, operator, dimap, json, csv, csm-isd, rpc, vrt, kml, asp,"
-            " geojson, envi, qgis or fits; several with commas. May be repeated.",
+            help=f"{', '.join(FORMATS)}; several with commas. May be repeated.",
+            autocompletion=among(FORMATS, several=True),
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
     dump: DumpOption = None,
-    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    strip: Annotated[
+        list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
+    ] = None,
     product: Annotated[Path | None, typer.Option(help="dimap: the operator's file.")] = None,
     object_id: Annotated[
         str, typer.Option(help="aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.")

@@ -14,6 +14,7 @@ from boresight.pipeline.console.arguments import (
     ResultArgument,
     StaleEop,
 )
+from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import print_data, tell
 from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.files.whole_file import write_text
@@ -24,7 +25,7 @@ __all__ = ["geolocate_command"]
 
 def geolocate_command(
     result: ResultArgument,
-    strip: Annotated[str, typer.Option(help="Id of the strip.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip.", autocompletion=strips_of)],
     pixels: Annotated[Path, typer.Option(help="CSV file with the columns ccd, sample, line.")],
     dump: DumpOption = None,
     out: Annotated[Path | None, typer.Option(help="CSV file to write; default: standard output.")] = None,

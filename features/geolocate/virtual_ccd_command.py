@@ -10,6 +10,7 @@ import typer
 from boresight.features.geolocate.virtual_strip import write_virtual_strip
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import DumpOption
+from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
 from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -19,7 +20,7 @@ __all__ = ["virtual_ccd_command"]
 
 def virtual_ccd_command(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
-    strip: Annotated[str, typer.Option(help="Id of the strip.")],
+    strip: Annotated[str, typer.Option(help="Id of the strip.", autocompletion=strips_of)],
     out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
     dump: DumpOption = None,
     height_m: Annotated[

@@ -13,8 +13,9 @@ from boresight.features.operators.dimap_import import dimap_mission
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
 from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
 from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
-from boresight.features.operators.sentinel2_product import read_sentinel2
+from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
+from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dimap_metadata import operator_model
@@ -42,7 +43,7 @@ def import_sentinel2_command(
     gipp: Annotated[
         Path, typer.Option(help="Folder or tar archive of the SPAMOD and VIEDIR files that it names.")
     ],
-    band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
+    band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
     attitudes: Annotated[
         str,
         typer.Option(

@@ -9,7 +9,8 @@ import typer
 
 from boresight.features.operators.grid_agreement import Limit, agreement
 from boresight.features.operators.sentinel2_grid import read_grid_rows, sentinel2_grid_differences
-from boresight.features.operators.sentinel2_product import read_sentinel2
+from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
+from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import read_earth_orientation
 
@@ -23,7 +24,7 @@ def sentinel2_command(
     gipp: Annotated[
         Path, typer.Option(help="Folder or tar archive of the SPAMOD and VIEDIR files that it names.")
     ],
-    band: Annotated[str, typer.Option(help="B01 to B12, B8A.")],
+    band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
     grid: Annotated[
         Path, typer.Option(help="Its location grid: CSV of detector, line, sample, lon, lat, alt.")
     ],

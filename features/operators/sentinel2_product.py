@@ -34,7 +34,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 
-__all__ = ["AttitudeRecord", "Refining", "Sentinel2", "read_sentinel2"]
+__all__ = ["BANDS", "AttitudeRecord", "Refining", "Sentinel2", "read_sentinel2"]
 
 _FIRST_PIXEL_M = 10.0  # pixel size to which LINE_PERIOD refers
 _GRANULE_LINES = 2304  # of 10 m
@@ -55,6 +55,9 @@ class AttitudeRecord:
 
     t_s: Floats = array("K", "TAI seconds since the epoch, increasing")
     R_is: Rotation = array("K", "frame s to GCRS")
+
+
+BANDS = (*(f"B{n:02d}" for n in range(1, 9)), "B8A", *(f"B{n:02d}" for n in range(9, 13)))
 
 
 @record(kw_only=True)

@@ -15,6 +15,7 @@ from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
 from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
 from boresight.features.paper.vector_experiments import ExperimentSettings
+from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
@@ -29,7 +30,8 @@ def experiment_command(
     name: Annotated[
         str,
         typer.Argument(
-            help="inputs, figure4, convergence, grid, figure8, table4, table5, readings, geometry; or all."
+            help=f"{', '.join(EXPERIMENTS)}; or all.",
+            autocompletion=among((*EXPERIMENTS, "all")),
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],

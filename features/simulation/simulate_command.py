@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from boresight.pipeline import __version__
+from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
@@ -26,7 +27,13 @@ __all__ = ["simulate_command"]
 
 
 def simulate_command(
-    scenario: Annotated[str, typer.Argument(help="mini, paper, sky, or the path of a TOML file.")],
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="mini, paper, sky, or the path of a TOML file.",
+            autocompletion=among(("mini", "paper", "sky")),
+        ),
+    ],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     set_: Annotated[

@@ -9,6 +9,7 @@ import typer
 
 from boresight.features.targets.target_matches import matched_lines, matches_table, write_matches
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import (
     DATA_DID_NOT_ALLOW,
     DONE,
@@ -29,7 +30,9 @@ __all__ = ["match_command"]
 def match_command(
     dump: DumpArgument,
     out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
-    strip: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
+    strip: Annotated[
+        list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
+    ] = None,
     overlay: Annotated[
         Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
     ] = None,
