@@ -12,13 +12,14 @@ from scipy.stats import chi2
 from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
+from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import apparent_star_directions
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.sight import sight_stars
+from boresight.star_id.sight import _half_sides, sight_stars
 
 EPOCH = Epoch.from_utc("2026-03-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1000.0, 7500.0])
@@ -89,3 +90,10 @@ def test_the_papers_camera_is_sighted_at_full_size():
     miss = sightings.xy_px - truth.xy_px[[row[h] for h in sightings.hip]]
     assert np.hypot(*miss.T).max() < 1.5  # px: no wrong name among more than a hundred
     assert len(sightings.hip) > 80
+
+
+def test_half_sides_are_those_of_the_farthest_corner():
+    focal_m, pixel_m, middle = 0.05, 7e-6, (310.4, 611.7)
+    camera = StarCamera(focal_m=focal_m, pixel_m=pixel_m, width_px=1100, height_px=900, principal_px=middle)
+    far_px = max(middle[0] + 0.5, 1099.5 - middle[0]), max(middle[1] + 0.5, 899.5 - middle[1])
+    np.testing.assert_allclose(_half_sides(camera), np.array(far_px) * pixel_m / focal_m, rtol=1e-12)

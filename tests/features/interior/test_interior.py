@@ -52,9 +52,12 @@ def true_camera(seed, assumed):
     return model.corrected(values)
 
 
+@pytest.mark.parametrize("turned_rad", [(0.0,) * 4, (0.04, -0.03, 0.05, -0.02)])
 @pytest.mark.parametrize("tables", [True, False])
-def test_the_corrected_camera_looks_where_the_parameters_say(tables):
-    model = InteriorModel.of(camera(tables), InteriorPriors(stagger_s=1e-5))
+def test_the_corrected_camera_looks_where_the_parameters_say(tables, turned_rad):
+    plain = camera(tables)
+    ccds = tuple(replace(ccd, rotation_rad=turn) for ccd, turn in zip(plain.ccds, turned_rad))
+    model = InteriorModel.of(replace(plain, ccds=ccds), InteriorPriors(stagger_s=1e-5))
     values = model.basis @ np.random.default_rng(3).standard_normal(model.basis.shape[1])
     corrected = model.corrected(values)
     for c in range(4):
