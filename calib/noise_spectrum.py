@@ -146,7 +146,7 @@ def allan_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
         means = (sums[m:] - sums[:-m]) / m
         deviations.append(np.sqrt(0.5 * np.mean((means[m:] - means[:-m]) ** 2, axis=0)))
     times: Floats = counts.astype(np.float64) * step_s
-    return times, np.array(deviations)
+    return times, np.reshape(deviations, (len(counts), values.shape[1]))
 
 
 def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floats]:

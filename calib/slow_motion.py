@@ -32,6 +32,7 @@ from boresight.geometry.sightings import StripSightings
 
 __all__ = [
     "AT_REST",
+    "FEWEST_SHOW",
     "SlowMotion",
     "has_few_exposures",
     "missed_covariance",

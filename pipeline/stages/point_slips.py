@@ -9,6 +9,7 @@ import numpy as np
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
+from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.record import Bools, Floats
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.stages.coordinate_slips import likeliest, slips
@@ -20,7 +21,9 @@ NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must 
 
 
 def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
-    """The task without measured points that lie beyond the satellite's horizon, and an omission for each."""
+    """The task without measured points that lie beyond the satellite's horizon, or so near to it that their
+    refraction is not defined, and an omission for each.
+    """
     points = task.points
     if not len(points.ccd):
         return task, []
@@ -28,7 +31,9 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
     t_s = np.asarray(pushbroom_of(task).instants_of_lines(points.ccd, points.xy_px[:, 1]), dtype=float)
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
     up_e = local_axes_e(lat, lon)[:, :, 2]
-    hidden = np.sum(up_e * (task.orbit.positions_e(t_s) - p_e), axis=1) <= 0.0
+    beyond = np.sum(up_e * (task.orbit.positions_e(t_s) - p_e), axis=1) <= 0.0
+    u_i, _ = apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, task.effects)
+    hidden = beyond | ~np.isfinite(u_i).all(axis=1)
     if not hidden.any():
         return task, []
     found = []
@@ -36,7 +41,10 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
         target = points.targets[n]
         slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n])
         name = f"{task.strip.strip_id}/{target.target_id}"
-        reason = f"beyond the horizon of the satellite{slip or '; correct points.csv'}"
+        where = (
+            "beyond the horizon" if beyond[n] else "so low that its refraction is not known, near the horizon"
+        )
+        reason = f"{where} of the satellite{slip or '; correct points.csv'}"
         found.append(Omission("target", name, "points.csv", reason, Cause.OUTSIDE_CHIP))
     return replace(task, points=points.take(~hidden)), found
 

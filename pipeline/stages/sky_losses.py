@@ -115,7 +115,7 @@ def _near_px(dump: Dump, task: SkyTask) -> float:
     """
     variance = np.einsum("kaka->ka", task.covariance_c)  # rad², axes of c
     attitude = np.sqrt(np.max(variance[:, :2].max(axis=1) + variance[:, 2] * _reach(task) ** 2))
-    sigma_px = (scatter_px(dump), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)
+    sigma_px = (scatter_px(dump, task), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)
     return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.slow_motion import FEWEST_SHOW
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats, Ints, array, record, scalar
@@ -86,17 +87,20 @@ def name_in_sky_strips(
     """Named stars of each strip, by a mounting and its 1-sigma (3,), rad; see `name_sky_stars`."""
     if not side.tasks:
         return ()
-    scatter, survey = scatter_px(dump), survey_of(dump.star_catalogue)
+    survey = survey_of(dump.star_catalogue)
     return tuple(
-        name_sky_stars(task, found, survey, R_cs, sigma_rad, known=known, scatter_px=scatter)
+        name_sky_stars(task, found, survey, R_cs, sigma_rad, known=known, scatter_px=scatter_px(dump, task))
         for task, found in zip(side.tasks, side.found)
     )
 
 
-def scatter_px(dump: Dump) -> float:
-    """1-sigma of what displaces one star of a strip against another: distortion, vibration."""
-    vibration = dump.errors.vibration_arcsec * ARCSEC / dump.line_camera.pixel_rad
-    return float(np.hypot(dump.errors.look_px, vibration))
+def scatter_px(dump: Dump, task: SkyTask) -> float:
+    """1-sigma of what displaces one star of a strip against another: distortion, vibration and, where two
+    exposures do not show it, motion.
+    """
+    motion = dump.errors.motion_arcsec if len(task.t_attitude_s) < FEWEST_SHOW else 0.0
+    moved = np.hypot(dump.errors.vibration_arcsec, motion) * ARCSEC / dump.line_camera.pixel_rad
+    return float(np.hypot(dump.errors.look_px, moved))
 
 
 def named_sightings(

@@ -76,6 +76,11 @@ def test_one_head_tells_its_noise_above_the_frequencies_of_the_motion() -> None:
     assert np.allclose(noise.correlated_rad / ARCSEC, CORRELATED[0], rtol=0.5)
 
 
+def test_two_values_have_no_allan_deviation_but_its_columns() -> None:
+    times, deviation = allan_deviation(np.array([[1.0, 2.0, 4.0], [3.0, 5.0, 9.0]]), 0.1)
+    assert times.shape == (0,) and deviation.shape == (0, 3)
+
+
 def test_allan_deviation_of_white_noise_falls_with_the_root_of_time() -> None:
     values = np.random.default_rng(0).standard_normal((20_000, 1))
     times, deviation = allan_deviation(values, 0.1)

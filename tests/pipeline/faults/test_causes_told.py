@@ -189,11 +189,44 @@ def test_exchanged_heads_are_named_by_what_the_strips_then_see(told):
     assert "exchanged, 3 of 3 strips see" in first.text and "as stated 0" in first.text
 
 
+def test_a_head_whose_attitudes_are_the_inverse_is_named_and_no_target_beside_it(told):
+    def inverse(dump: Path) -> None:
+        def conjugate(row: dict[str, str]) -> None:
+            row.update({q: repr(-float(row[q])) for q in ("qx", "qy", "qz")})
+
+        edited("STR2.csv", conjugate, dump)
+
+    verdict = told(inverse).verdict
+    (first,) = [one for one in verdict.findings if one.is_fault]
+    assert verdict.outcome is Outcome.REFUTED and first.refutes
+    assert (first.cause, first.item, first.file) == ("attitudes of a head", "head STR2", "dump.toml")
+
+
+def test_exchanged_numbers_of_two_ccds_in_one_strip_are_one_finding_about_both(told):
+    other = {"2": "3", "3": "2"}
+
+    def exchanged(row: dict[str, str]) -> None:
+        if row["strip"] == "s02":
+            row["ccd"] = other.get(row["ccd"], row["ccd"])
+
+    verdict = told(partial(edited, "points.csv", exchanged)).verdict
+    (first,) = [one for one in verdict.findings if one.is_fault]
+    assert first.item == "CCD 2 and CCD 3 in strip s02"
+    assert (first.file, first.field) == ("points.csv", "ccd") and "exchanged" in first.text
+
+
 def test_a_point_beyond_the_horizon_is_named_with_the_slip_that_fits(told):
     found = told(partial(one_point, "s03-t02", "lon_deg", lambda value: f"-{value}"))
     (first,) = [one for one in found.verdict.findings if one.is_fault]
     assert first.item == "target s03-t02" and first.file == "points.csv"
     assert "beyond the horizon" in first.text and "(sign) would fit" in first.text
+
+
+def test_a_point_that_is_seen_too_low_for_refraction_is_named(told):
+    found = told(partial(one_point, "s02-t04", "lat_deg", lambda value: f"{float(value) + 17.0:.9f}"))
+    (first,) = [one for one in found.verdict.findings if one.is_fault]
+    assert first.item == "target s02-t04" and first.file == "points.csv"
+    assert "its refraction is not known" in first.text
 
 
 def test_offsets_of_all_ccds_that_are_zero_are_told_by_ccd_where_no_matrix_is_determined(told):

@@ -23,7 +23,14 @@ from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.exchanged_files import exchanged_in_sky
 from boresight.pipeline.stages.left_out import lost_ccds
-from boresight.pipeline.stages.sky_losses import LOST_SHARE, named_alone, sky_counts, strips_without_stars
+from boresight.pipeline.stages.sky_losses import (
+    LOST_SHARE,
+    named_alone,
+    reversed_strips,
+    sky_counts,
+    strips_without_stars,
+)
+from boresight.pipeline.stages.sky_side import scatter_px
 from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.star_pictures import star_pictures
 
@@ -248,6 +255,36 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     reversed_side = replace(side, found=(replace(found, xy_px=mirrored),))
     (told,) = strips_without_stars(dump, reversed_side, [empty], counts, [])
     assert (told.cause, told.item) == ("order of an image", "strip sky01") and "columns reversed" in told.text
+    (alone,) = reversed_strips(dump, reversed_side)  # the only strip: no other one gives a matrix
+    assert alone.refutes and alone.item == "strip sky01" and "columns reversed" in alone.text
+    assert list(reversed_strips(dump, side)) == []
+
+
+def test_a_star_counts_as_found_within_the_errors_that_are_stated(calibration):
+    dump, side, named = open_dump(SKY), calibration.sky, calibration.named
+    (found,), (one,) = side.found, named
+    kept = {}
+    for shift_px in (2.5, 7.0):  # stated: attitudes to some 0.3 px, 0.3 px of distortion, 1 px not stated
+        moved = found.xy_px + np.where(found.ccd == 3, shift_px, 0.0)[:, None] * [1.0, 0.0]
+        off = replace_named(one, replace(found, xy_px=moved), one.rows)
+        counts = sky_counts(dump, side, [off], calibration.estimate.R_cs)
+        kept[shift_px], expected = counts["sky01", 3]
+        assert expected >= 2
+        assert all(n == of for (_, ccd), (n, of) in counts.items() if ccd != 3)
+    assert kept == {2.5: expected, 7.0: 0}
+
+
+def test_two_exposures_let_stars_lie_as_far_off_as_the_satellite_may_move(calibration):
+    dump, (task,) = open_dump(SKY), calibration.sky.tasks
+    two = replace(
+        task,
+        t_attitude_s=task.t_attitude_s[:2],
+        R_si=task.R_si[:2],
+        covariance_c=task.covariance_c[:2, :, :2],
+    )
+    moved_px = dump.errors.motion_arcsec * ARCSEC / dump.line_camera.pixel_rad
+    assert len(task.t_attitude_s) > 2 and moved_px > 1.0
+    assert scatter_px(dump, two) == pytest.approx(np.hypot(scatter_px(dump, task), moved_px))
 
 
 def replace_named(one, found, rows):
