@@ -111,12 +111,14 @@ def _coordinates(strip: StripSightings) -> StripSightings:
     return replace(strip, ground=replace(ground, cov_target_i=(1.0 + STEP) * ground.cov_target_i))
 
 
+# Sources that the sightings hold, by name: how a strip looks with its variance larger by `STEP`.
 OF_SIGHTINGS: Mapping[str, Callable[[StripSightings], StripSightings]] = {
     "attitudes of the star exposures": _attitudes,
     "image points of the targets": _images(of_stars=False),
     "image points of stars in strips": _images(of_stars=True),
     "coordinates of targets and stars": _coordinates,
 }
+# Sources that the settings hold, by name: their standard deviations.
 OF_SETTINGS: Mapping[str, tuple[str, ...]] = {
     "position of the satellite": ("sigma_position_m",),
     "clock": ("sigma_clock_s",),

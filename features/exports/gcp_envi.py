@@ -16,6 +16,7 @@ from boresight.geometry.geoid import Geoid
 
 __all__ = ["points_envi"]
 
+# Coordinate that ENVI gives the centre of the first pixel, px; here it is 0.
 _CENTRE_OF_FIRST_PIXEL = 1.5
 
 

@@ -15,6 +15,7 @@ from boresight.features.exports.notes import Notes
 
 __all__ = ["points_qgis"]
 
+# Coordinate that QGIS gives the centre of the first pixel, px; here it is 0.
 _CENTRE_OF_FIRST_PIXEL = 0.5
 
 

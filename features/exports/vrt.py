@@ -19,6 +19,7 @@ from boresight.pipeline.files.object_store import gdal_name
 
 __all__ = ["vrt_with_gcps", "vrt_with_rpc"]
 
+# Coordinate that GDAL gives the centre of the first pixel, px; here it is 0.
 _CENTRE_OF_FIRST_PIXEL = 0.5
 
 

@@ -23,9 +23,11 @@ from boresight.pipeline.files.xml_files import xml_root
 
 __all__ = ["GippFile", "find_gipp_files", "gipp_root"]
 
+# Endings of files and archives that hold GIPP documents.
 DOCUMENTS = (".xml", ".eof", ".dbl")
 ARCHIVES = (".tgz", ".tar.gz", ".tar")
 MAX_BYTES = 128 * 2**20  # of a file, packed and unpacked; all GIPP files of a satellite take 40 MB
+# Most members of an archive that are looked at: a package holds some hundred.
 MAX_MEMBERS = 10_000
 MAX_DEPTH = 2  # archives inside an archive
 

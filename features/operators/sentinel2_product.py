@@ -57,6 +57,7 @@ class AttitudeRecord:
     R_is: Rotation = array("K", "frame s to GCRS")
 
 
+# Names of the bands of the instrument, in the order of their wavelengths.
 BANDS = (*(f"B{n:02d}" for n in range(1, 9)), "B8A", *(f"B{n:02d}" for n in range(9, 13)))
 
 

@@ -103,6 +103,7 @@ def _slope() -> Image:
     return (taps / np.sum(taps * _TAP)).astype(np.float32)
 
 
+# Weights of the taps that give the slope of a picture.
 _SLOPE = _slope()
 
 

@@ -43,7 +43,9 @@ __all__ += [
     "wrong_usage",
 ]
 
+# Exit statuses of the program (docs/json.md), in this order from 0.
 DONE, DATA_DID_NOT_ALLOW, WRONG_USAGE, REFUTED, LIMIT_MISSED, WITH_FINDINGS, NOT_CHECKABLE = range(7)
+# Exit status after Ctrl-C: 128 and the number of the signal, as shells count.
 INTERRUPTED = 130
 RESULT = logging.INFO + 5  # of lines on stdout
 log = logging.getLogger("boresight.commands")

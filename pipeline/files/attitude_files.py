@@ -28,6 +28,7 @@ from boresight.pipeline.files.xml_files import xml_root
 __all__ = ["AttitudeRows", "read_attitudes"]
 
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
+# Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
 SIGMAS = tuple(f"sigma_{axis}_arcsec" for axis in "xyz")

@@ -12,6 +12,7 @@ from boresight.star_id.centroids import Centroids
 
 __all__ = ["read_centroids"]
 
+# Columns of a list of centroids.
 NUMBERS = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")
 OPTIONAL = ("snr", "saturated", "blended", "psf_sigma_px")
 TRUTHS = {"true": True, "1": True, "false": False, "0": False}

@@ -35,6 +35,7 @@ KEPT_BYTES = 2**26  # three raw exposures of 20 million pixels; a strip is read 
 STREAMED_BYTES = 2**23  # read at once of a larger file, of a store in one request
 
 MOST_DIGESTS = 100_000  # remembered
+# Flags of `os.open` with which a pipe does not make the program wait.
 _NO_WAIT = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
 Identity = tuple[int, ...]

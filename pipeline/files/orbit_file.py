@@ -22,6 +22,7 @@ from boresight.pipeline.files.xml_files import text_of as element_text
 __all__ = ["Ephemeris", "read_oem", "tai_seconds"]
 
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
+# By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 EXPECTED = "an OEM that follows CCSDS 502.0-B"

@@ -41,6 +41,7 @@ __all__ = [
 ]
 
 Model = TypeVar("Model", bound=BaseModel)
+# Largest file that is read as text, and as TOML: far above any of a mission, far below memory.
 MAX_TEXT_BYTES = 256 * 2**20
 MAX_TOML_BYTES = 2**20
 GZIP = b"\x1f\x8b"  # first bytes of a gzip file

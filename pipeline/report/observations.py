@@ -147,6 +147,7 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
     return tuple(rows)
 
 
+# Columns by which rows of two tables belong together, the order of states in tables, and forms of numbers.
 KEYS = ["strip_id", "target_id", "ccd"]
 RANK = {REJECTED: 0, UNMATCHED: 1, USED: 2, OUT_OF_VIEW: 3}
 FORMS = {

@@ -11,6 +11,7 @@ from boresight.pipeline.files.table_files import fixed, read_parquet
 
 __all__ = ["COLUMNS", "read_sightings", "sightings_schema"]
 
+# Types of columns.
 _TEXT, _WHOLE, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 COLUMNS = MappingProxyType(
     {

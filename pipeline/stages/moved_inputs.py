@@ -24,6 +24,7 @@ from boresight.pipeline.stages.strip import StripTask
 __all__ = ["moved_inputs"]
 
 AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
+# Units of further inputs, in s, m and rad: a thousandth, and a kilometre a second.
 MILLI = 1e-3
 KM_S = 1e3
 AXES = (
