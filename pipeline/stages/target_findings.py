@@ -264,9 +264,9 @@ def displaced_ccds(
         cause="images or look directions of a CCD",
         item=f"CCD{'s' if len(ccds) > 1 else ''} {', '.join(map(str, ccds))}",
         text=f"{kept} of {n} {what} found, and {others} on other CCDs: check its files in strips.csv, and "
-        "x_offset_mm, y_first_mm in remote_camera.toml.",
+        "x_offset_mm, y_first_mm, rotation_mrad in remote_camera.toml.",
         file="remote_camera.toml",
-        field="x_offset_mm, y_first_mm",
+        field="x_offset_mm, y_first_mm, rotation_mrad",
         refutes=refutes,
         targets=names,
     )
