@@ -25,7 +25,7 @@ import shutil
 import sys
 import time
 import tomllib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from importlib import import_module
@@ -328,7 +328,9 @@ def write_table(every: list[Case], out: Path) -> None:
 def _print_table(every: list[Case]) -> None:
     record.head("A grid of faults: green while wrong, cause named first, innocents accused")
     cpu_s = sum(case["cpu_s"] for case in every)
-    print(f"{len(every)} cases, {cpu_s / 60.0:.1f} min of CPU\n")
+    commits = Counter(case["commit"] for case in every)
+    print(f"{len(every)} cases, {cpu_s / 60.0:.1f} min of CPU; by commit of the program:")
+    print(", ".join(f"{n} {commit}" for commit, n in commits.most_common()) + "\n")
     print(
         "green: consistent without a finding of a fault; found: consistent with one; G!W: consistent though"
     )
