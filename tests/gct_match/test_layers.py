@@ -10,7 +10,7 @@ import pytest
 ROOM = Path(__file__).parents[2] / "gct_match"
 # highest first; modules of one floor do not import one another, but those of one folder may
 FLOORS = (
-    ("match", "suggest"),
+    ("match",),
     ("consistency", "locate", "texture"),
     ("refine", "search"),
     ("predict",),
