@@ -3,8 +3,7 @@
 The clock counts 1/1024 s of ephemeris time (TDB) since an epoch, so that it needs no leap seconds; instants
 are laid on its whole ticks, because ephemeris times are held in doubles that resolve 0.1 µs only, in which an
 Earth-pointing satellite turns by 1e-10 rad. Between attitudes SPICE rotates about a fixed axis at a constant
-rate. The layout is that of NAIF's DAF and CK Required Reading; ephemeris time is TT + 1.657 ms sin E, as in
-NAIF's leap-second kernels (Time Required Reading).
+rate. The layout is that of NAIF's DAF and CK Required Reading.
 """
 
 from __future__ import annotations
@@ -18,7 +17,8 @@ from boresight.features.exports.one_line import one_line
 from boresight.features.exports.quaternions import continuous_quaternions
 from boresight.features.exports.spice_frame import SpiceFrames, heading
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.epoch import TT_MINUS_TAI_S, Epoch
+from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats
 
@@ -26,7 +26,6 @@ __all__ = [
     "TICK_S",
     "attitude_kernel",
     "clock_kernel",
-    "ephemeris_time",
     "instants_of_ticks",
     "instrument_kernel",
 ]
@@ -39,22 +38,12 @@ _TYPE_3 = 3
 _DIRECTORY = 100  # epochs to an entry of the directory
 
 
-def ephemeris_time(epoch: Epoch, t_s: Floats) -> Floats:
-    """NAIF's ephemeris time (N,), TDB seconds past J2000, of TAI seconds since the epoch (N,)."""
-    tt = epoch.tai_s + np.asarray(t_s, dtype=float) + TT_MINUS_TAI_S
-    return np.asarray(tt + _tdb_minus_tt(tt))
-
-
 def instants_of_ticks(epoch: Epoch, t_first_s: float, t_last_s: float, step: int) -> tuple[Floats, Floats]:
     """Every `step` ticks between two instants: ticks (N,) since the epoch's clock zero, TAI seconds (N,)."""
     zero = clock_zero(epoch)
     first, last = (ephemeris_time(epoch, np.array([t]))[0] - zero for t in (t_first_s, t_last_s))
     ticks = step * np.arange(np.ceil(first / TICK_S / step), np.floor(last / TICK_S / step) + 1.0)
-    et = zero + ticks * TICK_S
-    tt = et
-    for _ in range(3):  # the difference changes by 3e-10 of the time
-        tt = et - _tdb_minus_tt(tt)
-    return ticks, np.asarray(tt - TT_MINUS_TAI_S - epoch.tai_s)
+    return ticks, seconds_from_ephemeris_time(epoch, zero + ticks * TICK_S)
 
 
 def clock_zero(epoch: Epoch) -> float:
@@ -176,8 +165,3 @@ def _file_record(summaries_at: int, free: int) -> bytes:
         "<8sii60siii8s", b"DAF/CK  ", 2, 6, name, summaries_at, summaries_at, free, b"LTL-IEEE"
     )
     return (record.ljust(699, b"\0") + test).ljust(1024, b"\0")
-
-
-def _tdb_minus_tt(tt: Floats) -> Floats:
-    M = 6.239996 + 1.99096871e-7 * tt
-    return np.asarray(1.657e-3 * np.sin(M + 1.671e-2 * np.sin(M)))

@@ -25,7 +25,7 @@ from boresight.pipeline.files.orbit_file import tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
 
-__all__ = ["AttitudeRows", "read_attitudes"]
+__all__ = ["AttitudeRows", "check_rows", "read_attitudes"]
 
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
@@ -93,13 +93,18 @@ def read_attitudes(
         rows = _from_message(list(segments), file, epoch)
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
+    check_rows(rows, file)
+    return rows
+
+
+def check_rows(rows: AttitudeRows, file: str) -> None:
+    """`RawDataError` for fewer than two attitudes, and for times that do not increase."""
     if len(rows.t_s) < 2:
         found = f"{len(rows.t_s)} valid rows, {rows.n_invalid} marked invalid"
         raise RawDataError(file, "rows", found, "at least two valid attitudes")
     if len(bad := np.flatnonzero(np.diff(rows.t_s) <= 0.0)):
         found = f"{rows.t_s[bad[0] + 1] - rows.t_s[bad[0]]:.6f} s after the attitude before it"
         raise RawDataError(file, f"attitude {bad[0] + 2}, time", found, "strictly increasing times")
-    return rows
 
 
 def _from_csv(

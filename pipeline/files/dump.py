@@ -47,6 +47,8 @@ from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.repeated_exposures import exposures_once
 from boresight.pipeline.files.repeated_points import points_once
 from boresight.pipeline.files.repeated_strips import strips_once
+from boresight.pipeline.files.spice_kernels import NO_KERNELS, SPK, Kernels, is_kernel
+from boresight.pipeline.files.spice_orbit import read_spk
 from boresight.pipeline.files.star_side import (
     Exposure,
     Head,
@@ -313,7 +315,8 @@ def open_dump(
         for field, name in head.files.single.items()
     }
     line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
-    ephemeris = read_oem(paths["orbit"], head.files.orbit)
+    kernels = _kernels(root, head)
+    ephemeris = _read_orbit(paths["orbit"], head.files.orbit, kernels)
     own = head.files.earth_orientation
     table = bundled_table() if own is None else read_earth_orientation(paths["earth_orientation"], own)
     orbit = orbit_of(ephemeris, head.files.orbit, table, allow_stale_eop=allow_stale_eop)
@@ -328,7 +331,7 @@ def open_dump(
     (strips, twice), (sky_strips, sky_twice) = (strips_once(one, head.files.strips) for one in (ground, sky))
     rows = _target_rows(paths["targets"], str(head.files.targets)) if "targets" in paths else []
     surveyed = targets_of(rows)
-    every_head = open_heads(root, head, ephemeris.epoch)
+    every_head = open_heads(root, head, ephemeris.epoch, kernels)
     heads, exposures_twice = exposures_once(every_head)
     of_strips = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
     covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, head.files.orbit, of_strips)
@@ -404,7 +407,8 @@ def dump_faults(root: Path) -> list[RawDataError]:
     remote = read.get("remote_camera") and tried(
         read_remote_camera, root, read["remote_camera"], head.files.remote_camera
     )
-    ephemeris = read.get("orbit") and tried(read_oem, read["orbit"], head.files.orbit)
+    kernels = tried(_kernels, root, head) or NO_KERNELS
+    ephemeris = read.get("orbit") and tried(_read_orbit, read["orbit"], head.files.orbit, kernels)
     epoch = ephemeris.epoch if ephemeris else Epoch.from_utc("2000-01-01T12:00:00Z")
     if ephemeris:
         own = head.files.earth_orientation
@@ -420,9 +424,25 @@ def dump_faults(root: Path) -> list[RawDataError]:
     for key, model in OF_ONE_HEAD.items():
         if key in read:
             tried(read_table if key == "exposures" else read_toml, read[key], model, named[key])
-    tried(open_heads, root, head, epoch)
+    tried(open_heads, root, head, epoch, kernels)
     tried(open_dump, root)
     return faults
+
+
+def _kernels(root: Path, head: schema.DumpFile) -> Kernels:
+    """The SPICE kernels that a dump names beside those of attitudes and orbit."""
+    if head.spice is None:
+        return NO_KERNELS
+    paths = (
+        path_inside(root, name, file="dump.toml", field=f"spice.kernels.{n}")
+        for n, name in enumerate(head.spice.kernels)
+    )
+    return Kernels(files=tuple(head.spice.kernels), paths=tuple(paths), spacecraft=head.spice.spacecraft)
+
+
+def _read_orbit(path: Path, file: str, kernels: Kernels) -> Ephemeris:
+    """The orbit of an SPK or of an OEM, by the first bytes of the file."""
+    return read_spk(path, file, kernels) if is_kernel(path, file, SPK) else read_oem(path, file)
 
 
 @lru_cache(maxsize=1)

@@ -219,6 +219,16 @@ class NoiseFile(_Strict):
         return self
 
 
+SpiceName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9_+\-./]{1,32}$")]
+
+
+class SpiceFile(_Strict):
+    """SPICE kernels beside a CK or an SPK, in the order in which they are loaded"""
+
+    kernels: Annotated[list[RelativePath], Field(max_length=64)] = []
+    spacecraft: Annotated[int, Field(ge=-(2**31), lt=2**31, description="NAIF id in the SPK")] | None = None
+
+
 class HeadFile(_Strict):
     """One table of [[star_cameras]] in dump.toml"""
 
@@ -231,6 +241,7 @@ class HeadFile(_Strict):
     attitudes: RelativePath | None = None
     frame: Literal["GCRF", "ICRF", "EME2000"] | None = None
     rotation: Literal["head to inertial", "inertial to head"] | None = None
+    spice_frame: SpiceName | None = None  # of a CK: the head's frame in the FK
     time_scale: Literal["UTC", "TAI", "GPS"] | None = None  # of a CSV file of attitudes; None: UTC
     aberration_removed: Literal["none", "annual", "annual and orbital"] | None = None
     interpolation: Literal["lagrange", "taylor"] = "lagrange"  # geometry.attitude.interpolation_weights
@@ -246,9 +257,9 @@ class HeadFile(_Strict):
         needed = of_level[self.level]
         if missing := sorted(name for name in needed if getattr(self, name) is None):
             raise ValueError(f"level {self.level!r} needs the key {missing[0]}")
-        of_csv = {"frame", "rotation", "time_scale"}
-        allowed = needed | (of_csv if self.level == "attitudes" else set())
-        for name in set.union(*of_level.values()) | of_csv:
+        of_file = {"frame", "rotation", "time_scale", "spice_frame"}
+        allowed = needed | (of_file if self.level == "attitudes" else set())
+        for name in set.union(*of_level.values()) | of_file:
             if name not in allowed and getattr(self, name) is not None:
                 raise ValueError(f"level {self.level!r} has no key {name}")
         if self.level != "attitudes" and self.noise.white_arcsec is not None:
@@ -269,6 +280,7 @@ class DumpFile(_Strict):
     errors: Errors
     terrain: TerrainHeights | None = None
     light: Light = Light()
+    spice: SpiceFile | None = None
     star_cameras: Annotated[list[HeadFile], Field(max_length=16)] = []
 
     @property
@@ -283,7 +295,8 @@ class DumpFile(_Strict):
             for key in keys
             if (name := getattr(head, key)) is not None
         }
-        return files | heads
+        kernels = self.spice.kernels if self.spice else []
+        return files | heads | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
 
     @model_validator(mode="after")
     def _star_side_is_stated_once(self) -> Self:

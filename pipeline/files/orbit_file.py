@@ -19,7 +19,7 @@ from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_messa
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
 
-__all__ = ["Ephemeris", "read_oem", "tai_seconds"]
+__all__ = ["Ephemeris", "check_components", "check_states", "read_oem", "tai_seconds"]
 
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
 # By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
@@ -72,10 +72,7 @@ def read_oem(path: Path, file: str) -> Ephemeris:
 
 def _ephemeris(meta: dict[str, str], times: list[str], values: Floats, file: str) -> Ephemeris:
     """The checked states, SI units, in GCRF or ITRF, of values (N, 6) in km and km/s."""
-    for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
-        if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
-            expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
-            raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
+    check_components(values, file)
     if not times:
         raise RawDataError(file, "states", "0", "at least 8")
     epoch, t_s = tai_seconds(times, meta["TIME_SYSTEM"], file)
@@ -86,7 +83,7 @@ def _ephemeris(meta: dict[str, str], times: list[str], values: Floats, file: str
         )
     frame, R = _frame(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
-    _check_states(t_s, positions, velocities, file)
+    check_states(t_s, positions, velocities, file)
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
@@ -261,7 +258,18 @@ def tai_seconds(
         raise RawDataError(file, field, str(error), "times that exist") from error
 
 
-def _check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:
+def check_components(values: Floats, file: str) -> None:
+    """`RawDataError` for a state of (N, 6), km and km/s, that no orbit has."""
+    for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
+        if len(bad := np.flatnonzero(~(np.abs(numbers) < LIMIT_KM).all(axis=1))):
+            expected = f"finite numbers below {LIMIT_KM:g} (unit km)"
+            raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
+
+
+def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:
+    """`RawDataError` for fewer than 8 states, times (N,) that do not increase, and positions (N, 3), m, of no
+    orbit.
+    """
     if len(t_s) < 8:
         raise RawDataError(file, "states", str(len(t_s)), "at least 8")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):

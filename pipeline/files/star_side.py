@@ -28,6 +28,8 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
+from boresight.pipeline.files.spice_attitudes import read_ck
+from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
 from boresight.star_id.centroids import Centroids
 
@@ -118,10 +120,17 @@ class Head:
         return len(source.rows.t_s if isinstance(source, SolvedAttitudes) else source.exposures)
 
 
-def open_heads(root: Path, head: schema.DumpFile, epoch: Epoch) -> tuple[Head, ...]:
-    """The heads of a dump, the reference head first. `RawDataError` for a file that is not valid."""
+def open_heads(
+    root: Path, head: schema.DumpFile, epoch: Epoch, kernels: Kernels = NO_KERNELS
+) -> tuple[Head, ...]:
+    """The heads of a dump, the reference head first, with the SPICE kernels that it names for CKs.
+
+    `RawDataError` for a file that is not valid.
+    """
     if head.star_cameras:
-        return tuple(_head(root, one, f"star_cameras.{n}", epoch) for n, one in enumerate(head.star_cameras))
+        return tuple(
+            _head(root, one, f"star_cameras.{n}", epoch, kernels) for n, one in enumerate(head.star_cameras)
+        )
     files = head.files
     only = schema.HeadFile(
         name=ONLY_HEAD,
@@ -130,10 +139,10 @@ def open_heads(root: Path, head: schema.DumpFile, epoch: Epoch) -> tuple[Head, .
         camera=files.star_camera,
         exposures=files.exposures,
     )
-    return (_head(root, only, "files", epoch),)
+    return (_head(root, only, "files", epoch, kernels),)
 
 
-def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
+def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch, kernels: Kernels) -> Head:
     def inside(name: str | None, key: str) -> tuple[Path, str]:
         return path_inside(root, str(name), file="dump.toml", field=f"{field}.{key}"), str(name)
 
@@ -141,7 +150,7 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch) -> Head:
     installation = read_toml(path, schema.InstallationFile, file)
     source: StarImages | StarCentroids | SolvedAttitudes
     if head.level == "attitudes":
-        source = _attitudes(head, *inside(head.attitudes, "attitudes"), epoch)
+        source = _attitudes(head, *inside(head.attitudes, "attitudes"), epoch, kernels)
     else:
         path, file = inside(head.camera, "camera")
         camera = read_toml(path, schema.StarCameraFile, file)
@@ -196,9 +205,11 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
     )
 
 
-def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> SolvedAttitudes:
+def _attitudes(
+    head: schema.HeadFile, path: Path, file: str, epoch: Epoch, kernels: Kernels
+) -> SolvedAttitudes:
     """Attitudes with the one statement of their white noise: of each row, or of the head."""
-    rows = read_attitudes(path, file, epoch, head.frame, head.rotation, head.time_scale)
+    rows = _rows(head, path, file, epoch, kernels)
     stated = head.noise.white_arcsec
     if (rows.covariance_s is None) == (stated is None):
         found = "neither in the rows nor here" if stated is None else f"{stated} and in the rows of {file}"
@@ -208,6 +219,21 @@ def _attitudes(head: schema.HeadFile, path: Path, file: str, epoch: Epoch) -> So
         raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", stated, "positive values")
     assert head.aberration_removed is not None  # by the schema
     return SolvedAttitudes(rows, file, head.aberration_removed)
+
+
+def _rows(head: schema.HeadFile, path: Path, file: str, epoch: Epoch, kernels: Kernels) -> AttitudeRows:
+    """Attitudes of a CK, or of a CSV file or a message, by the first bytes of the file."""
+    if not is_kernel(path, file, CK):
+        if head.spice_frame is not None:
+            raise RawDataError(file, "byte 0", "no SPICE CK", f"a CK, for spice_frame of {head.name}")
+        return read_attitudes(path, file, epoch, head.frame, head.rotation, head.time_scale)
+    if head.spice_frame is None:
+        expected = "this key: the name of the head's frame in the FK"
+        raise RawDataError("dump.toml", f"spice_frame of {head.name}", "nothing", expected)
+    for key in ("frame", "rotation", "time_scale"):
+        if (value := getattr(head, key)) is not None:
+            raise RawDataError("dump.toml", f"{key} of {file}", value, "no such key: the kernels state it")
+    return read_ck(path, file, epoch, head.spice_frame, kernels)
 
 
 def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:

@@ -67,9 +67,10 @@ class Origin:
 
 
 def dump_identity(root: Path) -> str:
-    """Digest of dump.toml and of the files of cameras, orbit and tables that it names, without images."""
-    files = read_toml(root / "dump.toml", DumpFile, "dump.toml").files
-    return digest([root / "dump.toml", *(root / name for name in files.single.values())])
+    """Digest of dump.toml and of the files of cameras, orbit, kernels and tables that it names."""
+    head = read_toml(root / "dump.toml", DumpFile, "dump.toml")
+    kernels = head.spice.kernels if head.spice else []
+    return digest([root / "dump.toml", *(root / name for name in (*head.files.single.values(), *kernels))])
 
 
 def origin_of(result: Path) -> Origin | None:

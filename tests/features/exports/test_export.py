@@ -22,6 +22,8 @@ from typer.testing import CliRunner
 from boresight.features.exports.formats import FORMATS
 from boresight.features.exports.notes import notes_of
 from boresight.geometry.epoch import Epoch
+from boresight.pipeline.files.spice_attitudes import read_ck
+from boresight.pipeline.files.spice_kernels import Kernels
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 runner = CliRunner()
@@ -60,6 +62,21 @@ def test_spice_turns_as_installation_json_says(exported, installation):
     got = spiceypy.pxform("BORESIGHT_STAR_CAMERA", "BORESIGHT_REMOTE_CAMERA", 0.0)
     spiceypy.kclear()
     assert np.abs(got - np.array(installation["R_cs"])).max() < 1e-12
+
+
+def test_a_dump_reads_the_exported_kernels_as_the_attitudes_they_were_made_from(exported, finished):
+    calibrated = open_calibrated(finished[1], None)
+    name = calibrated.dump.strips[0].strip_id
+    track = strip_model(calibrated, name).track
+    files = ("clock.tsc", "installation.tf")
+    kernels = Kernels(files=files, paths=tuple(exported[0] / file for file in files), spacecraft=None)
+    ck = (exported[0] / f"{name}.bc", f"{name}.bc", calibrated.dump.epoch)
+    star, remote = (read_ck(*ck, f"BORESIGHT_{one}_CAMERA", kernels) for one in ("STAR", "REMOTE"))
+    t_s = star.t_s.clip(*track.span_s)  # a double of ephemeris time resolves 1.2e-7 s
+    # rad: the satellite turns by 1.1e-3 rad/s, in that time by 1.3e-10
+    assert (star.R_si * track.R_si(t_s).inv()).magnitude().max() < 3e-10
+    turned = remote.R_si * (calibrated.result.R_cs * star.R_si).inv()
+    assert turned.magnitude().max() < 1e-12 and len(t_s) > 30
 
 
 def test_the_csv_holds_the_same_numbers(exported, installation):

@@ -1,13 +1,14 @@
 """CK, SCLK and IK, loaded by NAIF's own toolkit; leap seconds for it are those of ERFA."""
 
-import erfa
 import numpy as np
 import pytest
 import spiceypy
+from leap_seconds import leap_second_kernel
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports import spice_attitude as made
 from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.geometry.ephemeris_time import ephemeris_time
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 
@@ -21,22 +22,11 @@ CAMERA = LookAngleCamera(
 )
 FRAMES = SpiceFrames()
 NOTE = "\n".join(["attitudes of a strip", *(f"remark {n:04d} " + "x" * 70 for n in range(40))])
-MONTHS = "JAN FEB MAR APR MAY JUN JUL AUG SEP OCT NOV DEC".split()
 
 
 def attitude(t_s):
     """A satellite that turns by four degrees a minute, through half a turn of its quaternion's sign."""
     return Rotation.from_rotvec(np.outer(2.9 + 1.1e-3 * np.asarray(t_s), [0.48, -0.6, 0.64])) * R_CS
-
-
-def leap_second_kernel():
-    """Text of an LSK with the leap seconds of ERFA, and NAIF's published constants."""
-    rows = [row for row in erfa.leap_seconds.get() if row["year"] >= 1972]
-    steps = "\n".join(f"{row['tai_utc']:.0f}, @{row['year']}-{MONTHS[row['month'] - 1]}-1" for row in rows)
-    return (
-        "KPL/LSK\n\\begindata\nDELTET/DELTA_T_A = 32.184\nDELTET/K = 1.657D-3\nDELTET/EB = 1.671D-2\n"
-        f"DELTET/M = ( 6.239996D0 1.99096871D-7 )\nDELTET/DELTA_AT = ( {steps} )\n\\begintext\n"
-    )
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +63,14 @@ def test_utc_leads_to_the_attitude_of_that_instant(ticks_and_instants):
     for t in (0.0, 3.3, 20.123456):
         (utc,) = EPOCH.utc_from_seconds([t])
         et = spiceypy.str2et(utc.rstrip("Z"))
-        assert made.ephemeris_time(EPOCH, np.array([t]))[0] == pytest.approx(et, abs=2e-7)
+        assert ephemeris_time(EPOCH, np.array([t]))[0] == pytest.approx(et, abs=2e-7)
         star = spiceypy.pxform("J2000", FRAMES.star_camera_name, et)
         assert np.abs(star - attitude([t])[0].as_matrix()).max() < 3e-10
 
 
 def test_there_is_no_attitude_outside_the_strip(ticks_and_instants):
     with pytest.raises(spiceypy.exceptions.SpiceyError):
-        spiceypy.pxform("J2000", FRAMES.star_camera_name, made.ephemeris_time(EPOCH, np.array([30.0]))[0])
+        spiceypy.pxform("J2000", FRAMES.star_camera_name, ephemeris_time(EPOCH, np.array([30.0]))[0])
 
 
 def test_the_comment_area_is_read(ticks_and_instants, tmp_path):

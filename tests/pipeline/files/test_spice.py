@@ -1,0 +1,321 @@
+"""Attitudes and orbits from SPICE kernels that NAIF's own toolkit wrote, compared with what it reads."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import spiceypy
+from handmade import write_handmade_dump
+from leap_seconds import leap_second_kernel
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
+from boresight.geometry.epoch import Epoch
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump, dump_faults, open_dump
+from boresight.pipeline.files.spice_attitudes import read_ck
+from boresight.pipeline.files.spice_kernels import Kernels
+from boresight.pipeline.files.star_side import SolvedAttitudes
+
+SATELLITE, BUS, HEAD = -999, -999000, -999001
+EPOCH = Epoch.from_utc("2024-11-20T03:40:00Z")
+TICKS_PER_S = 65536
+# From the axes of the bus, which the CK describes, to those of the head.
+R_HB = Rotation.from_euler("xyz", [70.0, -35.0, 130.0], degrees=True)
+
+
+def clock(time_system: int = 1) -> str:
+    """SCLK text: ticks of 1/65536 s since a day before the epoch, 1 ppm slow."""
+    start = EPOCH.tai_s - 86_400.0
+    return (
+        f"KPL/SCLK\n\\begindata\nSCLK_KERNEL_ID = ( @2024-01-01 )\nSCLK_DATA_TYPE_999 = ( 1 )\n"
+        f"SCLK01_TIME_SYSTEM_999 = ( {time_system} )\nSCLK01_N_FIELDS_999 = ( 2 )\n"
+        f"SCLK01_MODULI_999 = ( 4294967296 {TICKS_PER_S} )\nSCLK01_OFFSETS_999 = ( 0 0 )\n"
+        "SCLK01_OUTPUT_DELIM_999 = ( 2 )\nSCLK_PARTITION_START_999 = ( 0.0 )\n"
+        "SCLK_PARTITION_END_999 = ( 2.8E14 )\n"
+        f"SCLK01_COEFFICIENTS_999 = ( 0.0 {start:.1f} 1.000001 )\n\\begintext\n"
+    )
+
+
+def frames() -> str:
+    """FK text: the bus of the CK, and the head at a fixed rotation from it."""
+    # a text kernel has 132 characters a line, the matrix of head to bus column by column
+    columns = "\n".join(f"{value:.17e}" for value in R_HB.as_matrix().ravel())
+    return (
+        f"KPL/FK\n\\begindata\nFRAME_SAT_BUS = {BUS}\nFRAME_{BUS}_NAME = 'SAT_BUS'\nFRAME_{BUS}_CLASS = 3\n"
+        f"FRAME_{BUS}_CLASS_ID = {BUS}\nFRAME_{BUS}_CENTER = {SATELLITE}\nCK_{BUS}_SCLK = {SATELLITE}\n"
+        f"CK_{BUS}_SPK = {SATELLITE}\nFRAME_SAT_STR1 = {HEAD}\nFRAME_{HEAD}_NAME = 'SAT_STR1'\n"
+        f"FRAME_{HEAD}_CLASS = 4\nFRAME_{HEAD}_CLASS_ID = {HEAD}\nFRAME_{HEAD}_CENTER = {SATELLITE}\n"
+        f"TKFRAME_{HEAD}_RELATIVE = 'SAT_BUS'\nTKFRAME_{HEAD}_SPEC = 'MATRIX'\n"
+        f"TKFRAME_{HEAD}_MATRIX = ( {columns} )\n\\begintext\n"
+    )
+
+
+def write_texts(root: Path, time_system: int = 1) -> None:
+    (root / "a.tls").write_text(leap_second_kernel())
+    (root / "a.tsc").write_text(clock(time_system))
+    (root / "a.tf").write_text(frames())
+
+
+def ticks_of(root: Path, t_s: np.ndarray) -> np.ndarray:
+    """Whole ticks of the clock near these instants."""
+    with spiceypy.KernelPool([str(root / "a.tsc"), str(root / "a.tls")]):
+        return np.array(
+            [round(spiceypy.sce2c(SATELLITE, et)) for et in ephemeris_time(EPOCH, t_s)], dtype=float
+        )
+
+
+def instants_of(root: Path, ticks: np.ndarray) -> np.ndarray:
+    with spiceypy.KernelPool([str(root / "a.tsc"), str(root / "a.tls")]):
+        et = np.array([spiceypy.sct2e(SATELLITE, tick) for tick in ticks])
+    return seconds_from_ephemeris_time(EPOCH, et)
+
+
+def write_ck(path: Path, ticks: np.ndarray, R_bi: Rotation, frame: str = "J2000", kind: int = 3) -> None:
+    """A CK of two segments with rotations (N,) from `frame` to the bus; NAIF's writer."""
+    quaternions = np.array([spiceypy.m2q(matrix) for matrix in R_bi.as_matrix()])
+    handle = spiceypy.ckopn(str(path), "test", 0)
+    half = len(ticks) // 2
+    for part in (slice(0, half), slice(half - 1, None)):  # one instant in both
+        t, q = ticks[part], quaternions[part]
+        rates = np.zeros((len(t), 3))
+        if kind == 3:
+            spiceypy.ckw03(handle, t[0], t[-1], BUS, frame, True, "s", len(t), t, q, rates, 1, t[:1])
+        elif kind == 1:
+            spiceypy.ckw01(handle, t[0], t[-1], BUS, frame, False, "s", len(t), t, q, rates)
+        else:
+            rate = np.full(len(t) - 1, 1.0 / TICKS_PER_S)
+            spiceypy.ckw02(
+                handle, t[0], t[-1], BUS, frame, "s", len(t) - 1, t[:-1], t[1:], q[:-1], rates[:-1], rate
+            )
+    spiceypy.ckcls(handle)
+
+
+def kernels(root: Path, *files: str) -> Kernels:
+    return Kernels(files=files, paths=tuple(root / file for file in files), spacecraft=None)
+
+
+def bold(t_s: np.ndarray) -> Rotation:
+    """A motion through all signs of the quaternion, with no axis near another's."""
+    return Rotation.from_rotvec(np.outer(0.9 * t_s, [0.48, -0.6, 0.64])) * Rotation.from_euler(
+        "zyx", [2.0, -0.7, 1.1]
+    )
+
+
+ALL = ("a.tls", "a.tsc", "a.tf")
+
+
+@pytest.mark.parametrize(("frame", "kind"), [("J2000", 3), ("J2000", 1), ("ECLIPJ2000", 3)])
+def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(
+    frame: str, kind: int, tmp_path: Path
+) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, np.arange(-2.0, 12.0, 0.125))
+    write_ck(tmp_path / "a.bc", ticks, bold(instants_of(tmp_path, ticks)), frame, kind)
+    rows = read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+    assert len(rows.t_s) == len(ticks) and rows.covariance_s is None
+    # 0.2 us: two roundings of ephemeris time in a double
+    assert rows.t_s == pytest.approx(instants_of(tmp_path, ticks), abs=2e-7)
+    with spiceypy.KernelPool([str(tmp_path / file) for file in (*ALL, "a.bc")]):
+        for n in range(1, len(ticks) - 1, 5):
+            et = spiceypy.sct2e(SATELLITE, ticks[n])
+            # a double of ephemeris time resolves 1.2e-7 s, in which the bus turns by 1e-7 rad; between single
+            # attitudes the toolkit needs a tolerance, so that the CK's own instant is asked for
+            bus, _ = spiceypy.ckgp(BUS, ticks[n], 0, "J2000")
+            expected = spiceypy.pxform("SAT_BUS", "SAT_STR1", et) @ bus
+            assert np.abs(rows.R_si[n].as_matrix() - expected).max() < 1e-14
+            if kind == 3:
+                whole = spiceypy.pxform("J2000", "SAT_STR1", et)
+                assert np.abs(rows.R_si[n].as_matrix() - whole).max() < 3e-7
+
+
+def test_utc_of_the_toolkit_is_the_time_of_the_row(tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
+    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)))
+    rows = read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_BUS", kernels(tmp_path, *ALL))
+    with spiceypy.KernelPool([str(tmp_path / file) for file in ALL]):
+        for tick, t in zip(ticks, rows.t_s):
+            utc = spiceypy.et2utc(spiceypy.sct2e(SATELLITE, tick), "ISOC", 7)
+            assert EPOCH.seconds_from_utc([utc])[0] == pytest.approx(t, abs=2e-7)  # s, as above
+
+
+def test_clock_in_tdt_needs_the_leap_second_kernel(tmp_path: Path) -> None:
+    write_texts(tmp_path, time_system=2)
+    ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
+    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)))
+    with pytest.raises(RawDataError, match=r"a\.bc: SPICE: found .*expected a leap-second kernel \(LSK\)"):
+        read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, "a.tsc", "a.tf"))
+    rows = read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+    assert rows.t_s == pytest.approx(instants_of(tmp_path, ticks), abs=2e-7)
+
+
+def test_kernels_of_the_program_are_loaded_again(tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
+    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)))
+    own = tmp_path / "own.tf"
+    own.write_text("KPL/FK\n\\begindata\nFRAME_SAT_BUS = -7000\nFRAME_-7000_NAME = 'SAT_BUS'\n\\begintext\n")
+    spiceypy.furnsh(str(own))
+    try:
+        read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_BUS", kernels(tmp_path, *ALL))
+        with pytest.raises(RawDataError):
+            read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_BUS", kernels(tmp_path, "a.tf"))
+        assert [spiceypy.kdata(n, "ALL")[0] for n in range(spiceypy.ktotal("ALL"))] == [str(own)]
+        assert spiceypy.gipool("FRAME_SAT_BUS", 0, 1)[0] == -7000
+    finally:
+        spiceypy.kclear()
+
+
+# ------------------------------------------------------------------------------------------ a whole dump
+
+
+@pytest.fixture
+def dump(tmp_path: Path) -> Path:
+    """The handmade dump with its orbit as SPK and nadir-pointing attitudes as CK, beside the plain files."""
+    root = write_handmade_dump(tmp_path / "dump")
+    plain = open_dump(root)
+    write_texts(root)
+    ticks = ticks_of(root, np.arange(18.0, 22.0, 0.1))
+    t_s = instants_of(root, ticks)
+    R_bi = R_HB.inv() * plain.R_cs0.inv() * plain.orbit.R_oi(t_s)
+    write_ck(root / "str1.bc", ticks, R_bi)
+    t = np.arange(0.0, 40.0)
+    states = np.hstack([plain.orbit.positions_i(t), plain.orbit.velocities_i(t)]) / 1e3
+    write_spk(root / "sat.bsp", states, ephemeris_time(EPOCH, t))
+    text = (root / "dump.toml").read_text().replace("orbit.oem", "sat.bsp")
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    (root / "dump.toml").write_text(text + SPICE)
+    return root
+
+
+SPICE = """
+[spice]
+kernels = ["a.tls", "a.tsc", "a.tf"]
+
+[[star_cameras]]
+name = "STR1"
+level = "attitudes"
+installation = "installation.toml"
+attitudes = "str1.bc"
+spice_frame = "SAT_STR1"
+aberration_removed = "annual and orbital"
+
+[star_cameras.noise]
+white_arcsec = [1, 1, 7]
+"""
+
+
+def write_spk(path: Path, states: np.ndarray, et: np.ndarray, bodies: tuple[int, ...] = (SATELLITE,)) -> None:
+    handle = spiceypy.spkopn(str(path), "test", 0)
+    for body in bodies:
+        spiceypy.spkw13(handle, body, 399, "J2000", et[0], et[-1], "s", 7, len(et), states, et)
+    spiceypy.spkcls(handle)
+
+
+def test_a_dump_of_kernels_has_the_orbit_and_the_attitudes_of_the_toolkit(dump: Path) -> None:
+    opened = open_dump(dump)
+    source = opened.heads[0].source
+    assert isinstance(source, SolvedAttitudes) and len(source.rows.t_s) == 40
+    assert "sat.bsp covers 2024-11-20T03:40:00" in opened.orbit_covers
+    t = np.random.default_rng(5).uniform(0.5, 38.5, 50)
+    with spiceypy.KernelPool([str(dump / file) for file in (*ALL, "sat.bsp", "str1.bc")]):
+        for one in t:
+            et = float(ephemeris_time(opened.epoch, [one])[0])
+            state, _ = spiceypy.spkezr(str(SATELLITE), et, "J2000", "NONE", "EARTH")
+            # 1.2e-7 s by which a double of ephemeris time is rounded are 1 mm on the orbit
+            assert np.abs(opened.orbit.positions_i([one])[0] - 1e3 * state[:3]).max() < 2e-3  # m
+            assert np.abs(opened.orbit.velocities_i([one])[0] - 1e3 * state[3:]).max() < 1e-5  # m/s
+        middle = source.rows.t_s[20] + float(EPOCH.tai_s - opened.epoch.tai_s)
+        et = float(ephemeris_time(EPOCH, [middle])[0])
+        expected = spiceypy.pxform("J2000", "SAT_STR1", et)
+        assert np.abs(source.rows.R_si[20].as_matrix() - expected).max() < 1e-9  # 1e-3 rad/s x 1e-7 s
+
+
+def changed(root: Path, old: str, new: str) -> Dump:
+    text = (root / "dump.toml").read_text()
+    assert old in text
+    (root / "dump.toml").write_text(text.replace(old, new))
+    return open_dump(root)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('spice_frame = "SAT_STR1"\n', "", "spice_frame of STR1: found nothing, expected this key"),
+        ("SAT_STR1", "SAT_STR2", "spice_frame: found SAT_STR2, expected .*SAT_BUS, SAT_STR1"),
+        ("SAT_STR1", "ITRF93", "spice_frame: found ITRF93, of class 2"),
+        ('"a.tf"', '"b.tf"', "b.tf: file: found no such file"),
+        (', "a.tf"', "", "they have none, name the FK"),
+        ('"a.tsc", ', "", r"str1\.bc: SPICE: found .*expected the clock kernel \(SCLK\)"),
+        ('str1.bc"', 'str1.bc"\nframe = "GCRF"', r"frame of str1\.bc: found GCRF, expected no such key"),
+        ('"str1.bc"', '"sat.bsp"', "sat.bsp: byte 0: found a SPICE SPK, expected a CK"),
+        ('orbit = "sat.bsp"', 'orbit = "str1.bc"', "str1.bc: byte 0: found a SPICE CK, expected a SPK"),
+        ('"str1.bc"', '"a.tf"', "a.tf: byte 0: found no SPICE CK, expected a CK, for spice_frame"),
+        ("[spice]", "[spice]\nspacecraft = -5", "sat.bsp: objects: found -999, expected -5"),
+        ('"a.tf"]', '"../a.tf"]', "spice.kernels.2: found ../a.tf"),
+        ('"a.tf"]', '"orbit.oem"]', "orbit.oem: byte 0: found .*expected KPL/LSK"),
+    ],
+)
+def test_what_is_missing_is_named_with_its_remedy(old: str, new: str, complaint: str, dump: Path) -> None:
+    with pytest.raises(RawDataError, match=complaint):
+        changed(dump, old, new)
+    assert dump_faults(dump)
+
+
+def test_a_kernel_that_names_others_is_refused(dump: Path) -> None:
+    (dump / "a.tf").write_text(frames() + "\\begindata\nKERNELS_TO_LOAD = ( '/etc/passwd' )\n\\begintext\n")
+    with pytest.raises(RawDataError, match=r"a\.tf: KERNELS_TO_LOAD: found a meta-kernel"):
+        open_dump(dump)
+
+
+def test_of_several_objects_one_is_stated(dump: Path) -> None:
+    t = np.arange(0.0, 40.0)
+    orbit = open_dump(dump).orbit
+    states = np.hstack([orbit.positions_i(t), orbit.velocities_i(t)]) / 1e3
+    (dump / "sat.bsp").unlink()
+    write_spk(dump / "sat.bsp", states, ephemeris_time(EPOCH, t), (SATELLITE, -998))
+    with pytest.raises(RawDataError, match=r"objects: found -999, -998, expected one object, or `spacecraft"):
+        open_dump(dump)
+    changed(dump, "[spice]", "[spice]\nspacecraft = -998")
+
+
+def test_constant_rates_are_refused_with_the_programs_that_convert(tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
+    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)), kind=2)
+    with pytest.raises(RawDataError, match=r"segment: found type 2, expected type 1 or 3"):
+        read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+
+
+def test_without_the_toolkit_the_extra_is_named(dump: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "spiceypy", None)
+    with pytest.raises(RawDataError, match=r"sat\.bsp: SPICE kernel: .*pip install 'boresight\[spice\]'"):
+        open_dump(dump)
+
+
+def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
+    """Bytes, cuts and insertions at the places of all parts of the files; `RawDataError` or rows."""
+    rng, whole = (
+        np.random.default_rng(9),
+        {name: (dump / name).read_bytes() for name in ("str1.bc", "sat.bsp")},
+    )
+    refused = 0
+    for n in range(200):
+        name = ("str1.bc", "sat.bsp")[n % 2]
+        raw = bytearray(whole[name])
+        for _ in range(int(rng.integers(1, 4))):
+            raw[int(rng.integers(0, len(raw)))] = int(rng.integers(0, 256))
+        cut = raw[: int(rng.integers(0, len(raw)))] if n % 5 == 0 else raw
+        (dump / name).write_bytes(bytes(cut))
+        try:
+            open_dump(dump)
+        except RawDataError as error:
+            refused += 1
+            assert str(error)
+        (dump / name).write_bytes(whole[name])
+    assert refused > 20
