@@ -1,5 +1,5 @@
-"""GIPP files of Sentinel-2 as they are distributed: NAME.xml, NAME.DBL beside NAME.HDR, or NAME.tgz and
-NAME.tar.gz with these; in a folder, in folders of it, or in one archive of several.
+"""GIPP files of Sentinel-2 as they are distributed: NAME.xml, NAME.DBL beside NAME.HDR, or NAME.tgz,
+NAME.tar.gz and NAME.zip with these; in a folder, in folders of it, or in one archive of several.
 
 Archives are read in memory: of their members only regular files with a wanted name are looked at, and nothing
 is written. A DBL is the document itself, or the Data_Block of an Earth Explorer file.
@@ -8,8 +8,12 @@ is written. A DBL is the document itself, or the Data_Block of an Earth Explorer
 from __future__ import annotations
 
 import io
+import lzma
 import re
+import stat
 import tarfile
+import zipfile
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -25,7 +29,22 @@ __all__ = ["GippFile", "find_gipp_files", "gipp_root"]
 
 # Endings of files and archives that hold GIPP documents.
 DOCUMENTS = (".xml", ".eof", ".dbl")
-ARCHIVES = (".tgz", ".tar.gz", ".tar")
+ARCHIVES = (".tgz", ".tar.gz", ".tar", ".zip")
+ZIP, TAR = b"PK\x03\x04", b"ustar"  # the first bytes of a ZIP archive, and bytes 257 to 261 of a tar archive
+# Kinds of files of a ZIP archive that are read; 0: the archive does not state them (made on Windows).
+REGULAR = (0, stat.S_IFREG)
+DAMAGE = (
+    tarfile.TarError,
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    OSError,
+    EOFError,
+    ValueError,
+    OverflowError,
+    RuntimeError,  # a password
+    NotImplementedError,  # a compression of other programs
+)
 MAX_BYTES = 128 * 2**20  # of a file, packed and unpacked; all GIPP files of a satellite take 40 MB
 # Most members of an archive that are looked at: a package holds some hundred.
 MAX_MEMBERS = 10_000
@@ -98,28 +117,58 @@ def _wanted(files: list[str], stem: str) -> dict[str, str]:
 
 
 def _is_archive(raw: bytes) -> bool:
-    return raw[257:262] == b"ustar"
+    return raw[257:262] == TAR or raw.startswith(ZIP)
 
 
 def _members(raw: bytes, file: str, stem: str) -> dict[str, GippFile]:
-    """Wanted files of an archive, plain or compressed with gzip; their bytes are copied here."""
+    """Wanted files of an archive, ZIP or tar, plain or compressed with gzip; their bytes are copied here."""
     raw = unpacked(raw, file, MAX_BYTES) if raw.startswith(GZIP) else raw
     if not _is_archive(raw):
-        expected = "a folder of GIPP files, or a tar archive of them, plain or with gzip"
+        expected = "a folder of GIPP files, or an archive of them: ZIP, or tar, plain or with gzip"
         raise RawDataError(file, "byte 257", "no tar archive", expected)
     try:
-        with tarfile.open(fileobj=io.BytesIO(raw), mode="r:") as archive:
-            regular: dict[str, tarfile.TarInfo] = {}
-            for count, member in enumerate(archive):
-                if count == MAX_MEMBERS:
-                    raise RawDataError(file, "members", f"more than {MAX_MEMBERS}", "fewer")
-                if member.isreg() and not member.issparse() and member.size <= len(raw):
-                    regular[member.name] = member
-            found = {}
-            for own, name in _wanted(list(regular), stem).items():
-                stream = archive.extractfile(regular[name])
-                assert stream is not None  # of a regular file
-                found[own] = GippFile(f"{file}: {PurePosixPath(name).name}", partial(bytes, stream.read()))
-    except (tarfile.TarError, OSError, EOFError, ValueError, OverflowError) as error:
-        raise RawDataError(file, "archive", str(error), "a whole tar archive") from error
+        wanted = _of_zip(raw, file, stem) if raw.startswith(ZIP) else _of_tar(raw, file, stem)
+    except DAMAGE as error:
+        raise RawDataError(file, "archive", str(error), "a whole archive, without a password") from error
+    return {
+        own: GippFile(f"{file}: {PurePosixPath(name).name}", partial(bytes, content))
+        for own, (name, content) in wanted.items()
+    }
+
+
+def _of_tar(raw: bytes, file: str, stem: str) -> dict[str, tuple[str, bytes]]:
+    """Names and bytes of the wanted files of a tar archive, by their names without suffix."""
+    with tarfile.open(fileobj=io.BytesIO(raw), mode="r:") as archive:
+        regular: dict[str, tarfile.TarInfo] = {}
+        for count, member in enumerate(archive):
+            _check_count(count, file)
+            if member.isreg() and not member.issparse() and member.size <= len(raw):
+                regular[member.name] = member
+        found = {}
+        for own, name in _wanted(list(regular), stem).items():
+            stream = archive.extractfile(regular[name])
+            assert stream is not None  # of a regular file
+            found[own] = name, stream.read()
     return found
+
+
+def _of_zip(raw: bytes, file: str, stem: str) -> dict[str, tuple[str, bytes]]:
+    """The same of a ZIP archive."""
+    with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+        members = archive.infolist()
+        _check_count(len(members) - 1, file)
+        regular = {one.filename: one for one in members if stat.S_IFMT(one.external_attr >> 16) in REGULAR}
+        found, size = {}, 0
+        for own, name in _wanted(list(regular), stem).items():
+            with archive.open(regular[name]) as stream:
+                content = stream.read(MAX_BYTES - size + 1)
+            if (size := size + len(content)) > MAX_BYTES:
+                found_bytes = f"more than {MAX_BYTES} bytes unpacked"
+                raise RawDataError(file, "zip", found_bytes, f"at most {MAX_BYTES} bytes")
+            found[own] = name, content
+    return found
+
+
+def _check_count(before: int, file: str) -> None:
+    if before >= MAX_MEMBERS:
+        raise RawDataError(file, "members", f"more than {MAX_MEMBERS}", "fewer")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import stat
 import tarfile
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -62,6 +64,29 @@ def as_one_archive(place: Path, files: dict[str, bytes]) -> Path:
     return place / "gipp.tar"
 
 
+def zip_of(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", compression) as archive:
+        for name, raw in members.items():
+            archive.writestr(name, raw)
+    return stream.getvalue()
+
+
+def as_zips(place: Path, files: dict[str, bytes]) -> Path:
+    for n, (name, raw) in enumerate(files.items()):
+        inside = {f"{name}/{name}.HDR": HEADER, f"{name}/{name}.DBL": raw}
+        (place / f"{name}.ZIP").write_bytes(zip_of(inside, (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)[n % 2]))
+    return place
+
+
+def as_one_zip(place: Path, files: dict[str, bytes]) -> Path:
+    (spamod, first), (viedir, second) = files.items()
+    inside = {f"GIPP/{spamod}.tgz": tar_of({f"{spamod}.DBL": first}, "gz")}
+    inside |= {f"GIPP/{viedir}.zip": zip_of({f"{viedir}.DBL": second}), "GIPP/README": b"all"}
+    (place / "gipp.zip").write_bytes(zip_of(inside))
+    return place / "gipp.zip"
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
     folder = tmp_path_factory.mktemp("plain")
@@ -78,7 +103,9 @@ def assert_same(found: Sentinel2, expected: Sentinel2) -> None:
         assert np.array_equal(there, here)
 
 
-@pytest.mark.parametrize("packed", [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive])
+@pytest.mark.parametrize(
+    "packed", [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip]
+)
 def test_every_packing_is_read_as_the_plain_files_are(
     packed: Callable[[Path, dict[str, bytes]], Path], plain: tuple[Path, dict[str, bytes]], tmp_path: Path
 ) -> None:
@@ -112,7 +139,8 @@ def test_damage_and_bombs_are_told(
     whole = tar_of({f"{name}.DBL": raw for name, raw in files.items()}, "gz")
     for raw, complaint in (
         (whole[: len(whole) // 2], "gzip: found"),
-        (b"PK\x03\x04" + bytes(500), "byte 257: found no tar archive"),
+        (b"PK\x03\x04" + bytes(500), "archive: found File is not a zip file"),
+        (b"Rar!" + bytes(500), "byte 257: found no tar archive"),
         (
             tar_of({f"{SPAMOD}.tgz": tar_of({"other.xml": b"<a/>"}, "gz"), f"{VIEDIR}.xml": b"<a/>"}, "gz"),
             "members",
@@ -126,6 +154,39 @@ def test_damage_and_bombs_are_told(
     (tmp_path / "gipp.tgz").write_bytes(tar_of({f"{SPAMOD}.DBL": bytes(2**20)}, "gz"))
     with pytest.raises(RawDataError, match="gzip: found more than 65536 bytes unpacked"):
         read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+
+
+def test_damaged_zips_links_and_bombs_are_told(
+    plain: tuple[Path, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, files = plain
+    place = tmp_path / "gipp.zip"
+    whole = zip_of({f"{name}.DBL": raw for name, raw in files.items()})
+
+    def refused(raw: bytes, complaint: str) -> None:
+        place.write_bytes(raw)
+        with pytest.raises(RawDataError, match=complaint):
+            read_sentinel2(folder / DATASTRIP, place, "B04")
+
+    refused(whole[: len(whole) // 2], r"gipp\.zip: archive: found File is not a zip file, expected a whole")
+    broken = bytearray(whole)
+    broken[200] ^= 0xFF
+    refused(bytes(broken), r"gipp\.zip: archive: found (Bad CRC-32|Error -3)")
+    encrypted = bytearray(whole)
+    for start in (whole.index(b"PK\x03\x04") + 6, whole.index(b"PK\x01\x02") + 8):
+        encrypted[start] |= 1  # the flag of both headers
+    refused(bytes(encrypted), r"gipp\.zip: archive: found .*is encrypted, password.*without a password")
+    link = zipfile.ZipInfo(f"{SPAMOD}.DBL")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(link, str(folder / f"{SPAMOD}.xml"))
+        archive.writestr(f"../../{VIEDIR}.DBL", files[VIEDIR])
+    refused(stream.getvalue(), f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}")
+    assert [path.name for path in tmp_path.iterdir()] == ["gipp.zip"]
+    monkeypatch.setattr(gipp_files, "MAX_BYTES", 2**16)
+    bomb = zip_of({f"{name}.DBL": bytes(2**20) for name in files})
+    refused(bomb, "zip: found more than 65536 bytes unpacked")
 
 
 OLD, NEW, LATE = (
