@@ -111,12 +111,20 @@ def _coordinates(strip: StripSightings) -> StripSightings:
     return replace(strip, ground=replace(ground, cov_target_i=(1.0 + STEP) * ground.cov_target_i))
 
 
+def _earth(strip: StripSightings) -> StripSightings:
+    ground = strip.ground
+    if ground.earth_i is None:
+        return strip
+    return replace(strip, ground=replace(ground, earth_i=np.sqrt(1.0 + STEP) * ground.earth_i))
+
+
 # Sources that the sightings hold, by name: how a strip looks with its variance larger by `STEP`.
 OF_SIGHTINGS: Mapping[str, Callable[[StripSightings], StripSightings]] = {
     "attitudes of the star exposures": _attitudes,
     "image points of the targets": _images(of_stars=False),
     "image points of stars in strips": _images(of_stars=True),
     "coordinates of targets and stars": _coordinates,
+    "predicted Earth orientation": _earth,
 }
 # Sources that the settings hold, by name: their standard deviations.
 OF_SETTINGS: Mapping[str, tuple[str, ...]] = {

@@ -1,5 +1,5 @@
 """Unknowns that several strips share: the camera's distortion, targets' coordinates, the orbit's bias,
-alignments of heads.
+the Earth's rotation where it is predicted, alignments of heads.
 
 Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
 are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
@@ -24,6 +24,7 @@ from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import Bools, array, record, scalar
 
 __all__ = [
+    "EARTH",
     "MICRORADIAN",
     "SIGMA_ALIGNMENT_RAD",
     "SeenTargets",
@@ -36,6 +37,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
+# Names of the rotations of the Earth about the axes of ITRS, in units of the 1-sigma of predicted values.
+EARTH = ("earth/x", "earth/y", "earth/z")
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
@@ -49,6 +52,7 @@ class SeenTargets:
     ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
     is_star: Bools = array("J", "targets that are stars")
+    earth_is_predicted: bool = scalar("whether Earth orientation at the strip's date is predicted")
 
 
 @record
@@ -61,6 +65,7 @@ class SharedUnknowns:
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
     biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
+    earth: tuple[str, ...] = scalar("`EARTH`, where Earth orientation is predicted", default=())
     interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
     ccds: tuple[int, ...] = scalar("CCDs with a residual distortion of their own, along x and y", default=())
 
@@ -69,17 +74,19 @@ class SharedUnknowns:
         """Names of the unknowns, in the order of the matrices."""
         interior = self.interior.unknowns if self.interior else ()
         of_camera = unknown_names(self.knots, self.ccds) + interior
-        return of_camera + coordinate_names(self.targets) + self.biases + head_names(self.heads)
+        of_ground = coordinate_names(self.targets) + self.biases + self.earth
+        return of_camera + of_ground + head_names(self.heads)
 
     def prior_information(self) -> Array:
         """Inverse prior covariance (n, n), distortion and interior orientation in units of their priors,
-        coordinates in metres or µrad, biases in units of the stated errors of a strip, alignments in radians.
+        coordinates in metres or µrad, biases in units of the stated errors of a strip, rotations of the
+        Earth in units of their 1-sigma, alignments in radians.
         """
         alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
         interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
         camera = prior_information(unknown_names(self.knots, self.ccds))
         parts = [camera, interior, *np.linalg.inv(self.cov_targets)]
-        parts += [bias_prior(self.biases), alignments]
+        parts += [bias_prior(self.biases), np.eye(len(self.earth)), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
@@ -146,6 +153,7 @@ def find_shared(
         n_treated_independent=len(often) - len(kept),
         heads=heads,
         biases=BIASES if mixed else (),
+        earth=EARTH if any(strip.earth_is_predicted for strip in strips) else (),
         interior=interior,
         ccds=tuple(sorted(ccds)),
     )

@@ -89,6 +89,7 @@ class PreparedStrip:
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
+    earth_s: Floats = array("J, 3, 3", "change of v_s by `shared_unknowns.EARTH`; zero: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
     move_s: Floats = array(
         "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
@@ -107,6 +108,7 @@ class PreparedStrip:
             ccd=self.ccd,
             cov_coordinates=self.cov_coordinates,
             is_star=self.is_star,
+            earth_is_predicted=bool(self.earth_s.any()),
         )
 
 
@@ -211,6 +213,7 @@ def prepare_strip(
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
+        earth_s=R_si @ ground.by_earth_i,
         late_s=late[:, :, 0],
         move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         ties=ties,
@@ -372,15 +375,16 @@ def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> F
 
 
 def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknowns) -> Floats:
-    """Columns (J, 3, T) of shared coordinates, biases and alignments: of these targets see only the one of
-    the head that carries the strip, as an error of all its attitudes.
+    """Columns (J, 3, T) of shared coordinates, biases, rotations of the Earth and alignments: of the last
+    targets see only the one of the head that carries the strip, as an error of all its attitudes.
     """
     biases = strip.bias_s[:, :, [BIASES.index(name) for name in shared.biases]]
     alignments = np.zeros((len(coordinates), 3, 3 * len(shared.heads)))
     if strip.carrier:
         first = 3 * shared.heads.index(strip.carrier)
         alignments[:, :, first : first + 3] = -cross_matrices(strip.v_s)
-    return np.concatenate([coordinates, biases, alignments], axis=2)
+    earth = strip.earth_s[:, :, : len(shared.earth)]
+    return np.concatenate([coordinates, biases, earth, alignments], axis=2)
 
 
 def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:

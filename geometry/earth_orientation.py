@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE
 from boresight.geometry.epoch import tai_minus_utc_s
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 
@@ -24,6 +24,7 @@ __all__ = [
     "bundled_earth_orientation",
     "expected_extrapolation_error_m",
     "expected_prediction_error_m",
+    "expected_rotation_error_rad",
 ]
 
 Array = NDArray[np.float64]
@@ -100,10 +101,7 @@ def expected_prediction_error_m(days_ahead: float) -> float:
 
     IERS Bulletin A states 0.00025 s D^0.75 for UT1 and 0.00068" D^0.80 for each pole coordinate.
     """
-    days = max(days_ahead, 0.0)
-    ut1_m = 0.00025 * days**0.75 * _EQUATOR_SPEED
-    pole_m = 0.00068 * days**0.80 * _METRES_PER_ARCSEC
-    return float(np.hypot(ut1_m, pole_m))
+    return float(np.hypot(*_prediction_m(days_ahead)))
 
 
 def expected_extrapolation_error_m(days_past: float) -> float:
@@ -112,8 +110,29 @@ def expected_extrapolation_error_m(days_past: float) -> float:
 
     Rms over the tables since 1990: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m D, at most 6 m.
     """
+    return float(np.hypot(*_extrapolation_m(days_past)))
+
+
+def expected_rotation_error_rad(days_ahead: float, days_past: float) -> Floats:
+    """1-sigma (3,), rad, of a small rotation of the Earth about the axes of ITRS: twice the pole, then UT1.
+
+    Values are predicted `days_ahead` past the last measurement, then extrapolated `days_past` the table.
+    """
+    ut1_m, pole_m = np.hypot(_prediction_m(days_ahead), _extrapolation_m(days_past))
+    pole_rad = pole_m / _METRES_PER_ARCSEC * ARCSEC
+    return np.array([pole_rad, pole_rad, ut1_m / _EQUATOR_SPEED * EARTH_ROTATION_RATE])
+
+
+def _prediction_m(days_ahead: float) -> tuple[float, float]:
+    """1-sigma on the ground of predicted UT1 and of each predicted pole coordinate."""
+    days = max(days_ahead, 0.0)
+    return 0.00025 * days**0.75 * _EQUATOR_SPEED, 0.00068 * days**0.80 * _METRES_PER_ARCSEC
+
+
+def _extrapolation_m(days_past: float) -> tuple[float, float]:
+    """The same of extrapolated values."""
     days = max(days_past, 0.0)
-    return float(np.hypot(0.25 * days**0.9, min(0.05 * days, 6.0)))
+    return 0.25 * days**0.9, min(0.05 * days, 6.0)
 
 
 def _parse_c04(text: bytes) -> Array:

@@ -21,6 +21,7 @@ from boresight.geometry.earth_orientation import (
     EarthOrientationWarning,
     expected_extrapolation_error_m,
     expected_prediction_error_m,
+    expected_rotation_error_rad,
 )
 from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
 from boresight.geometry.record import Floats, array, record, scalar
@@ -49,6 +50,7 @@ class EarthRotation:
     day_values: Floats = array("D, 5", "UT1 - TAI (s), xp, yp, dX, dY (rad)")
     omega_e: Floats = array("3", "angular velocity of e relative to i at mid-interval, axes of e, rad/s")
     expected_error_m: float = scalar("1-sigma on the equator of predicted or extrapolated values, else 0")
+    sigma_e_rad: Floats = array("3", "1-sigma of a rotation about the axes of e by these values, rad; else 0")
 
     @staticmethod
     def over(
@@ -68,7 +70,7 @@ class EarthRotation:
         start, stop = (float(epoch.mjd_tai(t)) for t in (t_start_s, t_stop_s))
         if not start <= stop:
             raise ValueError(f"t_start_s must not be after t_stop_s, got {t_start_s} and {t_stop_s}")
-        error_m = _check_dates(epoch, t_start_s, t_stop_s, table, allow_stale_eop)
+        error_m, sigma_e_rad = _check_dates(epoch, t_start_s, t_stop_s, table, allow_stale_eop)
         days, values = _daily_values(table, start, stop)
         nodes = np.arange(np.floor(start / _NODE_DAYS) - 1, np.ceil(stop / _NODE_DAYS) + 2) * _NODE_DAYS
         nodes = nodes if len(nodes) >= 4 else nodes[0] + _NODE_DAYS * np.arange(4)
@@ -84,6 +86,7 @@ class EarthRotation:
             day_values=values,
             omega_e=omega_e,
             expected_error_m=error_m,
+            sigma_e_rad=sigma_e_rad,
         )
 
     def matrices_ie(self, t_s: ArrayLike) -> Array:
@@ -115,19 +118,17 @@ class EarthRotation:
 
 def _check_dates(
     epoch: Epoch, t_start_s: float, t_stop_s: float, table: EarthOrientationTable, allow_stale: bool
-) -> float:
-    """Expected error on the equator, m, of predicted or extrapolated values; raises for dates not covered."""
+) -> tuple[float, Floats]:
+    """Expected error on the equator, m, and about the axes of e, rad, of predicted or extrapolated values;
+    raises for dates not covered.
+    """
     first, last = table.mjd_utc[0], table.mjd_utc[-1]
     start, stop = (float(epoch.mjd_tai(t)) - 37.0 / DAY_S for t in (t_start_s, t_stop_s))
     span = f"the Earth-orientation table ({table.source}) holds {_date(first)} to {_date(last)}"
     if start < first:
         raise EarthOrientationError(f"{epoch.utc_from_seconds(t_start_s)[0]} is before the table: {span}")
-    error_m = float(
-        np.hypot(
-            expected_prediction_error_m(min(stop, last) - table.mjd_last_measured),
-            expected_extrapolation_error_m(stop - last),
-        )
-    )
+    ahead, past = min(stop, last) - table.mjd_last_measured, stop - last
+    error_m = float(np.hypot(expected_prediction_error_m(ahead), expected_extrapolation_error_m(past)))
     if stop > last and not allow_stale:
         raise EarthOrientationError(
             f"{epoch.utc_from_seconds(t_stop_s)[0]} is past the table: {span}; "
@@ -143,7 +144,7 @@ def _check_dates(
             EarthOrientationWarning,
             stacklevel=3,
         )
-    return error_m
+    return error_m, expected_rotation_error_rad(ahead, past)
 
 
 def _date(mjd: float) -> str:

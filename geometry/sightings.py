@@ -81,7 +81,7 @@ class GroundSightings:
     """Calibration targets measured in one strip. Row n of every array is the same measurement.
 
     `cov_c` holds what is independent from row to row: the error of the image measurement. Errors that are
-    common to a strip (position, clock) or belong to the target are described by the last four fields. A star
+    common to a strip (position, clock) or belong to the target are described by the last fields. A star
     in a strip that scans the sky is a target too, at an infinite distance: no position of the satellite
     moves it.
     """
@@ -100,6 +100,17 @@ class GroundSightings:
     cov_target_i: Floats = array(
         "N, 3, 3", "covariance of the target's own coordinates, GCRS axes, m²; of a star's direction, rad²"
     )
+    earth_i: Floats | None = array(
+        "N, 3, 3",
+        "change of u_i (columns) by rotations of the Earth about the axes of e, each of the 1-sigma of "
+        "predicted Earth orientation, rad; None: measured values",
+        default=None,
+    )
+
+    @property
+    def by_earth_i(self) -> Floats:
+        """(N, 3, 3) `earth_i`, zeros where Earth orientation is measured."""
+        return np.zeros((len(self.ccd), 3, 3)) if self.earth_i is None else self.earth_i
 
     @property
     def is_star(self) -> Bools:

@@ -15,7 +15,12 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import MODES
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import BIASES, bias_prior
-from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
+from boresight.calib.shared_unknowns import (
+    EARTH,
+    SIGMA_ALIGNMENT_RAD,
+    coordinate_covariance,
+    coordinate_names,
+)
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
@@ -154,22 +159,23 @@ def read_pairs(result: Path) -> InformationPairs:
 
 def read_mounting(result: Path, name: str) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
-    them see, biases of orbit and clock and alignments of further heads eliminated. The camera's distortion
-    stays, since other results share it. `RawDataError` if not readable.
+    them see, biases of orbit and clock, rotations of the Earth and alignments of further heads eliminated.
+    The camera's distortion stays, since other results share it. `RawDataError` if not readable.
     """
     pairs = read_pairs(result)
     path = result / "sightings" / "strips.parquet"
     own = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
     alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
     biases = tuple(unknown for unknown in own if unknown in BIASES)
-    coordinates = [unknown for unknown in own if unknown not in alignments + biases]
+    earth = tuple(unknown for unknown in own if unknown in EARTH)
+    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
     weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
     try:
-        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), weak)
-        return pairs.as_one(name, coordinate_names(targets) + biases + alignments, prior)
+        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), np.eye(len(earth)), weak)
+        return pairs.as_one(name, coordinate_names(targets) + biases + earth + alignments, prior)
     except np.linalg.LinAlgError as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

@@ -78,7 +78,7 @@ def earth_findings(check: EarthTableCheck, file: str) -> Iterator[Finding]:
         yield Finding(
             cause="Earth orientation",
             item="predicted values",
-            text=f"{check.sigma_m:.1f} m on the equator (1 sigma), not in the covariance; "
+            text=f"{check.sigma_m:.1f} m on the equator (1 sigma), in the covariance; "
             "install a newer astropy-iers-data.",
             sigma=check.sigma_m,
             unit="m",

@@ -23,6 +23,7 @@ from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
@@ -397,7 +398,25 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
         range_m=range_m,
         v_rel_i=np.einsum("nij,nj->ni", R_ie, task.orbit.velocities_e(t_s)),
         cov_target_i=(axes_i * sigma_m[:, None, :] ** 2) @ np.swapaxes(axes_i, 1, 2),
+        earth_i=_by_earth_orientation(task.orbit, p_e, t_s, u_i, range_m),
     )
+
+
+def _by_earth_orientation(
+    orbit: Orbit, p_e: Floats, t_s: Floats, u_i: Floats, range_m: Floats
+) -> Floats | None:
+    """Change (N, 3, 3) of directions u_i by the 1-sigma rotations of the Earth, as `GroundSightings.earth_i`.
+
+    A rotation by a small vector a moves a ground point by R_ie (a x p_e), and a satellite whose orbit is
+    stated in ITRF likewise.
+    """
+    earth = orbit.earth
+    if not earth.sigma_e_rad.any():
+        return None
+    lever_e = p_e - orbit.positions_e(t_s) if orbit.frame == "ITRF" else p_e
+    moved_i = -earth.matrices_ie(t_s) @ cross_matrices(lever_e) * earth.sigma_e_rad
+    across = np.eye(3) - u_i[:, :, None] * u_i[:, None, :]
+    return np.asarray(across @ moved_i / range_m[:, None, None])
 
 
 def targets_near(
