@@ -1,4 +1,5 @@
-"""Read attitudes of a star camera: CSV, or a CCSDS Attitude Ephemeris Message (AEM 1.0 and 2.0, KVN and XML).
+"""Read attitudes of a star camera: CSV, or a CCSDS Attitude Ephemeris Message (AEM 1.0 and 2.0, KVN and XML)
+or Attitude Comprehensive Message (ACM 2.0, KVN).
 
 The result are rotations R_si from GCRS to the star camera, as the file has them; what aberration the head has
 left in is put right by `geometry.attitude_aberration`. The standard's quaternion (504.0-B, scalar last) gives
@@ -8,7 +9,7 @@ the matrix from components in A to components in B whose first row holds 2 (q1 q
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -21,6 +22,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
 from boresight.pipeline.files.orbit_file import tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
@@ -28,6 +30,7 @@ from boresight.pipeline.files.xml_files import xml_root
 __all__ = ["AttitudeRows", "check_rows", "read_attitudes"]
 
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
+SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
@@ -60,7 +63,7 @@ def read_attitudes(
     rotation: str | None,
     time_scale: str | None = None,
 ) -> AttitudeRows:
-    """Attitudes of a CSV file or of an AEM, told apart by their first line.
+    """Attitudes of a CSV file, of an AEM or of an ACM, told apart by their first line.
 
     Parameters
     ----------
@@ -69,12 +72,13 @@ def read_attitudes(
     epoch : Epoch
         Zero of the times.
     frame : str or None
-        Inertial axes of a CSV file: "GCRF", "ICRF" or "EME2000". An AEM states its own.
+        Inertial axes of a CSV file: "GCRF", "ICRF" or "EME2000". A message states its own.
     rotation : str or None
-        Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". An AEM states its own.
+        Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". A message states its
+        own.
     time_scale : str or None
-        Time scale of a CSV file and name of its column of times: "UTC" (or None), "TAI", "GPS". An AEM states
-        its own.
+        Time scale of a CSV file and name of its column of times: "UTC" (or None), "TAI", "GPS". A message
+        states its own.
 
     Raises
     ------
@@ -82,13 +86,17 @@ def read_attitudes(
         With file, line or field, found and expected.
     """
     start = read_message(path, file).lstrip()
-    message = start.startswith(("CCSDS_AEM_VERS", "<"))
+    message = is_acm(start) or start.startswith(("CCSDS_AEM_VERS", "<"))
     for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
-            raise RawDataError("dump.toml", f"{key} of {file}", value, "no such key: an AEM states its own")
+            raise RawDataError(
+                "dump.toml", f"{key} of {file}", value, "no such key: a message states its own"
+            )
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
-    if frame is None:
+    if is_acm(start):
+        rows = _from_acm(read_acm(start, file), file, epoch)
+    elif frame is None:
         segments = _xml_segments(start, file) if start.startswith("<") else _kvn_segments(start, file)
         rows = _from_message(list(segments), file, epoch)
     else:
@@ -194,6 +202,14 @@ def _to_gcrs(R: Rotation, is_inertial_to_head: bool, frame: InertialFrame) -> Ro
     return (R if is_inertial_to_head else R.inv()) * rotation_to_gcrs(frame).inv()
 
 
+def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
+    t_s = found.t_s + float(found.since.tai_s - epoch.tai_s)
+    rows = _from_quaternions(found.frames, t_s, found.q, file)
+    if found.variance_rad2 is None:
+        return rows
+    return replace(rows, covariance_s=found.variance_rad2[:, :, None] * np.eye(3))
+
+
 def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
     if not segments:
         raise RawDataError(file, "segments", "none", EXPECTED)
@@ -267,7 +283,7 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
     named = (one for one in root.iter() if one.tag == "aem" or one.get("id") == "CCSDS_AEM_VERS")
     message = next(named, None)
     if message is None:
-        raise RawDataError(file, "root element", root.tag, "aem")
+        raise RawDataError(file, "root element", root.tag, "aem; an ACM is read as keyword = value")
     for segment in message.iter("segment"):
         meta: dict[str, str] = {}
         for element in segment.iterfind("metadata//*"):
@@ -287,21 +303,27 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
 
 def _segment(meta: dict[str, str], states: list[State], file: str, epoch: Epoch) -> AttitudeRows:
     """One segment of a message, whose quaternions relate an inertial frame and the head."""
+    since, t_s = epoch, np.array([], dtype=float)
+    if states:
+        since, t_s = tai_seconds([time for time, _ in states], meta["TIME_SYSTEM"], file)
+    q = np.array([components for _, components in states], dtype=float).reshape(-1, 4)
+    return _from_quaternions(meta, t_s + float(since.tai_s - epoch.tai_s), q, file)
+
+
+def _from_quaternions(meta: Mapping[str, str], t_s: Floats, q: Floats, file: str) -> AttitudeRows:
+    """Attitudes at t_s (N,) of quaternions (N, 4) that relate REF_FRAME_A and REF_FRAME_B of `meta`."""
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
+    frames = [SAME_FRAME.get(frame, frame) for frame in frames]
     inertial = [frame for frame in INERTIAL if frame in frames]
     if len(inertial) != 1 or frames[0] == frames[1]:
         expected = f"one of {', '.join(INERTIAL)}, and the head"
         raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
         raise RawDataError(file, "ATTITUDE_DIR", direction, "A2B or B2A")
-    since, t_s = epoch, np.array([], dtype=float)
-    if states:
-        since, t_s = tai_seconds([time for time, _ in states], meta["TIME_SYSTEM"], file)
-    q = np.array([components for _, components in states], dtype=float).reshape(-1, 4)
     R_ab = _rotations(q, file)  # components in B to components in A
     from_b_to_a = direction == "A2B"
     head_is_b = frames[0] in INERTIAL
     return AttitudeRows(
-        t_s=t_s + float(since.tai_s - epoch.tai_s),
+        t_s=t_s,
         R_si=_to_gcrs(R_ab, from_b_to_a != head_is_b, inertial[0]),
     )

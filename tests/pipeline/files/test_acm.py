@@ -1,0 +1,205 @@
+"""Attitudes from a CCSDS ACM: by the standard's matrix, and as this program's own export writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.features.exports.ccsds_aem import AemHeader, comprehensive_message
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.inertial_frames import rotation_to_gcrs
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
+
+EPOCH = Epoch.from_utc("2025-03-20T02:31:00Z")
+# Of length 1 to its digits, no component near another.
+Q = np.array([[0.1, 0.5, -0.7, 0.5], [0.5, 0.1, 0.5, -0.7], [-0.7, 0.5, 0.1, 0.5]])
+MESSAGE = """CCSDS_ACM_VERS = 2.0
+CREATION_DATE = 2025-03-21T00:00:00
+ORIGINATOR = HAND
+
+META_START
+COMMENT two tenths of a second
+OBJECT_NAME = SAT
+TIME_SYSTEM = UTC
+EPOCH_TZERO = 2025-03-20T02:31:00.5
+META_STOP
+
+AD_START
+AD_METHOD = EKF
+AD_STOP
+
+ATT_START
+REF_FRAME_A = ICRF
+REF_FRAME_B = STR1
+NUMBER_STATES = 7
+ATT_TYPE = QUATERNION
+RATE_TYPE = ANGVEL
+0.0 0.1 0.5 -0.7 0.5 0 0 0.06
+0.1 0.5 0.1 0.5 -0.7 0 0 0.06
+0.2 -0.7 0.5 0.1 0.5 0 0 0.06
+ATT_STOP
+"""
+COVARIANCE = """
+COV_START
+COV_REF_FRAME = STR1
+COV_TYPE = ANGLE
+0.0 1e-8 2e-8 3e-6
+0.1 1e-8 2e-8 4e-6
+0.2 1e-8 2e-8 5e-6
+COV_STOP
+"""
+
+
+def matrix_a_to_b(q1: float, q2: float, q3: float, qc: float) -> np.ndarray:
+    """CCSDS 504.0-B, annex on conventions: takes components in frame A to components in frame B."""
+    return np.array(
+        [
+            [q1**2 - q2**2 - q3**2 + qc**2, 2 * (q1 * q2 + q3 * qc), 2 * (q1 * q3 - q2 * qc)],
+            [2 * (q1 * q2 - q3 * qc), -(q1**2) + q2**2 - q3**2 + qc**2, 2 * (q2 * q3 + q1 * qc)],
+            [2 * (q1 * q3 + q2 * qc), 2 * (q2 * q3 - q1 * qc), -(q1**2) - q2**2 + q3**2 + qc**2],
+        ]
+    )
+
+
+def read(folder: Path, text: str) -> AttitudeRows:
+    (folder / "str1.acm").write_text(text)
+    return read_attitudes(folder / "str1.acm", "str1.acm", EPOCH, None, None)
+
+
+def test_attitudes_have_the_standards_sense_and_times(tmp_path: Path) -> None:
+    rows = read(tmp_path, MESSAGE)
+    assert rows.t_s == pytest.approx([0.5, 0.6, 0.7], abs=1e-9) and rows.covariance_s is None
+    for n, q in enumerate(Q):
+        assert rows.R_si[n].as_matrix() == pytest.approx(matrix_a_to_b(*q), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["EME2000", "J2000"])
+def test_mean_axes_of_2000_have_their_frame_bias(name: str, tmp_path: Path) -> None:
+    rows = read(tmp_path, MESSAGE.replace("ICRF", name))
+    bias = rotation_to_gcrs("EME2000").as_matrix()  # EME2000 to GCRS
+    assert rows.R_si[0].as_matrix() @ bias == pytest.approx(matrix_a_to_b(*Q[0]), abs=1e-12)
+
+
+def test_head_as_frame_a_gives_the_inverse(tmp_path: Path) -> None:
+    swapped = MESSAGE.replace("FRAME_A = ICRF", "FRAME_A = STR1").replace("FRAME_B = STR1", "FRAME_B = ICRF")
+    rows = read(tmp_path, swapped)
+    assert rows.R_si[0].as_matrix() == pytest.approx(matrix_a_to_b(*Q[0]).T, abs=1e-12)
+
+
+def test_dates_and_other_scales_are_the_same_instants(tmp_path: Path) -> None:
+    dated = MESSAGE
+    for n in range(3):
+        dated = dated.replace(f"\n0.{n} ", f"\n2025-03-20T02:31:00.{5 + n} ")
+    assert read(tmp_path, dated).t_s == pytest.approx([0.5, 0.6, 0.7], abs=1e-9)
+    tai = MESSAGE.replace("= UTC", "= TAI").replace("02:31:00.5", "02:31:37.5")  # TAI - UTC is 37 s in 2025
+    assert read(tmp_path, tai).t_s == pytest.approx([0.5, 0.6, 0.7], abs=1e-9)
+
+
+def test_variances_are_those_of_the_head(tmp_path: Path) -> None:
+    rows = read(tmp_path, MESSAGE + COVARIANCE)
+    assert rows.covariance_s is not None
+    expected = np.diag(np.radians(np.sqrt([1e-8, 2e-8, 4e-6])) ** 2)
+    assert rows.covariance_s[1] == pytest.approx(expected, rel=1e-12)
+
+
+def test_several_blocks_of_one_head_follow_one_another(tmp_path: Path) -> None:
+    block = MESSAGE[MESSAGE.index("ATT_START") :]
+    later = "".join(f"{0.3 + 0.1 * n:.1f}{line[3:]}\n" for n, line in enumerate(block.splitlines()[6:9]))
+    second = "\n".join([*block.splitlines()[:6], later + "ATT_STOP\n"])
+    rows = read(tmp_path, MESSAGE + second)
+    assert rows.t_s == pytest.approx(0.5 + 0.1 * np.arange(6), abs=1e-9)
+    with pytest.raises(RawDataError, match=r"REF_FRAME_A and REF_FRAME_B: .*STR2.*delete the other blocks"):
+        read(tmp_path, MESSAGE + second.replace("STR1", "STR2"))
+
+
+def test_the_exported_message_is_read_with_its_variances(tmp_path: Path) -> None:
+    R_ci = Rotation.from_rotvec(
+        np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64])
+    )  # half a turn and more
+    utc = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]
+    header = AemHeader(creation_utc="2025-03-21T00:00:00", object_name="SAT", instrument="CAMERA_1")
+    variance = np.outer(np.arange(1.0, 8.0), [1e-12, 4e-12, 9e-10])
+    rows = read(tmp_path, comprehensive_message(header, ["strip S01"], utc, R_ci, variance))
+    assert rows.t_s == pytest.approx(0.25 + np.arange(7.0), abs=1e-9)
+    assert (rows.R_si * R_ci.inv()).magnitude().max() < 1e-13  # 15 decimals are written
+    assert rows.covariance_s is not None
+    assert np.diagonal(rows.covariance_s, axis1=1, axis2=2) == pytest.approx(variance, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("= 2.0", "= 3.0", "CCSDS_ACM_VERS: found 3.0, expected 2.0"),
+        (
+            "ATT_TYPE = QUATERNION",
+            "ATT_TYPE = EULER_ANGLES",
+            "ATT_TYPE: found EULER_ANGLES, expected QUATERNION",
+        ),
+        ("REF_FRAME_A = ICRF\n", "", "line 16, REF_FRAME_A: found nothing"),
+        ("REF_FRAME_A = ICRF", "REF_FRAME_A = LVLH", "found LVLH and STR1, expected one of GCRF, ICRF"),
+        ("EPOCH_TZERO = 2025-03-20T02:31:00.5\n", "", "EPOCH_TZERO: found nothing"),
+        ("EPOCH_TZERO = 2025-03-20", "EPOCH_TZERO = 2025-13-20", "EPOCH_TZERO: found "),
+        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = MET", "TIME_SYSTEM: found MET"),
+        (
+            "0.1 0.5 0.1 0.5 -0.7 0 0 0.06",
+            "0.1 0.5 0.1 0.5",
+            "line 23: found 0.1 0.5 0.1 0.5, expected a time",
+        ),
+        ("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 0.5 x", "line 23, QC: found x"),
+        ("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 0.5 0.9", "attitude 2: found .*of length"),
+        ("0.2 -0.7", "0.05 -0.7", "COV_START: found 3 covariances, expected one at each of 3 attitudes"),
+        ("ATT_STOP\n\nCOV", "\nCOV", "line 26: found COV_START, expected ATT_STOP before it"),
+        ("COV_STOP\n", "", "end of the file: found inside COV"),
+        (
+            "COV_TYPE = ANGLE",
+            "COV_TYPE = QUATERNION",
+            "COV_TYPE: found QUATERNION in STR1, expected ANGLE .*white",
+        ),
+        ("COV_REF_FRAME = STR1", "COV_REF_FRAME = ICRF", "found ANGLE in ICRF, expected ANGLE in STR1"),
+        ("0.2 1e-8 2e-8 5e-6\n", "", "COV_START: found 2 covariances, expected one at each of 3 attitudes"),
+        ("0.2 1e-8 2e-8 5e-6", "0.2 1e-8 2e-8 -5e-6", "expected positive variances"),
+    ],
+)
+def test_what_is_not_read_is_named(old: str, new: str, complaint: str, tmp_path: Path) -> None:
+    whole = MESSAGE + COVARIANCE
+    assert old in whole
+    with pytest.raises(RawDataError, match=r"str1\.acm: .*" + complaint):
+        read(tmp_path, whole.replace(old, new, 1))
+
+
+def test_times_that_go_back_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RawDataError, match=r"attitude 3, time: found -0\.05"):
+        read(tmp_path, MESSAGE.replace("0.2 -0.7", "0.05 -0.7"))
+
+
+def test_keys_of_a_csv_file_and_xml_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / "a.acm").write_text(MESSAGE)
+    with pytest.raises(RawDataError, match="no such key: a message states its own"):
+        read_attitudes(tmp_path / "a.acm", "a.acm", EPOCH, "GCRF", "head to inertial")
+    (tmp_path / "a.xml").write_text('<acm id="CCSDS_ACM_VERS" version="2.0"><body/></acm>')
+    with pytest.raises(
+        RawDataError, match="root element: found acm, expected aem; an ACM is read as keyword"
+    ):
+        read_attitudes(tmp_path / "a.xml", "a.xml", EPOCH, None, None)
+
+
+def test_mutated_messages_are_read_or_refused(tmp_path: Path) -> None:
+    rng, whole = np.random.default_rng(3), (MESSAGE + COVARIANCE).encode()
+    refused = 0
+    for n in range(2000):
+        raw = bytearray(whole)
+        for _ in range(int(rng.integers(1, 4))):
+            raw[int(rng.integers(0, len(raw)))] = int(rng.integers(9, 127))
+        if n % 4 == 0:
+            lines = bytes(raw).splitlines(keepends=True)
+            raw = bytearray(b"".join(lines[int(k)] for k in rng.permutation(len(lines))[: len(lines) - 1]))
+        (tmp_path / "m.acm").write_bytes(bytes(raw))
+        try:
+            read_attitudes(tmp_path / "m.acm", "m.acm", EPOCH, None, None)
+        except RawDataError:
+            refused += 1
+    assert 500 < refused < 2000
