@@ -22,6 +22,7 @@ from boresight.pipeline.files.record_tables import (
     table_from_record,
 )
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, column
+from boresight.pipeline.results.sightings_tables import COLUMNS
 
 
 class Colour(StrEnum):
@@ -113,7 +114,9 @@ def test_columns_of_sightings_are_those_of_the_format() -> None:
     stars = empty(StarSightings, exposure_id="e1", t_s=0.0)
     assert list(columns_of(stars)) == ["hip", "xy_px", "u_s", "u_i", "cov_s", "snr"]
     expected = "target_id ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i"
-    assert list(columns_of(empty(GroundSightings))) == expected.split()
+    of_targets = list(columns_of(empty(GroundSightings)))
+    assert of_targets == [*expected.split(), "earth_i"]  # the last is not written: the orbit's date gives it
+    assert "earth_i" not in COLUMNS["targets"]
 
 
 @pytest.mark.parametrize(
