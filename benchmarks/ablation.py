@@ -199,6 +199,7 @@ def sightings(one: Pass, how: Processing, stars: StarPlaces) -> StripSightings:
         range_m=range_m,
         v_rel_i=np.einsum("nij,nj->ni", R_ie, orbit.velocities_e(t_row)),
         cov_target_i=np.tile(0.01 * np.eye(3), (TARGETS, 1, 1)),
+        earth_i=np.zeros((TARGETS, 3, 3)),
     )
     return StripSightings(
         strip_id=one.name,

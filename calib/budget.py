@@ -113,8 +113,6 @@ def _coordinates(strip: StripSightings) -> StripSightings:
 
 def _earth(strip: StripSightings) -> StripSightings:
     ground = strip.ground
-    if ground.earth_i is None:
-        return strip
     return replace(strip, ground=replace(ground, earth_i=np.sqrt(1.0 + STEP) * ground.earth_i))
 
 

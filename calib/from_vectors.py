@@ -107,6 +107,7 @@ def _strip(
         range_m=np.full(J, np.inf),
         v_rel_i=np.zeros((J, 3)),
         cov_target_i=np.zeros((J, 3, 3)),
+        earth_i=np.zeros((J, 3, 3)),
     )
     return StripSightings(
         strip_id=name,

@@ -213,7 +213,7 @@ def prepare_strip(
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
-        earth_s=R_si @ ground.by_earth_i,
+        earth_s=R_si @ ground.earth_i,
         late_s=late[:, :, 0],
         move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         ties=ties,

@@ -100,17 +100,11 @@ class GroundSightings:
     cov_target_i: Floats = array(
         "N, 3, 3", "covariance of the target's own coordinates, GCRS axes, m²; of a star's direction, rad²"
     )
-    earth_i: Floats | None = array(
+    earth_i: Floats = array(
         "N, 3, 3",
         "change of u_i (columns) by rotations of the Earth about the axes of e, each of the 1-sigma of "
-        "predicted Earth orientation, rad; None: measured values",
-        default=None,
+        "predicted Earth orientation, rad; zero for measured values and for a star",
     )
-
-    @property
-    def by_earth_i(self) -> Floats:
-        """(N, 3, 3) `earth_i`, zeros where Earth orientation is measured."""
-        return np.zeros((len(self.ccd), 3, 3)) if self.earth_i is None else self.earth_i
 
     @property
     def is_star(self) -> Bools:

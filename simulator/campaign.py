@@ -400,6 +400,7 @@ def _draw_targets(
         range_m=range_m,
         v_rel_i=motion.velocity_i(t),
         cov_target_i=np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
+        earth_i=np.zeros((J, 3, 3)),
     )
     return ground, wrong.tolist(), look_c
 

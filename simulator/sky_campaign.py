@@ -115,6 +115,7 @@ def _draw_strip(
         range_m=np.full(J, np.inf),
         v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
+        earth_i=np.zeros((len(catalogue_i), 3, 3)),
     )
     return StripSightings(
         strip_id=name,

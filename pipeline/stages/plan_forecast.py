@@ -150,10 +150,8 @@ def _with_targets_twice(strip: StripSightings) -> StripSightings:
     ground = strip.ground
     both = {
         name: np.concatenate([getattr(ground, name)] * 2)
-        for name in "ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i".split()
+        for name in "ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i earth_i".split()
     }
-    if ground.earth_i is not None:
-        both["earth_i"] = np.concatenate([ground.earth_i] * 2)
     names = np.concatenate([ground.target_id, np.char.add(ground.target_id, " (second)")])
     R_oi = Rotation.concatenate([strip.R_oi_targets] * 2)
     return replace(strip, ground=replace(ground, target_id=names, **both), R_oi_targets=R_oi)

@@ -402,9 +402,7 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
     )
 
 
-def _by_earth_orientation(
-    orbit: Orbit, p_e: Floats, t_s: Floats, u_i: Floats, range_m: Floats
-) -> Floats | None:
+def _by_earth_orientation(orbit: Orbit, p_e: Floats, t_s: Floats, u_i: Floats, range_m: Floats) -> Floats:
     """Change (N, 3, 3) of directions u_i by the 1-sigma rotations of the Earth, as `GroundSightings.earth_i`.
 
     A rotation by a small vector a moves a ground point by R_ie (a x p_e), and a satellite whose orbit is
@@ -412,7 +410,7 @@ def _by_earth_orientation(
     """
     earth = orbit.earth
     if not earth.sigma_e_rad.any():
-        return None
+        return np.zeros((len(t_s), 3, 3))
     lever_e = p_e - orbit.positions_e(t_s) if orbit.frame == "ITRF" else p_e
     moved_i = -earth.matrices_ie(t_s) @ cross_matrices(lever_e) * earth.sigma_e_rad
     across = np.eye(3) - u_i[:, :, None] * u_i[:, None, :]
