@@ -86,6 +86,12 @@ class Row:
 ROWS = (
     Row("clean", as_stated=True),
     Row("20 hot columns, row noise, vignetting", sensor=BAD),
+    Row(
+        "20 hot columns, 8 bits, 20 deg",
+        sensor=replace(BAD, bits=8, bias_dn=16.0),
+        fov_deg=20.0,
+        complete=0.85,  # the list ends with 600 stars
+    ),
     Row("row noise of 0.75 sigma", sensor=Sensor(row_noise=0.75)),
     Row("sky clipped at zero", sensor=Sensor(clipped=True)),
     Row("columns, rows, clipped", sensor=replace(BAD, vignetting=0.15, clipped=True)),

@@ -3,7 +3,8 @@
 Two short parts of each line far apart show its offset alike, which noise and stars do not: the covariance of
 the parts, over the lines, is the variance of the offsets, and in a single hot line both parts stand out.
 Where either is significant each line's mean without stars, less the smooth course of these, is subtracted;
-the level of the sky over the image remains.
+the level of the sky over the image remains. A single line that is near saturation, or much noisier than those
+around it, shows no stars: it is replaced by the mean of the lines beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, Ints
+from boresight.geometry.record import Bools, Floats, Ints
 
 __all__ = ["without_lines"]
 
@@ -43,6 +44,27 @@ _SMOOTH = 301
 _RAISED = 0.05
 # Distance from the median, sigmas, beyond which the level of a line is an outlier.
 _CLIP_SIGMA = 3.0
+# Standard deviation of a pixel, DN, up to which an image of whole numbers has too few grey levels to show the
+# offsets of all lines: rounding then adds a tenth to the variance (1/12 DN^2).
+_LEAST_NOISE_DN = 1.0
+# The same for 8 bits where the sky is cut off (set by hand: real frames whose sky is 0 to 2 DN lost stars).
+_LEAST_NOISE_CUT_OFF_DN = 4.0
+# Distance, sigmas of a pixel, of the sky from the least value, below which it is cut off.
+_WHOLE_SKY = 4.0
+# Distance, sigmas of a pixel, of a line's level from saturation, below which some of its pixels are
+# saturated by noise: one in 30 000.
+_TO_SATURATION = 4.0
+# Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
+# have half the weight; estimated to 0.04).
+_NOISIER = 1.4
+# Share of pixels above the least value from which a sky is not cut off (set by hand).
+_WHOLE = 0.99
+# Every so many rows and columns are looked at for that.
+_SPARSE = 4
+# Parts of a line that must all be noisy: a bloom or a roof fills some of them.
+_QUARTERS = 4
+# Most adjacent lines that are replaced: a wider band is no fault of single lines.
+_MOST_ADJACENT = 2
 
 
 def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
@@ -57,14 +79,28 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
         return image
     clean = image.astype(np.float32)
     floor = float(image.min())
+    whole = float(np.mean(image[::_SPARSE, ::_SPARSE] > image.min())) > _WHOLE
+    useless = []
     for axis in lines:
-        offset = _offsets(clean if axis == 0 else clean.T)
+        seen = clean if axis == 0 else clean.T
+        offset, unusable = _offsets(seen, saturation_dn, whole)
         floor -= min(0.0, float(np.quantile(offset, _RAISED)))
-        clean -= offset[:, None] if axis == 0 else offset
+        seen -= offset[:, None]
+        useless.append((seen, unusable))
     np.maximum(clean, floor, out=clean)  # a sky that was cut off is so in all lines alike
     if np.isfinite(saturation_dn):
         clean[image >= saturation_dn] = saturation_dn
+    for seen, unusable in useless:
+        _replace(seen, unusable)
     return clean
+
+
+def _replace(image: NDArray[np.float32], rows: Ints) -> None:
+    """Replace single rows of an image (H, W), in place, by the mean of the rows beside them."""
+    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+        if 0 < len(run) <= _MOST_ADJACENT:
+            beside = [k for k in (run[0] - 1, run[-1] + 1) if 0 <= k < len(image)]
+            image[run] = image[beside].mean(axis=0)
 
 
 def _has_offsets(image: NDArray[Any], axis: int) -> bool:
@@ -76,18 +112,21 @@ def _has_offsets(image: NDArray[Any], axis: int) -> bool:
     steps = np.diff(parts[:, :_LINES], axis=1)
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
     scale = 1.4826 * float(few[len(few) // 2])
-    least_dn = {np.dtype(np.uint8): 4.0, np.dtype(np.uint16): 1.0}.get(image.dtype, 0.0)
-    if _PART_PX * scale**2 <= 2.0 * least_dn**2:  # with few grey levels offsets are rounded like everything
-        return False
+    least_dn = _LEAST_NOISE_DN if np.issubdtype(image.dtype, np.integer) else 0.0
+    scale = max(scale, least_dn / np.sqrt(_PART_PX))
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
     limit = _STANDS_OUT * scale
     single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
     if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
         return True
+    pixel_dn = scale * np.sqrt(0.5 * _PART_PX)
+    if image.dtype == np.uint8 and np.median(parts) < image.min() + _WHOLE_SKY * pixel_dn:
+        least_dn = _LEAST_NOISE_CUT_OFF_DN
+    if pixel_dn <= least_dn:
+        return False
     steps = np.clip(steps, -3.0 * scale, 3.0 * scale)
     product = steps[0] * steps[1]  # twice the variance of the offsets
-    pixel_variance = 0.5 * _PART_PX * scale**2
-    if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_variance:
+    if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_dn**2:
         return False
     if product.mean() < _SIGNIFICANT * float(product.std()) / np.sqrt(len(product)):
         return False
@@ -116,20 +155,35 @@ def _differ(image: NDArray[Any], rows: Ints, limit: float) -> bool:
     return bool(np.any(np.abs(own - 0.5 * (before + after)) > limit))
 
 
-def _offsets(image: NDArray[Any]) -> NDArray[np.float32]:
-    """(H,) offsets of the rows of an image: their means without stars less the smooth course of these.
+def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[NDArray[np.float32], Ints]:
+    """(H,) offsets of the rows of an image, their means without stars less the smooth course of these, and
+    the rows that show no stars: near saturation, or, in a `whole` sky, too noisy.
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
     """
-
     sample = image[:, :: max(1, image.shape[1] // _SAMPLES)]
     median = np.median(sample, axis=1)
     rest = sample - median[:, None]
-    limit = _CLIP_SIGMA * max(1.4826 * float(np.median(np.abs(rest))), 1.0)
+    noise = 1.4826 * float(np.median(np.abs(rest)))
+    limit = _CLIP_SIGMA * max(noise, 1.0)
     above = np.mean(sample > sample.min(), axis=1).clip(0.2)
-    middle = median + np.clip(rest, -limit, limit).mean(axis=1) / above
+    clipped = np.clip(rest, -limit, limit)
+    middle = median + clipped.mean(axis=1) / above
     around = scipy.ndimage.median_filter(middle, _AROUND, mode="nearest")
     off = middle - around
     inlier = np.clip(off, -3.0 * (spread := 1.4826 * np.median(np.abs(off))), 3.0 * spread)
     window = min(_SMOOTH, len(middle) // 2 * 2 - 1)
-    return np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)
+    offset = np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)
+    unusable = median > saturation_dn - _TO_SATURATION * noise
+    if whole:  # of a sky that is cut off, raised lines show more noise
+        unusable |= _noisy(clipped)
+    return offset, np.flatnonzero(unusable)
+
+
+def _noisy(clipped: NDArray[Any]) -> Bools:
+    """(H,) which rows (H, S), less their medians and without stars, are noisier than those around them in
+    all their parts."""
+    parts = np.array_split(clipped, _QUARTERS, axis=1)
+    noise = np.min([np.sqrt((part**2).mean(axis=1)) for part in parts], axis=0)
+    usual = scipy.ndimage.median_filter(noise, _AROUND, mode="nearest")
+    return np.asarray(noise > _NOISIER * np.maximum(usual, 0.3))

@@ -4,6 +4,9 @@ The four pixels of each 2 x 2 cell then see skies of different brightness, all o
 stars tell the response of the four to starlight: found in the image of cells (means of four pixels), measured
 in the raw one. Each of the four, less its own background and divided by its response, then shows the same
 stars; what remains of the difference is the noise, and the pixels are weighted by it.
+
+Offsets of a grey sensor's readout make the same pattern in the sky, but not in starlight: a response that
+enough stars do not show alike is one.
 """
 
 from __future__ import annotations
@@ -33,6 +36,15 @@ _STAR_PX = 24
 _ALIKE = 0.8
 # Least response of a colour, of the mean: a darker pixel tells nothing of a star, and would be amplified.
 _LEAST_RESPONSE = 0.1
+# Fewest stars that show a response: a hot pixel is one of them now and then (set by hand).
+_FEWEST = 5
+# Difference of a response from one, in its standard errors, from which it is divided out: by chance one in
+# 16 000.
+_SIGNIFICANT_SIGMA = 4.0
+# Largest standard error of a response that is divided out: its square is added to the noise of starlight.
+_LARGEST_ERROR = 0.1
+# Standard error of a median over that of a mean, for normal errors: the root of pi / 2.
+_OF_MEDIAN = 1.2533
 
 
 def has_mosaic(image: NDArray[Any]) -> bool:
@@ -59,19 +71,29 @@ def has_mosaic(image: NDArray[Any]) -> bool:
 
 def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
     """(2, 2) response of a cell's pixels to starlight, of mean one, by the light of unsaturated stars at
-    `xy_px` (N, 2) of the raw image (H, W); ones without stars."""
+    `xy_px` (N, 2) of the raw image (H, W): the median of the stars' own; ones where too few stars show it
+    alike, or none of the four differs from one."""
     size = np.array(image.shape[::-1])
     corner = (np.rint(xy_px).astype(np.int64) - _STAR_PX // 2) // 2 * 2
     corner = corner[((corner >= 0) & (corner + _STAR_PX <= size)).all(axis=1)]
-    if not len(corner):
+    if len(corner) < _FEWEST:
         return np.ones((2, 2))
     windows = np.stack([image[y : y + _STAR_PX, x : x + _STAR_PX] for x, y in corner]).astype(np.float64)
     half = _STAR_PX // 2
     cells = windows.reshape(-1, half, 2, half, 2).transpose(2, 4, 0, 1, 3)
     inner = slice(half // 4, half - half // 4)
-    light = (cells[..., inner, inner] - np.median(cells, axis=(3, 4), keepdims=True)).sum(axis=(2, 3, 4))
-    mean = max(float(light.mean()), 1e-9)
-    return np.asarray((light / mean).clip(_LEAST_RESPONSE))
+    light = (cells[..., inner, inner] - np.median(cells, axis=(3, 4), keepdims=True)).sum(axis=(3, 4))
+    mean = light.mean(axis=(0, 1))
+    if np.count_nonzero(mean > 0.0) < _FEWEST:
+        return np.ones((2, 2))
+    of_star = light[..., mean > 0.0] / mean[mean > 0.0]  # (2, 2, N)
+    response = np.median(of_star, axis=2)
+    scatter = 1.4826 * np.median(np.abs(of_star - response[..., None]), axis=2)
+    error = _OF_MEDIAN * scatter / np.sqrt(of_star.shape[2])
+    differs = np.abs(response - 1.0) > _SIGNIFICANT_SIGMA * error
+    if not differs.any() or error.max() > _LARGEST_ERROR:
+        return np.ones((2, 2))
+    return np.asarray((response / response.mean()).clip(_LEAST_RESPONSE))
 
 
 def even_image(

@@ -167,8 +167,8 @@ def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] |
         return _list_stars(image, estimate_background(image), settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
-    image, background, saturation = even_image(image, response, saturation)
-    return _list_stars(image, background, settings, saturation)
+    even, background, even_saturation = even_image(image, response, saturation)
+    return replace(_list_stars(even, background, settings, even_saturation), saturation_dn=saturation)
 
 
 def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float) -> Ints:

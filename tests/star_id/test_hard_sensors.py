@@ -75,6 +75,7 @@ def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
     image = (light * share + rng.normal(0.0, 6.0, light.shape)).round().astype(np.uint16)
     assert has_mosaic(image) and not has_mosaic(light)
     stars = list_stars(image, StarSettings())
+    assert stars.saturation_dn <= 65535.0  # of the raw image
     distance, nearest = cKDTree(stars.xy_px).query(xy)
     assert (distance < 1.0).mean() >= 0.95
     error = (stars.xy_px[nearest] - xy)[distance < 1.0]
@@ -82,6 +83,24 @@ def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
     found, false, chi2 = scored(stars, xy)
     assert found >= 0.95 and false <= 2
     assert 0.75 < chi2 < 1.3  # 290 coordinates: 0.08, and the noise of four colours
+
+
+@pytest.mark.parametrize("count", [1, 8, 30])
+def test_offsets_of_a_grey_sensor_are_no_colours(count):
+    """The four pixels of a cell read out with offsets of their own, hot pixels among few stars, 8 bits."""
+    rng = np.random.default_rng(13)
+    xy = places(rng, count)
+    sensor = Sensor(bits=16, e_per_dn=4.0, background_dn=30.0, read_noise_dn=2.5)
+    image = render(xy, rng.uniform(200.0, 900.0, count), SIZE, SIZE, sensor, rng).astype(np.float64)
+    image += np.tile([[0.0, 2.0], [1.0, 3.0]], (SIZE // 2, SIZE // 2))
+    hot = rng.integers(0, image.size, 30)
+    image.ravel()[hot] += 120.0
+    stars = list_stars(image.round().clip(0, 255).astype(np.uint8), StarSettings())
+    true_dn = np.hypot(2.5, 12.0**-0.5)  # readout and rounding
+    assert abs(np.median(stars.background.noise_dn) / true_dn - 1.0) < 0.05
+    assert stars.saturation_dn == 255.0
+    found, false, _ = scored(stars, xy)
+    assert found >= 0.95 and false <= 2
 
 
 def test_a_sky_cut_off_at_zero_gives_few_false_detections():
