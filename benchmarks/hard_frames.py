@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter1d
@@ -54,6 +55,7 @@ class Sensor:
     caption: bool = False
     nebula_e: float = 0.0
     cosmic_rays: int = 0
+    jpeg: int | None = None  # quality, of 8 bits
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,11 @@ def render(
     image = np.clip(np.rint(image), 0, top)
     if sensor.caption:
         write_caption(image, top)
-    return image.astype(np.uint8 if sensor.bits == 8 else np.uint16), variance
+    image = image.astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    if sensor.jpeg:
+        _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg])
+        image = cv2.imdecode(file, cv2.IMREAD_UNCHANGED)
+    return image, variance
 
 
 def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:

@@ -50,7 +50,9 @@ class Background:
     """Sky level and noise on a grid of R x C blocks that divides the image evenly."""
 
     level_dn: Floats = array("R, C", "mean of the sky, DN")
-    noise_dn: Floats = array("R, C", "standard deviation of a pixel, DN")
+    noise_dn: Floats = array(
+        "R, C", "standard deviation of a pixel, DN; of independent pixels that disturb a star as much"
+    )
     width_px: int = scalar("columns of the image")
     height_px: int = scalar("rows of the image")
     weights: Floats | None = scalar(
@@ -58,6 +60,9 @@ class Background:
     )
     above_cut: Floats | None = array(
         "R, C", "sigmas from the least value up to the level; None: no block is cut off there", default=None
+    )
+    correlation: float = scalar(
+        "noise_dn over the scatter of single pixels: more than 1 where their noise is correlated", default=1.0
     )
 
     def at(self, xy_px: Floats) -> tuple[Floats, Floats]:

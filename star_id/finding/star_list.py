@@ -17,6 +17,7 @@ from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
+from boresight.star_id.finding.correlated_noise import as_independent_noise
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
@@ -189,6 +190,7 @@ def _list_stars(
     """Stars of an image (H, W) of one colour, its dark frame subtracted: by a Gaussian PSF, or where it does
     not fit by one with coma, a trail or an empirical one.
     """
+    background = as_independent_noise(image, background)
     found = _detections(image, background, settings, saturation)
     stars = _measured(image, found, background, settings, saturation)
     if settings.psf_sigma_px is not None or settings.smear_px is not None:
@@ -407,7 +409,7 @@ def _detections(
         offset_px=found.offset_px,
         psf=psf,
         psf_stars=psf_stars,
-        gain_e_per_dn=settings.gain_e_per_dn or gain_from_widths(shapes),
+        gain_e_per_dn=settings.gain_e_per_dn or gain_from_widths(shapes, background.correlation),
         threshold=threshold,
         hot_pixels=found.hot_pixels,
     )

@@ -115,17 +115,19 @@ def psf_of(fits: WidthFits, start: Psf, *, find_smear: bool) -> Psf:
     return _with_smear(psf, fits) if find_smear else psf
 
 
-def gain_from_widths(fits: WidthFits) -> float:
+def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
     """Electrons per DN, from the growth of residuals with the signal; infinite if they do not grow.
 
     What the PSF leaves of all stars alike, at each distance from their middles, is no noise and subtracted.
+    Residuals are those of single pixels, whose noise is that of the windows over `correlation`.
     """
     if fits.stars < _STARS_FOR_GAIN:
         return np.inf
-    unit, noise2 = fits.images.columns[fits.good], fits.windows.noise2[fits.good, None]
+    unit, in_fits = fits.images.columns[fits.good], fits.windows.noise2[fits.good, None]
     scale = by_parameter(fits.state[fits.good], 5)
     covariance = np.linalg.inv(fits.normal[fits.good]) * scale[:, :, None] * scale[:, None, :]
-    leverage = (np.matmul(covariance.astype(np.float32), unit) * unit).sum(axis=1) / noise2
+    leverage = (np.matmul(covariance.astype(np.float32), unit) * unit).sum(axis=1) / in_fits
+    noise2 = in_fits / correlation**2
     model = np.maximum(fits.state[fits.good, 2:3] * fits.images.value[fits.good], 0.0)
     freedom = np.clip(1.0 - leverage, 0.1, 1.0)
     residual2 = _without_common_misfit(fits).astype(float) ** 2
