@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, record, scalar
@@ -23,6 +22,8 @@ __all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"
 
 # Points along a pixel of the grid of an empirical PSF (set by hand).
 FINE = 2
+# Stars whose empirical images are made at a time, so that they stay in the processor's cache (set by hand).
+_CHUNK = 64
 
 
 @record
@@ -129,27 +130,39 @@ def images_at(psf: Psf, pixels: Ints, offset: Floats, sigma: Floats, radius: int
 
 def shape_images(shape: NDArray[Any], offset: Floats, radius: int) -> PsfImages:
     """Images as in `images_at` from the spline coefficients (T, T) of an empirical image."""
-    grid, middle = np.arange(-radius, radius + 1.0), shape.shape[0] // 2
-    at = [
-        np.broadcast_to(axis, (len(offset), len(grid), len(grid)))
-        for axis in (
-            (grid[None, :, None] - offset[:, 1, None, None]) * FINE + middle,
-            (grid[None, None, :] - offset[:, 0, None, None]) * FINE + middle,
-        )
-    ]
+    rows, columns = (_spline_weights(offset[:, axis], radius, len(shape)) for axis in (1, 0))
+    coefficients = shape.astype(np.float32)
+    images = np.ones((len(offset), 4, 2 * radius + 1, 2 * radius + 1), dtype=np.float32)
+    for first in range(0, len(offset), _CHUNK):
+        some = slice(first, first + _CHUNK)
+        across = columns[some].transpose(0, 1, 3, 2)
+        half = rows[some] @ coefficients
+        np.matmul(half[:, 0], across[:, 1], out=images[some, 0])
+        np.matmul(half[:, 1], across[:, 0], out=images[some, 1])
+        np.matmul(half[:, 0], across[:, 0], out=images[some, 2])
+    return PsfImages(images.reshape(len(offset), 4, (2 * radius + 1) ** 2), None)
 
-    def sampled(rows: float, columns: float) -> NDArray[Any]:
-        moved = [at[0] + rows, at[1] + columns]
-        return map_coordinates(shape, moved, order=3, prefilter=False, mode="constant").reshape(
-            len(offset), -1
-        )
 
-    value, step = sampled(0.0, 0.0), 0.25
-    d_x, d_y = (
-        (sampled(-step * y, -step * x) - sampled(step * y, step * x)) * (FINE / (2.0 * step))
-        for y, x in ((0.0, 1.0), (1.0, 0.0))
-    )
-    return PsfImages(np.stack([d_x, d_y, value, np.ones_like(value)], axis=1).astype(np.float32), None)
+def _spline_weights(offset: Floats, radius: int, size: int) -> NDArray[np.float32]:
+    """(N, 2, side, size) weights of spline coefficients along one axis in the pixels of windows, at `offset`
+    (N,) from their middles, and their derivatives by it. Coefficients beyond the edge are zero.
+
+    All pixels of a star lie at the same fraction of a cell, so it has four weights: a cubic B-spline's.
+    """
+    at = size // 2 - FINE * offset
+    cell = np.floor(at)
+    t = at - cell
+    weights = np.array([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 3 * (t + t**2 - t**3) + 1, t**3]) / 6.0
+    slopes = np.array([-((1 - t) ** 2), 3 * t**2 - 4 * t, 1 + 2 * t - 3 * t**2, t**2]) / 2.0
+    side = 2 * radius + 1
+    pixels = FINE * np.arange(-radius, radius + 1)
+    index = cell.astype(np.int64)[:, None, None] + pixels[:, None] + np.arange(4)  # beyond an edge: 0 or last
+    index = np.clip(index, 0, size + 1)[:, None]
+    both = np.stack([weights, -FINE * slopes]).transpose(2, 0, 1)[:, :, None]
+    answer = np.zeros((len(offset), 2, side, size + 2), dtype=np.float32)
+    star, kind = np.ogrid[: len(offset), :2]
+    answer[star[..., None, None], kind[..., None, None], np.arange(side)[:, None], index] = both
+    return answer[..., 1:-1]
 
 
 def psf_images(
