@@ -152,6 +152,12 @@ def test_identified_image_points_where_the_dump_says(estimate: bs.Calibration) -
     # without a time the annual and orbital aberration remain: 30 arcsec at most
     assert (solution.R_si * R_si.inv()).magnitude() * 206265 < 30.0
     assert solution.fov_deg == pytest.approx(np.degrees(solution.camera.fov_x_rad))
+    size = np.array([solution.camera.width_px, solution.camera.height_px])
+    z = solution.camera.directions_from_pixels((size[None] - 1.0) / 2.0)[0]  # of the image's middle
+    x = np.cross(z, [0.0, 1.0, 0.0]) / np.hypot(z[0], z[2])
+    of_axes = [206264.806 * np.sqrt(axis @ solution.cov_s @ axis) for axis in (x, np.cross(z, x), z)]
+    assert solution.sigma_arcsec[0] == pytest.approx(np.hypot(*of_axes[:2]) / np.sqrt(2.0), rel=1e-6)
+    assert solution.sigma_arcsec[1] == pytest.approx(of_axes[2], rel=1e-6)
 
 
 def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:

@@ -148,3 +148,37 @@ def test_heads_that_agree_are_not_suspected() -> None:
     outcomes = [assess(estimated(flown(seed, 2)), []) for seed in range(10)]
     kinds = {check.kind.value for verdict in outcomes for check in verdict.refuted_by}
     assert not kinds & {"agreement between heads", "alignment between heads from strip to strip"}
+
+
+R_C = Rotation.from_euler("xyz", [155.0, 15.0, -70.0], degrees=True)
+NOISE_C = noise([5.0, 0.8, 0.5], [1.0, 0.3, 3.0], [0.9, 0.4, 1.5], [0.3, 1.7, 0.6])
+FEW = replace(PLAN, strips=3, duration_s=1.2)
+
+
+def three_heads(seed: int) -> list[StripSightings]:
+    """Three strips with some attitudes of three unlike heads; in one of them the reference head is blind."""
+    rng = np.random.default_rng(seed)
+    strips, truth = draw_strips(FEW, CameraPair(R_A), rng)
+    plans = [
+        HeadPlan("A", R_A, NOISE_A, step_s=0.4),
+        HeadPlan("B", R_B, NOISE_B, step_s=0.4, shift_s=0.033),
+        HeadPlan("C", R_C, NOISE_C, step_s=0.4, shift_s=0.11),
+    ]
+    alignment = [SHAKEN * R_A.inv() * R for R in (R_B, R_C)]
+    drawn = with_heads(strips, truth, plans, alignment, FEW.duration_s, rng)
+    return blinded(drawn, {drawn[1].strip_id}, set())
+
+
+def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
+    runs, nees = 150, 0.0
+    chi2_all, dof_all, gain, dof_gain = 0.0, 0, 0.0, 0
+    for seed in range(runs):
+        estimate = estimated(three_heads(seed))
+        assert [one.name for one in estimate.heads] == ["", "B", "C"]
+        error = [theta_between(one.R_cs, R) for one, R in zip(estimate.heads, (R_A, R_B, R_C))]
+        nees += np.concatenate(error) @ np.linalg.solve(estimate.cov_heads, np.concatenate(error))
+        chi2_all, dof_all = chi2_all + estimate.agreement.chi2, dof_all + estimate.agreement.dof
+        gain, dof_gain = gain + estimate.agreement.gain, dof_gain + estimate.agreement.dof_gain
+    for found, dof in ((nees, 9 * runs), (chi2_all, dof_all), (gain, dof_gain)):
+        low, high = chi2(df=dof).ppf([0.0005, 0.9995])
+        assert low < found < high, (found / runs, dof / runs)

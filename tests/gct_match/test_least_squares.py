@@ -4,6 +4,8 @@ world.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -79,6 +81,19 @@ def test_stated_covariance_matches_the_scatter(invented_pairs: Pairs):
     nees = np.concatenate([errors(invented_pairs[key])[1] for key in (("clean", 128), ("affine", 128))])
     low, high = chi2(df=2 * len(nees)).ppf([0.0005, 0.9995])
     assert low < nees.sum() < 1.15 * high  # 15 %: a jackknife over 64 blocks is itself a noisy covariance
+
+
+@pytest.mark.parametrize("contrast", [0.2, 5.0])
+def test_place_and_covariance_do_not_depend_on_the_contrast_of_the_strip(
+    invented_pairs: Pairs, contrast: float
+):
+    for pair in invented_pairs["clean", 64][:4]:
+        usual, other = (
+            placed(pair),
+            placed(replace(pair, window=contrast * pair.window.astype(np.float32) + 7.0)),
+        )
+        np.testing.assert_allclose(other.xy_px, usual.xy_px, rtol=0, atol=2e-4)  # px; a tenth of its sigma
+        np.testing.assert_allclose(other.cov_px, usual.cov_px, rtol=0, atol=0.02 * np.trace(usual.cov_px))
 
 
 def test_error_does_not_lock_to_whole_pixels(aerial_pairs: Pairs):

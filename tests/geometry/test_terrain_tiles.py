@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -74,12 +76,21 @@ def test_first_of_overlapping_tiles_counts_and_gaps_have_no_height():
     ids=["gap", "crs", "between pixels", "other pixels"],
 )
 def test_rasters_that_do_not_fit_stay_apart(other):
-    assert len(joined([tile(0, 0, 40, 40), other], MOST)) == 2
+    one = tile(0, 0, 40, 40)
+    unchanged([one, other], joined([one, other], MOST))
 
 
 def test_tiles_that_would_be_too_large_together_stay_apart():
-    assert len(joined([tile(0, 0, 40, 40), tile(0, 40, 40, 40)], 3199)) == 2
-    assert len(joined([tile(0, 0, 40, 40), tile(0, 40, 40, 40)], 3200)) == 1
+    beside = [tile(0, 0, 40, 40), tile(0, 40, 40, 40)]
+    unchanged(beside, joined(beside, 3199))
+    (both,) = joined(beside, 3200)
+    assert np.array_equal(both.heights_m, tile(0, 0, 40, 80).heights_m)
+
+
+def unchanged(given: list[Raster], found: Sequence[Raster]) -> None:
+    for before, after in zip(given, found, strict=True):
+        assert np.array_equal(after.heights_m, before.heights_m)
+        assert (after.transform, after.crs) == (before.transform, before.crs)
 
 
 def test_rays_meet_overlapping_grids_where_they_meet_the_whole():

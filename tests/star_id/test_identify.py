@@ -207,6 +207,38 @@ def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
         )
 
 
+def test_the_bound_of_a_false_alarm_counts_every_proposal(index, places):
+    """What was tried elsewhere counts too, and a bound beyond what is asked for is no identification."""
+    rng = np.random.default_rng(21)
+    xy, _ = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, stars=9, false=2)
+    plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
+    alone = identify_stars(plane, field, index, SETTINGS)
+    more = 99 * alone.proposals
+    after = identify_stars(plane, field, index, SETTINGS, tried=more)
+    assert after.proposals == alone.proposals + more
+    # a hundred times as many events, each as unlikely: the union bound
+    gained = after.log_false_alarm_probability - alone.log_false_alarm_probability
+    assert gained == pytest.approx(np.log(100.0), abs=1e-9)
+    assert np.log(after.false_alarm_probability) == pytest.approx(after.log_false_alarm_probability)
+    between = replace(SETTINGS, max_false_alarm_probability=10.0 * alone.false_alarm_probability)
+    assert isinstance(identify_stars(plane, field, index, between), Identification)
+    assert isinstance(identify_stars(plane, field, index, between, tried=more), NotIdentified)
+
+
+def test_a_prior_attitude_counts_every_shift_of_its_square(index, places):
+    rng, sigma = np.random.default_rng(22), 5e-3
+    R_si = Rotation.random(random_state=rng)
+    xy, _ = detections(PAPER_CAMERA, R_si, places, rng, stars=9, false=2)
+    plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
+    prior = AttitudePrior(Rotation.from_rotvec([sigma, -0.5 * sigma, 0.0]) * R_si, sigma)
+    found = identify_stars(plane, field, index, SETTINGS, prior=prior)
+    assert found.proposals >= 16**2  # 4 sigma to each side in both directions, in steps of half a sigma
+    limit = found.false_alarm_probability / np.sqrt(found.proposals)
+    strict = replace(SETTINGS, max_false_alarm_probability=limit)
+    again = identify_stars(plane, field, index, strict, prior=prior)
+    assert not again or again.false_alarm_probability < limit
+
+
 @pytest.mark.parametrize("sigma_rad", [0.0, 2e-4, 5e-3])
 def test_a_prior_attitude_is_followed_and_a_wrong_one_does_no_harm(index, places, sigma_rad, monkeypatch):
     proposals = []

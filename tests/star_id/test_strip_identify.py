@@ -82,6 +82,19 @@ def test_stars_that_no_catalogue_lists_give_no_rotation():
     assert min(one.log10_chance for one in refused) > -3.0
 
 
+def test_the_bound_of_chance_holds_where_chance_agreement_is_common():
+    """Few detections, loose tolerances: three strips in ten agree in three stars or four by chance."""
+    strips, seldom = 150, 0.0
+    for n in range(strips):
+        seen, field, _ = sky(np.random.default_rng(n), 14, 0, 0)
+        field = replace(field, u_i=field.u_i[:60], v_mag=field.v_mag[:60], slack_rad=300.0 * PIXEL)
+        refused = vote_for_rotation(seen, field, 200, 1e-300)
+        assert isinstance(refused, NoRotation)
+        seldom += refused.log10_chance <= -1.0
+    # 0.024 is the standard error of a share of 0.1; without the number of rotations tested it is 0.29
+    assert seldom / strips < 0.1 + 3.0 * 0.024
+
+
 def test_a_rotation_beyond_the_stated_limits_is_not_looked_for():
     seen, field, _ = sky(np.random.default_rng(1), 10, 10, 5, theta=np.array([0.012, 0.0, 0.0]))
     assert isinstance(vote_for_rotation(seen, field, 200, 1e-6), NoRotation)

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command_line import app
+from drawn_pictures import OURS, shows_curves
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -37,13 +38,13 @@ SIGMA = np.array([0.15, 0.2, 0.6]) * ARCSEC
 REST = DriftSettings(density_rad2_s=0.0)
 
 
-def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", version="0.1.0"):
+def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", version="0.1.0", sigma=SIGMA):
     """A finished result, as far as a drift looks at it; theta (3,) rad against the pre-launch matrix."""
     R_cs = deviation_from_theta(theta) * R_CS0
     content = {
         "quaternion": R_cs.as_quat().tolist(),
         "theta_rad": list(theta),
-        "covariance_rad2": np.diag(SIGMA**2).tolist(),
+        "covariance_rad2": np.diag(sigma**2).tolist(),
         "version": version,
     }
     (folder / "sightings").mkdir(parents=True)
@@ -63,7 +64,7 @@ def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", ver
         "argument_of_latitude_rad": [phase, phase + 0.02],
         "camera": [camera, camera],
     }
-    pair = InformationPairs(np.array(["s1"]), np.diag(SIGMA**-2.0)[None], np.zeros((1, 3)), R_cs)
+    pair = InformationPairs(np.array(["s1"]), np.diag(sigma**-2.0)[None], np.zeros((1, 3)), R_cs)
     strips = pa.table(pair.columns())
     tables = {"exposures": pa.table(exposures), "passes": pa.table(passes), "strips": strips}
     for name, table in tables.items():
@@ -103,7 +104,7 @@ def test_a_step_of_one_arcsec_between_two_months_is_told_with_its_date(tmp_path)
     assert content["step"]["theta_rad"][0] / ARCSEC == pytest.approx(1.0, abs=0.3)
     rows = list(csv.DictReader((out / "drift.csv").open()))
     assert len(rows) == 36 and rows[0]["utc"] == "2024-01-10T03:00:10Z"
-    assert (out / "drift.png").read_bytes().startswith(b"\x89PNG")
+    assert shows_curves(out / "drift.png", OURS)
 
 
 def test_a_mounting_at_rest_is_merged_and_gives_no_alarm(tmp_path):
@@ -117,6 +118,42 @@ def test_a_mounting_at_rest_is_merged_and_gives_no_alarm(tmp_path):
     assert np.all(np.abs(np.array(merged["theta_rad"]) - THETA) < 4.0 * SIGMA / np.sqrt(8))
     again = theta_between(Rotation.from_quat(merged["quaternion"]), R_CS0)
     assert_allclose(again, merged["theta_rad"], atol=1e-14)
+
+
+def test_numbers_of_a_walk_that_is_given_have_the_units_of_their_columns(tmp_path):
+    """Three unlike results 30 days apart; the walk of 0.7" per root day is smoothed by hand."""
+    theta = np.array([[0.4, -0.9, 1.7], [1.1, 0.3, -0.6], [-0.2, 1.6, 0.5]])  # arcsec about R_CS0
+    sigma = np.array([[0.15, 0.4, 0.6], [0.9, 0.2, 0.35], [0.5, 0.7, 0.25]])  # arcsec
+    for k in range(3):
+        folder, of_one = tmp_path / f"m{k}", theta[k] * ARCSEC
+        write_result(folder, 30 * DAY_S * k, of_one, sigma=sigma[k] * ARCSEC, phase=0.5 + k)
+    folders = [str(tmp_path / f"m{k}") for k in range(3)]
+    ran = runner.invoke(app, ["drift", *folders, "--out", str(tmp_path / "out"), "--density", "0.7"])
+    assert ran.exit_code == 0, ran.output
+    said = next(line for line in ran.stdout.splitlines() if line.startswith("random walk"))
+    assert said.split(maxsplit=2)[2] == "0.7 arcsec per root day, as given"
+    merged_variance = 1.0 / np.sum(sigma**-2.0, axis=0)
+    mean = merged_variance * np.sum(theta / sigma**2, axis=0)
+    said = next(line for line in ran.stdout.splitlines() if line.startswith("merged 1 sigma"))
+    assert_allclose([float(cell) for cell in said.split()[-3:]], np.sqrt(merged_variance), atol=5e-5)
+    smooth, smooth_variance = np.empty((3, 3)), np.empty((3, 3))
+    for a in range(3):  # differences of the walk have the variance 0.7² 30 arcsec², its level is free
+        steps = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
+        information = np.diag(sigma[:, a] ** -2.0) + steps.T @ steps / (0.7**2 * 30.0)
+        covariance = np.linalg.inv(information)
+        smooth[:, a] = covariance @ (theta[:, a] / sigma[:, a] ** 2)
+        smooth_variance[:, a] = np.diag(covariance)
+    rows = list(csv.DictReader((tmp_path / "out/drift.csv").open()))
+    for n, row in enumerate(rows):
+        k, a = divmod(n, 3)
+        assert row["axis"].upper() == "XYZ"[a]
+        # arcsec; 1e-4 leaves room for the axes of the mean, turned by an arcsec, and for printed digits
+        assert float(row["theta_arcsec"]) == pytest.approx(theta[k, a] - mean[a], abs=1e-4)
+        assert float(row["smoothed_arcsec"]) == pytest.approx(smooth[k, a] - mean[a], abs=1e-4)
+        own, walk = (values[k, a] - merged_variance[a] for values in (sigma**2, smooth_variance))
+        assert float(row["sigma_arcsec"]) == pytest.approx(np.sqrt(own), abs=1e-4)
+        assert float(row["smoothed_sigma_arcsec"]) == pytest.approx(np.sqrt(max(walk, 0.0)), abs=1e-4)
+        assert float(row["argument_of_latitude_deg"]) == pytest.approx(np.degrees(0.5 + k + 0.01), abs=1e-3)
 
 
 def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from boresight.calib.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
@@ -97,8 +98,11 @@ GROUND = replace(
 )
 
 
+RUNS = 16
+
+
 def estimated(kind, seed):
-    """Estimate of a wrong camera, and the map error left in the gauge, px, with its stated sigma."""
+    """Estimate of a wrong camera, and the map error left in the gauge, px, at (CCD, sample)."""
     assumed = camera()
     true = true_camera(seed, assumed)
     cameras = CameraPair(BOLD, line=LinePair(true, assumed))
@@ -109,19 +113,25 @@ def estimated(kind, seed):
     assert isinstance(found, InteriorEstimate)
     error, rows = map_difference_px(found.camera, true, 60)
     before, _ = map_difference_px(assumed, true, 60)
-    sigma = found.map_sigma_px(rows[:, 0].astype(int), rows[:, 1])
-    return found, error, before, sigma
+    return found, error, before, rows
 
 
 @pytest.mark.parametrize("kind", ["sky", "ground"])
-def test_a_wrong_camera_is_found_with_an_honest_sigma(kind):
-    ratios = []
-    for seed in range(2):
-        _, error, before, sigma = estimated(kind, seed)
+def test_a_wrong_camera_is_found_with_an_honest_covariance(kind):
+    nees = 0.0
+    for seed in range(RUNS):
+        found, error, before, rows = estimated(kind, seed)
         assert np.sqrt(np.mean(before**2)) > 2.0  # px
         assert np.sqrt(np.mean(error**2)) < {"sky": 0.15, "ground": 0.25}[kind]
-        ratios.append(np.mean(error**2) / np.mean(sigma**2))
-    assert 0.4 < np.mean(ratios) < 2.0  # two maps of some ten independent values each
+        ccd, sample = rows[:, 0].astype(int), rows[:, 1]
+        change = found.model.look_change(ccd, sample)[:, :2].reshape(len(ccd) * 2, -1)
+        covariance = change @ found.covariance @ change.T / found.camera.pixel_rad**2
+        sigma = found.map_sigma_px(ccd, sample)
+        np.testing.assert_allclose(sigma.ravel() ** 2, np.diag(covariance), rtol=1e-9)
+        values, vectors = np.linalg.eigh(covariance)  # the widest ten: beyond, the curves' knots have few
+        nees += np.sum((vectors[:, -10:].T @ error.ravel()) ** 2 / values[-10:])
+    low, high = chi2(df=10 * RUNS).ppf([0.0005, 0.9995]) / (10 * RUNS)
+    assert low < nees / (10 * RUNS) < high  # 0.67 to 1.41: a factor of 1.4 in sigma is 2.0 or 0.5
 
 
 def test_a_delay_of_a_ccds_rows_is_found_from_scans_in_both_directions():

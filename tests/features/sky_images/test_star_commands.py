@@ -74,6 +74,10 @@ def test_identify_prints_one_json_object_a_line(folder):
     assert set(first) >= {"file", "ra_deg", "dec_deg", "roll_deg", "fov_x_deg", "rms_arcsec", "cpu_ms"}
     assert first["fov_x_deg"] == pytest.approx(18.6, rel=0.01)
     assert 0.0 < first["pointing_sigma_arcsec"] < first["roll_sigma_arcsec"] < 100.0
+    # N stars, each off by rms in two axes together, leave rms / sqrt(2 N) in one axis of the pointing; stars
+    # differ in their errors, so that the weighted mean has less
+    usual = first["rms_arcsec"] / np.sqrt(2.0 * first["matches"])
+    assert 0.4 * usual < first["pointing_sigma_arcsec"] < 1.2 * usual
     assert 0.0 < first["fov_x_sigma_deg"] < 1e-3 * first["fov_x_deg"]
     assert not second["identified"] and "not identified" in second["reason"]
 
@@ -318,6 +322,8 @@ def test_the_page_of_an_image_shows_its_detections_identified_or_not(folder, tmp
     found = json.loads(done.stdout.splitlines()[0])
     page = (tmp_path / "page-sky0.html").read_text("utf-8")
     assert f"<h1>{found['matches']} stars identified</h1>" in page
+    assert f"{found['dec_deg']:+.5f}° ± {found['pointing_sigma_arcsec']:.2f}″" in page
+    assert f"{found['roll_deg']:.4f}° ± {found['roll_sigma_arcsec']:.1f}″" in page
     assert page.count('class="mark used"><title>HIP') == found["matches"]
     assert page.count("<figure") == 3 and 'src="http' not in page and 'href="http' not in page
     other = (tmp_path / "page-<dark>.html").read_text("utf-8")

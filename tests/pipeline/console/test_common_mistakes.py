@@ -247,10 +247,6 @@ ON_THE_COMMAND_LINE: dict[str, tuple[str, int, str, str, str]] = {
 }
 
 
-def test_there_are_thirty_and_more() -> None:
-    assert len(IN_A_DUMP) + len(ON_THE_COMMAND_LINE) >= 30
-
-
 @pytest.mark.parametrize("mistake", IN_A_DUMP)
 def test_mistake_in_a_dump_is_explained(
     mistake: str, sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

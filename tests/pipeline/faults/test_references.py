@@ -67,7 +67,7 @@ def server() -> Iterator[tuple[str, list[str]]]:
 
 def stars() -> Table:
     columns = ("ra dec pmra pmdec ra_error dec_error pmra_error pmdec_error phot_g_mean_mag").split()
-    table = Table({name: np.array([0.1, 0.2]) for name in columns})
+    table = Table({name: np.array([0.1, 0.2]) * (n + 1) for n, name in enumerate(columns)})
     table["ref_epoch"], table["source_id"] = 2016.0, np.array([1, 2])
     return table
 
@@ -83,7 +83,17 @@ def votable(path: Path, kind: str) -> str:
 @pytest.mark.parametrize("kind", ["binary", "binary2", "tabledata"])
 def test_table_that_holds_its_stars_is_read(kind: str, tmp_path: Path) -> None:
     votable(tmp_path / "stars.vot", kind)
-    assert len(read_star_table(tmp_path / "stars.vot", "stars.vot").places.hip) == 2
+    read, stated = read_star_table(tmp_path / "stars.vot", "stars.vot"), stars()
+    assert read.places.hip.tolist() == [1, 2] and read.places.epoch_jyear == 2016.0
+    np.testing.assert_allclose(np.degrees(read.places.ra_rad), stated["ra"], rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(read.places.dec_rad), stated["dec"], rtol=1e-12)
+    mas = np.radians(1.0 / 3.6e6)
+    pm_ra = read.places.pm_ra_rad_yr * np.cos(np.radians(stated["dec"])) / mas
+    np.testing.assert_allclose(pm_ra, stated["pmra"], rtol=1e-9)
+    np.testing.assert_allclose(read.places.pm_dec_rad_yr / mas, stated["pmdec"], rtol=1e-9)
+    for sigma, name in ((read.sigma_rad, ""), (read.sigma_pm_rad_yr, "pm")):  # rms of two axes
+        both = [np.asarray(stated[f"{name}{axis}_error"]) for axis in ("ra", "dec")]
+        np.testing.assert_allclose((sigma / mas) ** 2, (both[0] ** 2 + both[1] ** 2) / 2.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("attributes", ["", ' actuate="onLoad"', ' encoding="base64"'])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.estimate import Rejected, WhyRejected
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.results.summary import calibration_summary, verdict_lines
+from boresight.pipeline.results.summary import calibration_summary, unit_effect, verdict_lines
 from boresight.pipeline.stages.calibrate import rejections_of
 
 EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
@@ -55,6 +56,33 @@ def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
     assert rows["from"] == "42 exposures with 3719 stars, 3 strips with 36 targets".split()
     assert rows["chi2 / dof"] == ["57.6", "/", "69"]
     assert rows["not used"] == ["nothing"]
+
+
+def test_each_head_has_the_sigma_of_its_own_axes() -> None:
+    sigma = np.array([0.5, 1.25, 9.0, 2.5, 0.75, 11.0, 3.125, 6.5, 0.25]) * ARCSEC
+    turned = [Rotation.from_euler("xyz", angles, degrees=True) for angles in ((40, -65, 110), (-75, 20, 35))]
+    heads = [SimpleNamespace(name=name, R_cs=R) for name, R in zip(("port", "zenith", "star"), turned * 2)]
+    correlated = np.outer(sigma, sigma) * (0.3 + 0.7 * np.eye(9))
+    lines = calibration_summary(calibration(heads=tuple(heads), cov_heads=correlated)).splitlines()
+    told = {line.split()[1]: (line, below) for line, below in pairwise(lines) if line[:5] == "head "}
+    for name, R, expected in zip(told, turned * 2, ("0.5 1.25 9", "2.5 0.75 11", "3.125 6.5 0.25")):
+        quaternion, below = told[name]
+        np.testing.assert_allclose(
+            Rotation.from_quat([float(x) for x in quaternion.split()[2:]]).as_matrix(),
+            R.as_matrix(),
+            atol=1e-8,
+        )
+        assert below.startswith("  1 sigma, arcsec")
+        assert [float(x) for x in below[26:].split()] == [float(x) for x in expected.split()]
+    assert list(told) == ["port", "zenith", "star"]
+
+
+@pytest.mark.parametrize(
+    ("effect_arcsec", "words"), [((0.25, -2.75, 1.0), "2.8″ Y"), ((-4.0, 3.0, 1.0), "4″ X")]
+)
+def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most(effect_arcsec: Any, words: str) -> None:
+    spot = {"effect_rad": [one * ARCSEC for one in effect_arcsec], "unit": "ms"}
+    assert unit_effect(spot) == f"1 ms: {words}"
 
 
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
