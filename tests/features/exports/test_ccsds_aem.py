@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from astropy.time import Time
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
@@ -36,6 +37,17 @@ def test_attitudes_are_read_back_by_another_program():
         q = state.quaternion_state.quaternion
         got = matrix_a_to_b(*(float(getattr(q, name)) for name in ("q1", "q2", "q3", "qc")))
         assert got == pytest.approx(R_CI[n].as_matrix(), abs=1e-14)  # 15 decimals are written
+
+
+def test_times_are_instants_of_the_time_system_that_a_message_names():
+    """By astropy: 02:31:00.25 UTC is another instant by 69 s if it is called TT."""
+    expected = Time(UTC[0], scale="utc").tai
+    for text, key in (
+        (attitude_message(HEADER, [], UTC, R_CI), "START_TIME"),
+        (comprehensive_message(HEADER, [], UTC, R_CI, np.ones((7, 3))), "EPOCH_TZERO"),
+    ):
+        said = dict(line.split(" = ") for line in text.splitlines() if " = " in line)
+        assert abs((Time(said[key], scale=said["TIME_SYSTEM"].lower()).tai - expected).sec) < 1e-9
 
 
 def test_neighbouring_quaternions_do_not_change_sign():

@@ -85,6 +85,23 @@ def test_what_the_files_say_is_read(files):
     assert t == pytest.approx(strip.corrected.t_s)
     back = strip.trackers["STR2"].R_is * strip.R_ps["STR2"].inv()
     assert (back * strip.corrected.R_is.inv()).magnitude().max() < 1e-14
+    # the datastrip's own values are those of IERS Bulletin A for that day, 16 August 2020
+    earth, ones = strip.earth_orientation, np.ones(6)
+    np.testing.assert_allclose(earth.xp_rad / ARCSEC, POLE[0][2] * ones, rtol=1e-12)
+    np.testing.assert_allclose(earth.yp_rad / ARCSEC, POLE[1][2] * ones, rtol=1e-12)
+    np.testing.assert_allclose(earth.ut1_utc_s, UT1_UTC[2] * ones, rtol=1e-12)
+
+
+def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):
+    folder = shutil.copytree(files, tmp_path / "b20")
+    path = folder / "S2A_OPER_MTD_L1B_DS_TEST.xml"
+    text = path.read_text()
+    assert text.count("<RESOLUTION>10<") == 1
+    path.write_text(text.replace("<RESOLUTION>10<", "<RESOLUTION>20<"))
+    strip = read_sentinel2(path, folder, "B04")
+    assert strip.row_period_s == pytest.approx(2.0 * 1.5658e-3, rel=1e-12)
+    # the middle of the first line is half of its own time after its beginning
+    assert strip.t_first_row_s == pytest.approx([0.5 + 1.5658e-3, 4.5 + 1.5658e-3], abs=1e-9)
 
 
 @pytest.mark.parametrize(

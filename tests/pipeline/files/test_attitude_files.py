@@ -74,12 +74,12 @@ def test_covariances_are_about_the_axes_of_the_head_in_arc_seconds(tmp_path: Pat
     q = R_SI.inv().as_quat()
     sigma = read(tmp_path, csv_text(q, ",sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec", (",1,2,10",) * 3))
     assert sigma.covariance_s is not None
-    assert np.allclose(sigma.covariance_s[1], np.diag([1.0, 4.0, 100.0]) * ARCSEC**2)
+    np.testing.assert_allclose(sigma.covariance_s[1] / ARCSEC**2, np.diag([1.0, 4.0, 100.0]), rtol=1e-12)
     names = "".join(f",cov_{pair}_arcsec2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
     full = read(tmp_path, csv_text(q, names, (",4,1,-2,9,3,100",) * 3))
     assert full.covariance_s is not None
     expected = np.array([[4.0, 1.0, -2.0], [1.0, 9.0, 3.0], [-2.0, 3.0, 100.0]])
-    assert np.allclose(full.covariance_s[2], expected * ARCSEC**2)
+    np.testing.assert_allclose(full.covariance_s[2] / ARCSEC**2, expected, rtol=1e-12)
 
 
 META = {"OBJECT_NAME": "SAT", "TIME_SYSTEM": "UTC", "ATTITUDE_TYPE": "QUATERNION"}

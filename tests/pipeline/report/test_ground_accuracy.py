@@ -46,6 +46,13 @@ def test_predicted_accuracy_is_the_scatter_of_rays_on_flat_ground():
     assert found["le90_m"] == approx(np.quantile(np.abs(errors), 0.9, axis=0), rel=0.01)
 
 
+def test_the_clock_moves_a_place_along_the_track_and_the_orbit_both_ways():
+    # No error of rotation: 2 m of the orbit each way, 6 m of the clock along, sqrt(40) in all.
+    found = predicted_accuracy(np.zeros((3, 3)), 5.3e5, np.array([[0.02, -0.3]]), 2.0, 6.0)
+    assert found["sigma_m"] == approx([np.sqrt(40.0), 2.0], rel=1e-12)
+    assert found["le90_m"] == approx([1.6448536 * np.sqrt(40.0), 1.6448536 * 2.0], rel=1e-6)
+
+
 def test_changes_of_the_data_have_the_effect_that_statistics_gives_them():
     # Errors of strips only, no distortion shared between them: twice the strips give 1 / sqrt(2). Half the
     # error of position bounds X where nothing else does.
