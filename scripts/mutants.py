@@ -32,7 +32,7 @@ import tempfile
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -109,13 +109,15 @@ def is_killed(mutant: Mutant, tree: Path) -> bool:
     return bool(killer(mutant, tree))
 
 
-def killer(mutant: Mutant, tree: Path) -> str:
-    """The first test that fails with the mutation made in `tree`, which is restored afterwards; else ""."""
+def killer(mutant: Mutant, tree: Path, without: Collection[str] = ()) -> str:
+    """The first test, of those not in `without`, that fails with the mutation made in `tree`, which is restored
+    afterwards; else "".
+    """
     path = tree / mutant.file
     sound = path.read_text(encoding="utf-8")
     path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
     try:
-        return first_failure(mutant.tests, tree)
+        return first_failure([*mutant.tests, *(f"--deselect={one}" for one in without)], tree)
     finally:
         path.write_text(sound, encoding="utf-8")
 
@@ -128,8 +130,13 @@ def first_failure(tests: Sequence[str], tree: Path) -> str:
     done = subprocess.run(limited, cwd=tree, env=environment, capture_output=True, text=True)
     if done.returncode == 0:
         return ""
-    named = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-    return named[1] if named else tests[0]
+    return first_named(done.stdout) or tests[0]
+
+
+def first_named(printed: str) -> str:
+    """The first test that pytest's summary names as failed, its id with spaces; "" where it names none."""
+    named = re.search(r"^(?:FAILED|ERROR) (\S+?(?:\[.*?\])?)(?: - .*)?$", printed, re.MULTILINE)
+    return named[1] if named else ""
 
 
 def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
@@ -212,19 +219,21 @@ def drawn(seed: int, count: int, room: str) -> list[Mutant]:
 
 def try_drawn(chosen: Sequence[Mutant]) -> int:
     """Print each drawn mutation with its outcome, and the rates by room. A test that also fails without a
-    mutation kills none.
+    mutation kills none: it is left out, and the others are asked.
     """
-    killed, total, sound = Counter[str](), Counter[str](), dict[str, bool]()
+    killed, total, unsound = Counter[str](), Counter[str](), set[str]()
     with tempfile.TemporaryDirectory() as folder:
         tree = copy_of_tree(Path(folder))
         for mutant in chosen:
-            test = killer(mutant, tree)
-            if test and test not in sound:
-                sound[test] = not first_failure([test], tree)
-            outcome = "SURVIVES" if not test else "killed" if sound[test] else "UNSOUND"
-            killed[mutant.room] += outcome == "killed"
-            total[mutant.room] += outcome != "UNSOUND"
+            while test := killer(mutant, tree, unsound):
+                if not first_failure([test], tree):
+                    break
+                unsound.add(test)
+            killed[mutant.room] += bool(test)
+            total[mutant.room] += 1
+            outcome = "killed" if test else "SURVIVES"
             print(f"{outcome:9s} {mutant.what}{f'  by {test}' if test else ''}", flush=True)
+    print(f"left out, since they fail without a mutation: {', '.join(sorted(unsound)) or 'none'}")
     print(f"\n{'room':12s}{'drawn':>7s}{'killed':>8s}")
     for room in sorted(total):
         print(f"{room:12s}{total[room]:7d}{killed[room]:8d}")

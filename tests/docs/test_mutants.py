@@ -10,11 +10,23 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from drawn_mutants import changes_of, drawn_changes, nearest_tests  # noqa: E402
-from mutants import faults, mutants  # noqa: E402
+from mutants import faults, first_named, mutants  # noqa: E402
 
 
 def test_every_mutation_changes_one_line_that_exists_and_names_tests_that_exist() -> None:
     assert [text for mutant in mutants() for text in faults(mutant)] == []
+
+
+def test_a_failed_test_is_named_with_the_spaces_of_its_id() -> None:
+    lines = (
+        "2 failed in 3 s",
+        "FAILED tests/a/test_b.py::test_c[Kannala Brandt, 2 - terms] - assert 1 - 2 == 3",
+        "FAILED tests/a/test_b.py::test_d - AssertionError",
+    )
+    assert first_named("\n".join(lines)) == "tests/a/test_b.py::test_c[Kannala Brandt, 2 - terms]"
+    assert first_named("\n".join(lines[::2])) == "tests/a/test_b.py::test_d"
+    assert first_named("ERROR tests/a/test_b.py") == "tests/a/test_b.py"
+    assert first_named(lines[0]) == ""
 
 
 SAMPLE = """
