@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from boresight.gct_match.search.vote import (
     Candidates,
@@ -23,8 +24,8 @@ PX_PER_RAD = 1e6  # the paper's camera
 def candidates(rng: np.random.Generator, theta: NDArray | None, targets: int, share: float) -> Candidates:
     """20 candidates a target over ± 9000 px; in `share` of the targets one of them is right."""
     owner, displacement, design = [], [], []
-    share = np.pi * 14.0**2 / 18000.0**2  # of the tolerance in the area searched
-    chance = np.tile(log_chance_of_ranks(20, share), targets)
+    area = np.pi * 14.0**2 / 18000.0**2  # share of the tolerance in the area searched
+    chance = np.tile(log_chance_of_ranks(20, area), targets)
     for n in range(targets):
         x, y = rng.uniform(-0.012, 0.012, 2)
         D = PX_PER_RAD * np.array([[0.0, -1.0, y], [1.0, 0.0, -x]])
@@ -39,16 +40,24 @@ def candidates(rng: np.random.Generator, theta: NDArray | None, targets: int, sh
 
 def test_half_of_the_targets_are_enough():
     rng = np.random.default_rng(1)
-    theta = np.array([0.003, 0.002, 0.001])
-    for _ in range(20):
-        outcome = vote(candidates(rng, theta, 14, 0.5), SIGMA, 3.0, 14.0, 4.0)
-        if len(outcome.supporters) < 5:
-            continue  # fewer than five of the fourteen happened to be visible
+    theta, nees = np.array([0.003, 0.002, 0.001]), []
+    for _ in range(60):
+        given = candidates(rng, theta, 14, 0.5)
+        right = np.hypot(*(given.displacement_px - given.design @ theta).T) < 14.0
+        outcome = vote(given, SIGMA, 3.0, 14.0, 3.0)
+        if right.sum() < 5:
+            assert len(outcome.supporters) < 7  # fewer than five of the fourteen happened to be visible
+            continue
         assert outcome.log_probability_chance < np.log(1e-6)
+        assert np.mean(right[outcome.supporters]) > 0.8
+        error = outcome.parameters - theta
+        nees.append(error @ np.linalg.solve(outcome.covariance, error))
         # the angles about x and y are fixed by 3 px over the supporters, that about z by them over 0.024
         # rad of field
         assert outcome.parameters[:2] == pytest.approx(theta[:2], abs=1.5e-5)
         assert outcome.parameters[2] == pytest.approx(theta[2], abs=1.5e-3)
+    low, high = chi2(df=3 * len(nees)).ppf([0.0005, 0.9995])
+    assert len(nees) > 40 and low < sum(nees) < high
 
 
 def test_nothing_but_chance_is_never_elected():

@@ -11,6 +11,7 @@ from boresight.star_id.strip_stars.strip_names import (
     Directions,
     NoRotation,
     StripField,
+    _log10_chance,
     name_stars,
     vote_for_rotation,
 )
@@ -93,6 +94,25 @@ def test_the_bound_of_chance_holds_where_chance_agreement_is_common():
         seldom += refused.log10_chance <= -1.0
     # 0.024 is the standard error of a share of 0.1; without the number of rotations tested it is 0.29
     assert seldom / strips < 0.1 + 3.0 * 0.024
+
+
+def test_chance_of_one_rotation_is_that_of_points_drawn_in_its_box():
+    """Twelve detections with five stars each in a box of unlike sides; two agree by construction."""
+    spread = np.array([[9.0, 4.0], [4.0, 25.0]]) * 1e-10  # rad²
+    _, field, _ = sky(np.random.default_rng(0), 3, 3, 0)
+    field = replace(field, limit_rad=np.array([2e-4, 9e-4, 1e-3]), spread=spread, slack_rad=3e-5)
+    values, axes = np.linalg.eigh(spread)
+    long = 3e-5 + 4.0 * np.sqrt(values)  # semi-axes of the ellipse
+    reach = np.sqrt((axes**2 * long**2).sum(axis=1))
+    half = np.array([9e-4, 2e-4]) + reach  # a rotation about y moves along x
+    draws = 20_000
+    points = np.random.default_rng(6).uniform(-half, half, (draws, 10, 5, 2)) @ axes / long
+    agree = ((points**2).sum(axis=3) < 1.0).any(axis=2).sum(axis=1)
+    for more in (1, 2, 3):  # beyond the two
+        share = np.mean(agree >= more)
+        # a bound: stars of one detection may both agree; 4 standard errors of the share below
+        stated = 10.0 ** _log10_chance(12, 60, 2 + more, 1, field)
+        assert share - 4.0 * np.sqrt(share / draws) < stated < 1.6 * share, (more, share, stated)
 
 
 def test_a_rotation_beyond_the_stated_limits_is_not_looked_for():
