@@ -49,10 +49,14 @@ def test_a_planet_among_the_stars_is_told():
     index = build_index(PLACES, PLACES.epoch_jyear, (np.radians(40.0), np.radians(60.0)))
     stars = listed_stars(WIDE, towards, PLACES, rng, brightest=2000.0).take(np.arange(150))
     xy = WIDE.pixels_from_directions(towards.apply(u_i[[names.index("Jupiter")]]))
-    stars = replace(stars.take(np.append(0, np.arange(len(stars.snr)))), xy_px=np.vstack([xy, stars.xy_px]))
+    bright = np.vstack(
+        [xy + np.array([40.0, -25.0]), xy]
+    )  # px: something else beside it, as bright, and listed before
+    rows = np.concatenate([[0, 0], np.arange(len(stars.snr))])
+    stars = replace(stars.take(rows), xy_px=np.vstack([bright, stars.xy_px]))
     found = solve_list(stars, (2048, 2048), index, StarSettings())
     assert isinstance(found, FieldSolution)
     seen = {planet.name: planet for planet in planets_in_view(found, observer)}
     assert {"Jupiter", "Saturn"} <= set(seen)
-    assert seen["Jupiter"].detection == 0
+    assert seen["Jupiter"].detection == 1
     assert np.hypot(seen["Jupiter"].x_px - xy[0, 0], seen["Jupiter"].y_px - xy[0, 1]) < 2.0
