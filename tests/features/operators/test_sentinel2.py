@@ -9,7 +9,7 @@ from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.refining import fit_correction
-from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
+from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom, refined_camera
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
@@ -90,6 +90,17 @@ def test_what_the_files_say_is_read(files):
     np.testing.assert_allclose(earth.xp_rad / ARCSEC, POLE[0][2] * ones, rtol=1e-12)
     np.testing.assert_allclose(earth.yp_rad / ARCSEC, POLE[1][2] * ones, rtol=1e-12)
     np.testing.assert_allclose(earth.ut1_utc_s, UT1_UTC[2] * ones, rtol=1e-12)
+
+
+def test_the_operator_s_homothety_scales_z_of_the_piloting_frame(files):
+    strip = read_sentinel2(files / "S2A_OPER_MTD_L1B_DS_TEST.xml", files, "B04")
+    sample = np.array([0.0, 7.5, 23.0])
+    for ccd in (0, 1):
+        looks_p = strip.R_cp.inv().apply(strip.camera.directions_from_pixels(ccd, sample))
+        looks_p[:, 2] *= 1.0 - 2.5e-6  # as Rugged's FixedZHomothety
+        expected = strip.R_cp.apply(looks_p / np.linalg.norm(looks_p, axis=1, keepdims=True))
+        found = refined_camera(strip).directions_from_pixels(ccd, sample)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)  # rad; the factor moves 2.5e-8
 
 
 def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):

@@ -69,6 +69,21 @@ def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone():
     assert not len(found.campaigns)  # of the ground alone there is nothing to compare
 
 
+def test_strips_of_the_sky_are_forecast_as_they_are_planned(
+    one_draw: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = []
+    monkeypatch.setattr(
+        campaign_plan, "compare_campaigns", lambda ground, sky, cameras: parts.append(sky) or {}
+    )
+    sky = PlannedSky(count=5, stars=37, rate_mrad_s=2.9, duration_s=6.25, sigma_px=0.07, exposures=13)
+    forecast_plan(Plan(strips=PlannedStrips(count=3, stars=128), sky=sky))
+    (part,) = parts
+    assert part.strips == 5 and part.rate_rad_s == pytest.approx(2.9e-3)
+    strip = part.plan
+    assert (strip.targets, strip.sigma_c_px, strip.duration_s, strip.exposures) == (37, 0.07, 6.25, 13)
+
+
 def test_campaigns_of_ground_and_sky_are_compared(one_draw: None):
     found = forecast_plan(Plan(strips=PlannedStrips(count=3, stars=128), sky=PlannedSky(count=2)))
     sigma = found.campaigns.pivot(index="campaign", columns="axis", values="sigma_arcsec")
