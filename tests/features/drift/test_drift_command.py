@@ -147,7 +147,7 @@ def test_numbers_of_a_walk_that_is_given_have_the_units_of_their_columns(tmp_pat
     for n, row in enumerate(rows):
         k, a = divmod(n, 3)
         assert row["axis"].upper() == "XYZ"[a]
-        # arcsec; 1e-4 leaves room for the axes of the mean, turned by an arcsec, and for printed digits
+        # arcsec; 1e-4 leaves room for the axes of the mean, rotated by an arcsec, and for printed digits
         assert float(row["theta_arcsec"]) == pytest.approx(theta[k, a] - mean[a], abs=1e-4)
         assert float(row["smoothed_arcsec"]) == pytest.approx(smooth[k, a] - mean[a], abs=1e-4)
         own, walk = (values[k, a] - merged_variance[a] for values in (sigma**2, smooth_variance))
