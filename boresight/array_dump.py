@@ -8,17 +8,14 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
-import rasterio
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from rasterio.crs import CRS
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 
 from boresight.accepted import (
@@ -34,20 +31,19 @@ from boresight.accepted import (
     utc_of,
     wrong,
 )
-from boresight.geometry.line_camera import LineCamera
+from boresight.array_stars import write_attitudes, write_exposures
+from boresight.array_tables import Table, bits_of, cell_of, image_of, rows_of, stored, write_tiff
+from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
-from boresight.pipeline.files.remote_camera import remote_camera_table
-from boresight.pipeline.files.star_side import star_camera_table
+from boresight.pipeline.files.remote_camera import write_remote_camera
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.version import __version__
 
-__all__ = ["Table", "dump_from_arrays"]
-
-Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
+__all__ = ["dump_from_arrays"]
 
 PLACE = ("lat_deg", "lon_deg", "height_m", "height_kind", "sigma_east_m", "sigma_north_m", "sigma_up_m")
 MEASURED = ("id", "strip", "ccd", "sample", "line", "sigma_sample_px", "sigma_line_px", *PLACE)
@@ -60,12 +56,16 @@ HEIGHT_KINDS = ("ellipsoidal", "egm96")
 
 def dump_from_arrays(
     *,
-    star_camera: StarCamera,
-    remote_camera: LineCamera,
+    star_camera: StarCamera | None = None,
+    remote_camera: LineCamera | LookAngleCamera,
     R_cs0: RotationLike,
     sigma_R_cs0_rad: ArrayLike,
     orbit: Table,
-    exposures: Table,
+    exposures: Table | None = None,
+    attitudes: Table | None = None,
+    attitude_frame: str = "GCRF",
+    attitude_rotation: str = "head to inertial",
+    aberration_removed: str | None = None,
     strips: Table,
     targets: Table | None = None,
     points: Table | None = None,
@@ -87,8 +87,10 @@ def dump_from_arrays(
 
     Parameters
     ----------
-    star_camera, remote_camera : StarCamera, LineCamera
-        Models of the two cameras.
+    star_camera : StarCamera
+        Model of the star camera; with `attitudes` it is not used.
+    remote_camera : LineCamera or LookAngleCamera
+        Model of the remote-sensing camera, by its hardware or by look tables.
     R_cs0 : Rotation, or (3, 3) matrix
         Installation matrix before launch, star camera to remote-sensing camera.
     sigma_R_cs0_rad : (3,) array or float
@@ -96,7 +98,18 @@ def dump_from_arrays(
     orbit : table
         At least 8 rows of time, x_m, y_m, z_m, vx_m_s, vy_m_s, vz_m_s in `orbit_frame`.
     exposures : table
-        Rows of time (middle), exposure_s, image (height, width), and id (default: e0001, e0002, ...).
+        Rows of time (middle), exposure_s, image (height, width), and id (default: e0001, e0002, ...). In
+        place of images all rows may have `stars`: what `find_stars` returned, or a table of x_px, y_px,
+        sigma_x_px, sigma_y_px, cov_xy_px2, flux_dn and, if known, snr, saturated, blended, psf_sigma_px.
+    attitudes : table, optional
+        In place of exposures: rows of time, qx, qy, qz, qw (scalar last) and sigma_x_arcsec, sigma_y_arcsec,
+        sigma_z_arcsec about the axes of the star camera, independent from row to row.
+    attitude_frame : str
+        Inertial axes of the quaternions: "GCRF", "ICRF" or "EME2000".
+    attitude_rotation : str
+        What the quaternions do with vectors: "head to inertial" or "inertial to head".
+    aberration_removed : str
+        With attitudes: "none", "annual" or "annual and orbital", as docs/dump-format.md says.
     strips : table
         Rows of id, ccd, time (of line 0), row_period_s, image (lines, samples), and kind (default: ground).
     targets : table, optional
@@ -140,8 +153,8 @@ def dump_from_arrays(
     See docs/bring-your-own-mission.md.
     """
     folder = _new_folder(out)
-    camera = instance_of(star_camera, StarCamera, "star_camera")
-    line_camera = instance_of(remote_camera, LineCamera, "remote_camera")
+    if not isinstance(remote_camera, LineCamera | LookAngleCamera):
+        raise wrong("remote_camera", remote_camera, "a LineCamera or a LookAngleCamera")
     R_cs = rotation_of(R_cs0, "R_cs0")
     sigma = _three(sigma_R_cs0_rad)
     if not isinstance(errors, Mapping):
@@ -150,30 +163,36 @@ def dump_from_arrays(
         raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     if targets is None and points is None and not _has_sky(strips):
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
+    if (exposures is None) == (attitudes is None):
+        raise wrong("exposures, attitudes", "neither or both of them", "one of them")
     for name in ("exposures", "strips", "chips", "terrain"):
         (folder / name).mkdir(parents=True)
-    files = dict(FILES)
-    bits = _write_exposures(folder, _rows(exposures, "exposures"), star_bits)
-    write_toml(folder / files["star_camera"], star_camera_table(camera, bits))
-    bits = _write_strips(folder, _rows(strips, "strips"), remote_bits)
-    write_toml(folder / files["remote_camera"], remote_camera_table(line_camera, bits))
+    if attitudes is not None:
+        head_table = write_attitudes(folder, attitudes, attitude_frame, attitude_rotation, aberration_removed)
+    else:
+        head_table = write_exposures(folder, star_camera, exposures, star_bits)  # type: ignore[arg-type]
+    of_head = ("star_camera", "installation", "exposures") if head_table else ()
+    files = {key: file for key, file in FILES.items() if key not in of_head}
+    write_remote_camera(folder, remote_camera, _write_strips(folder, rows_of(strips, "strips"), remote_bits))
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
-    write_toml(folder / files["installation"], mounting)
+    write_toml(folder / FILES["installation"], mounting)
     name = instance_of(mission, str, "mission")
     (folder / files["orbit"]).write_text(_orbit_text(name, orbit_frame, orbit), encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
-        _write_targets(folder, _rows(targets, "targets"))
+        _write_targets(folder, rows_of(targets, "targets"))
     if points is not None:
         files["points"] = "points.csv"
-        rows = [[_cell(row, key, "points", n) for key in MEASURED] for n, row in _numbered(points, "points")]
+        rows = [
+            [cell_of(row, key, "points", n) for key in MEASURED] for n, row in _numbered(points, "points")
+        ]
         write_csv(folder / "points.csv", MEASURED, rows)
     head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
         files["terrain"] = "terrain/dem.tif"
         head["terrain"] = _terrain(folder, terrain, terrain_height_kind, terrain_sigma_m)
     stated = {str(key): number_of(v, f"errors, {key}") for key, v in errors.items()}
-    head |= {"files": files, "errors": stated}
+    head |= {"files": files, "errors": stated} | ({"star_cameras": [head_table]} if head_table else {})
     write_toml(folder / "dump.toml", head)  # last: a dump with a dump.toml is complete
     return open_dump(folder)
 
@@ -196,118 +215,52 @@ def _three(sigma: ArrayLike) -> list[float]:
     return [float(value) for value in np.broadcast_to(values, 3)]
 
 
-def _rows(table: Table, name: str) -> list[Mapping[str, Any]]:
-    """A table as mappings, one a row."""
-    if isinstance(table, pd.DataFrame):
-        rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
-    elif isinstance(table, str | bytes | Mapping):
-        raise wrong(name, table, "a DataFrame or a sequence of mappings")
-    else:
-        rows = listed(table, name, "mappings, or a DataFrame")
-    for n, row in enumerate(rows):
-        if not isinstance(row, Mapping):
-            raise wrong(f"{name}, row {n}", row, "a mapping of columns")
-    if not rows:
-        raise wrong(name, "no rows", "at least one")
-    return rows
-
-
 def _numbered(table: Table, name: str) -> Iterable[tuple[int, Mapping[str, Any]]]:
-    return enumerate(_rows(table, name))
-
-
-def _cell(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
-    if key not in row:
-        raise wrong(f"{name}, row {n}", f"columns {', '.join(map(str, row))}", f"also {key}")
-    return row[key]
+    return enumerate(rows_of(table, name))
 
 
 def _has_sky(strips: Table) -> bool:
     return not isinstance(strips, pd.DataFrame) or bool((strips.get("kind", pd.Series()) == "sky").any())
 
 
-def _image(value: Any, name: str) -> NDArray[Any]:
-    """An image (H, W) of integers, computed now where it is a function."""
-    pixels = np.asarray(value() if isinstance(value, Callable) else value)  # type: ignore[arg-type]
-    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16) or not pixels.size:
-        raise wrong(name, pixels, "raw counts (rows, columns) of type uint8 or uint16")
-    return pixels
-
-
-def _bits(stated: int | None, types: set[Any], name: str) -> int:
-    if stated is not None:
-        return count_of(stated, name, 8, 16)
-    if types - {np.dtype(np.uint8)}:
-        raise wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
-    return 8 if types else 0
-
-
-def _write_tiff(path: Path, pixels: NDArray[Any], **options: Any) -> None:
-    height, width = pixels.shape
-    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256} if min(pixels.shape) > 256 else {}
-    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": pixels.dtype.name}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile, **tiles, compress="deflate", **options) as file:
-            file.write(pixels, 1)
-
-
-def _stored(pixels: NDArray[Any], bits: int) -> NDArray[Any]:
-    """Counts in the type that the format has for their bits."""
-    return pixels.astype(np.uint16) if bits > 8 else pixels
-
-
-def _write_exposures(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None) -> int:
-    lines, types = [], set()
-    for n, row in enumerate(rows):
-        at = f"exposures, row {n}"
-        name = str(row.get("id", f"e{n + 1:04d}"))
-        file = f"exposures/{n + 1:05d}.tif"
-        pixels = _image(_cell(row, "image", "exposures", n), f"{at}, image")
-        types.add(pixels.dtype)
-        _write_tiff(folder / file, _stored(pixels, stated or 8))
-        instant = utc_of(_cell(row, "time", "exposures", n), f"{at}, time")
-        lines.append([name, file, instant, number_of(_cell(row, "exposure_s", "exposures", n), at)])
-    write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
-    return _bits(stated, types, "star_bits")
-
-
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None) -> int:
     lines, types = [], set()
     for n, row in enumerate(rows):
         at = f"strips, row {n}"
-        ccd = count_of(_cell(row, "ccd", "strips", n), f"{at}, ccd")
-        file, image = "", _cell(row, "image", "strips", n)
+        ccd = count_of(cell_of(row, "ccd", "strips", n), f"{at}, ccd")
+        file, image = "", cell_of(row, "image", "strips", n)
         if image is None:
-            count = count_of(_cell(row, "lines", "strips", n), f"{at}, lines")
+            count = count_of(cell_of(row, "lines", "strips", n), f"{at}, lines")
         else:
             file = f"strips/{n + 1:05d}.tif"
-            pixels = _image(image, f"{at}, image")
+            pixels = image_of(image, f"{at}, image")
             types.add(pixels.dtype)
             count = len(pixels)
-            _write_tiff(folder / file, _stored(pixels, stated or 8))
-        instant = utc_of(_cell(row, "time", "strips", n), f"{at}, time")
-        period = number_of(_cell(row, "row_period_s", "strips", n), f"{at}, row_period_s")
-        name, kind = str(_cell(row, "id", "strips", n)), str(row.get("kind", "ground"))
+            write_tiff(folder / file, stored(pixels, stated or 8))
+        instant = utc_of(cell_of(row, "time", "strips", n), f"{at}, time")
+        period = number_of(cell_of(row, "row_period_s", "strips", n), f"{at}, row_period_s")
+        name, kind = str(cell_of(row, "id", "strips", n)), str(row.get("kind", "ground"))
         lines.append([name, ccd, file, instant, repr(period), count, kind])
     columns = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines", "kind"]
     write_csv(folder / "strips.csv", columns, lines)
-    return _bits(stated, types, "remote_bits")
+    return bits_of(stated, types, "remote_bits")
 
 
 def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     lines = []
     for n, row in enumerate(rows):
         at, file = f"targets, row {n}", f"chips/{n + 1:05d}.tif"
-        given = _cell(row, "chip", "targets", n)
+        given = cell_of(row, "chip", "targets", n)
         pixels = np.asarray(given() if isinstance(given, Callable) else given)  # type: ignore[arg-type]
         if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or not pixels.size:
             raise wrong(f"{at}, chip", pixels, "grey values (rows, columns)")
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = pixels.astype(np.float32)
-        affine, crs = _cell(row, "chip_affine", "targets", n), _cell(row, "chip_crs", "targets", n)
-        _write_tiff(folder / file, pixels, **_georeference(affine, crs, at))
-        lines.append([_cell(row, "id", "targets", n), *(_cell(row, k, "targets", n) for k in PLACE), file])
+        affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
+        write_tiff(folder / file, pixels, **_georeference(affine, crs, at))
+        lines.append(
+            [cell_of(row, "id", "targets", n), *(cell_of(row, k, "targets", n) for k in PLACE), file]
+        )
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], lines)
 
 
@@ -331,17 +284,17 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
     if heights.ndim != 2 or not heights.size:
         raise wrong("terrain, heights", heights, "shape (rows, columns)")
     place = _georeference(terrain[1], terrain[2], "terrain")
-    _write_tiff(folder / "terrain" / "dem.tif", heights.astype(np.float32), nodata=float("nan"), **place)
+    write_tiff(folder / "terrain" / "dem.tif", heights.astype(np.float32), nodata=float("nan"), **place)
     return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 
 def _orbit_text(mission: str, frame: str, orbit: Table) -> str:
-    rows = _rows(orbit, "orbit")
+    rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
-    utc = [utc_of(_cell(row, "time", "orbit", n), f"orbit, row {n}, time") for n, row in enumerate(rows)]
+    utc = [utc_of(cell_of(row, "time", "orbit", n), f"orbit, row {n}, time") for n, row in enumerate(rows)]
     states = [
-        [number_of(_cell(row, key, "orbit", n), f"orbit, row {n}, {key}") for key in ORBIT[1:]]
+        [number_of(cell_of(row, key, "orbit", n), f"orbit, row {n}, {key}") for key in ORBIT[1:]]
         for n, row in enumerate(rows)
     ]
     numbers = np.array(states)

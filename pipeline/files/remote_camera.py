@@ -11,8 +11,9 @@ from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera, Loo
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml, toml_tables
+from boresight.pipeline.files.text_tables import write_csv, write_toml
 
-__all__ = ["read_remote_camera", "remote_camera_table"]
+__all__ = ["read_remote_camera", "remote_camera_table", "write_remote_camera"]
 
 RemoteCamera = tuple[LineCamera, schema.RemoteCameraFile] | tuple[LookAngleCamera, schema.LookCameraFile]
 
@@ -63,6 +64,23 @@ def _from_tables(root: Path, file: schema.LookCameraFile, name: str) -> LookAngl
         except ValueError as error:
             raise RawDataError(file.looks, f"CCD {n}", str(error), "looks along a detector") from error
     return LookAngleCamera(tuple(ccds))
+
+
+def write_remote_camera(root: Path, camera: LineCamera | LookAngleCamera, bits: int) -> None:
+    """Write remote_camera.toml to a dump, and looks.csv for a camera of look tables; `bits` as below."""
+    if isinstance(camera, LineCamera):
+        write_toml(root / "remote_camera.toml", remote_camera_table(camera, bits))
+        return
+    rows = [
+        [n, *values]
+        for n, ccd in enumerate(camera.ccds)
+        for values in np.column_stack([ccd.samples, ccd.tan_x, ccd.tan_y]).tolist()
+    ]
+    write_csv(root / "looks.csv", ["ccd", "sample", "x", "y"], rows)
+    head = {"model": schema.LOOK_TABLES, "looks": "looks.csv", "directions": "tangents"}
+    depth = {"bit_depth": bits} if bits else {}
+    ccds = {"ccds": [{"n_px": int(ccd.n_px)} for ccd in camera.ccds]}
+    write_toml(root / "remote_camera.toml", head | depth | ccds)
 
 
 def remote_camera_table(camera: LineCamera, bits: int) -> dict[str, Any]:

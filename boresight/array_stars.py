@@ -1,0 +1,102 @@
+"""The star side of a dump made of arrays: images, lists of stars, or attitudes, written as its files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from boresight.accepted import instance_of, number_of, utc_of, wrong
+from boresight.array_tables import Table, bits_of, cell_of, image_of, rows_of, stored, write_tiff
+from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.files.star_side import star_camera_table
+from boresight.pipeline.files.text_tables import write_csv, write_toml
+
+__all__ = ["write_attitudes", "write_exposures"]
+
+STAR = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")
+MORE = ("snr", "saturated", "blended", "psf_sigma_px")  # optional columns of a list of stars
+QUATERNION = ("qx", "qy", "qz", "qw")
+SIGMAS = ("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec")
+HEAD = {"name": "star-camera", "installation": "installation.toml"}
+FRAMES = ("GCRF", "ICRF", "EME2000")
+SENSES = ("head to inertial", "inertial to head")
+REMOVED = ("none", "annual", "annual and orbital")
+LIST_BITS = 16  # of a camera whose images are not given: not used
+
+
+def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int | None) -> dict[str, Any]:
+    """Write star_camera.toml and the exposures, as images or lists of stars; what dump.toml says of them.
+
+    For images that is {}, the usual files; for lists a table of [[star_cameras]].
+    """
+    instance_of(camera, StarCamera, "star_camera")
+    lines: list[list[Any]] = []
+    types, lists = set(), []
+    rows = rows_of(table, "exposures")
+    of_lists = "stars" in rows[0]
+    for n, row in enumerate(rows):
+        at, file = f"exposures, row {n}", f"exposures/{n + 1:05d}.tif"
+        if of_lists:
+            lists.append(_stars(cell_of(row, "stars", "exposures", n), f"{at}, stars").assign(file=file))
+        else:
+            pixels = image_of(cell_of(row, "image", "exposures", n), f"{at}, image")
+            types.add(pixels.dtype)
+            write_tiff(folder / file, stored(pixels, stated or 8))
+        instant = utc_of(cell_of(row, "time", "exposures", n), f"{at}, time")
+        exposure_s = number_of(cell_of(row, "exposure_s", "exposures", n), f"{at}, exposure_s")
+        lines.append([str(row.get("id", f"e{n + 1:04d}")), file, instant, exposure_s])
+    write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
+    bits = LIST_BITS if of_lists else bits_of(stated, types, "star_bits")
+    write_toml(folder / "star_camera.toml", star_camera_table(camera, bits))
+    if not of_lists:
+        return {}
+    if len({tuple(one.columns) for one in lists}) > 1:
+        raise wrong("exposures, stars", "lists with different columns", "the same columns in each")
+    pd.concat(lists).to_csv(folder / "centroids.csv", index=False)
+    files = {"camera": "star_camera.toml", "exposures": "exposures.csv", "centroids": "centroids.csv"}
+    return HEAD | {"level": "centroids"} | files
+
+
+def _stars(given: Any, name: str) -> pd.DataFrame:
+    """A list of stars as rows of centroids.csv: `Stars`, or a table with its columns."""
+    if hasattr(given, "cov_px") and hasattr(given, "xy_px"):  # what `find_stars` returns
+        (x, y), cov = given.xy_px.T, given.cov_px
+        sigma_x, sigma_y = np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1])
+        values = (x, y, sigma_x, sigma_y, cov[:, 0, 1], given.flux_dn)
+        return pd.DataFrame(dict(zip(STAR, values)) | {key: getattr(given, key) for key in MORE})
+    rows = rows_of(given, name)
+    missing = [key for row in rows for key in STAR if key not in row]
+    if missing:
+        raise wrong(name, f"columns {', '.join(map(str, rows[0]))}", f"also {missing[0]}")
+    return pd.DataFrame([{key: row[key] for key in (*STAR, *MORE) if key in row} for row in rows])
+
+
+def write_attitudes(
+    folder: Path, table: Table, frame: str, rotation: str, removed: str | None
+) -> dict[str, Any]:
+    """Write attitudes.csv; its table of [[star_cameras]]."""
+    for name, value, allowed in (
+        ("attitude_frame", frame, FRAMES),
+        ("attitude_rotation", rotation, SENSES),
+        ("aberration_removed", removed, REMOVED),
+    ):
+        if value not in allowed:
+            raise wrong(name, value, " or ".join(allowed))
+    rows = rows_of(table, "attitudes")
+    lines = [[_instant(row, n), *_numbers(row, n)] for n, row in enumerate(rows)]
+    write_csv(folder / "attitudes.csv", ["utc", *QUATERNION, *SIGMAS], lines)
+    of_table = {"attitudes": "attitudes.csv", "frame": frame, "rotation": rotation}
+    return HEAD | {"level": "attitudes"} | of_table | {"aberration_removed": removed}
+
+
+def _instant(row: Mapping[str, Any], n: int) -> str:
+    return utc_of(cell_of(row, "time", "attitudes", n), f"attitudes, row {n}, time")
+
+
+def _numbers(row: Mapping[str, Any], n: int) -> Sequence[float]:
+    keys = (*QUATERNION, *SIGMAS)
+    return [number_of(cell_of(row, key, "attitudes", n), f"attitudes, row {n}, {key}") for key in keys]

@@ -1,0 +1,73 @@
+"""Tables and images that a caller gives for a dump: rows as mappings, raw counts, TIFF files of them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+import rasterio
+from numpy.typing import NDArray
+from rasterio.errors import NotGeoreferencedWarning
+
+from boresight.accepted import count_of, listed, wrong
+
+__all__ = ["Table", "bits_of", "cell_of", "image_of", "rows_of", "stored", "write_tiff"]
+
+Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
+
+
+def rows_of(table: Table, name: str) -> list[Mapping[str, Any]]:
+    """A table as mappings, one a row."""
+    if isinstance(table, pd.DataFrame):
+        rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
+    elif isinstance(table, str | bytes | Mapping):
+        raise wrong(name, table, "a DataFrame or a sequence of mappings")
+    else:
+        rows = listed(table, name, "mappings, or a DataFrame")
+    for n, row in enumerate(rows):
+        if not isinstance(row, Mapping):
+            raise wrong(f"{name}, row {n}", row, "a mapping of columns")
+    if not rows:
+        raise wrong(name, "no rows", "at least one")
+    return rows
+
+
+def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
+    if key not in row:
+        raise wrong(f"{name}, row {n}", f"columns {', '.join(map(str, row))}", f"also {key}")
+    return row[key]
+
+
+def image_of(value: Any, name: str) -> NDArray[Any]:
+    """An image (H, W) of integers, computed now where it is a function."""
+    pixels = np.asarray(value() if isinstance(value, Callable) else value)  # type: ignore[arg-type]
+    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16) or not pixels.size:
+        raise wrong(name, pixels, "raw counts (rows, columns) of type uint8 or uint16")
+    return pixels
+
+
+def bits_of(stated: int | None, types: set[Any], name: str) -> int:
+    if stated is not None:
+        return count_of(stated, name, 8, 16)
+    if types - {np.dtype(np.uint8)}:
+        raise wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
+    return 8 if types else 0
+
+
+def write_tiff(path: Path, pixels: NDArray[Any], **options: Any) -> None:
+    height, width = pixels.shape
+    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256} if min(pixels.shape) > 256 else {}
+    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": pixels.dtype.name}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile, **tiles, compress="deflate", **options) as file:
+            file.write(pixels, 1)
+
+
+def stored(pixels: NDArray[Any], bits: int) -> NDArray[Any]:
+    """Counts in the type that the format has for their bits."""
+    return pixels.astype(np.uint16) if bits > 8 else pixels

@@ -1,0 +1,99 @@
+"""Dumps of arrays at other levels than images: look tables, lists of stars, attitudes.
+
+The mounting of the example is bold: 168, -9 and 144 degrees about x, y and z; for attitudes it is rolled
+further.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+from test_tasks import MINI, arrays_of_mini
+
+import boresight as bs
+from boresight.geometry.line_camera import LookTable
+from boresight.pipeline.files.text_files import toml_tables
+
+ARCSEC = np.pi / 648000.0
+ROLLED = Rotation.from_euler("z", 110.0, degrees=True)  # the head's z stays its line of sight: aberration
+SIGMAS = 4.0  # about each axis; one in 16 000 of right results is beyond
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+def truth() -> Rotation:
+    path = MINI / "truth" / "installation.toml"
+    return Rotation.from_quat(toml_tables(path, path.name)["quaternion_cs"])
+
+
+def look_tables(camera: bs.LineCamera) -> bs.LookAngleCamera:
+    """The same camera by tangents at every 16th sample."""
+    tables = []
+    for n in range(camera.n_ccds):
+        samples = np.unique(np.append(np.arange(0.0, camera.n_px(n), 16.0), camera.n_px(n) - 1.0))
+        u = camera.directions_from_pixels(n, samples)
+        tables.append(LookTable(camera.n_px(n), samples, u[:, 0] / u[:, 2], u[:, 1] / u[:, 2]))
+    return bs.LookAngleCamera(tuple(tables))
+
+
+def lists_of_stars(exposures: pd.DataFrame) -> pd.DataFrame:
+    found = [bs.find_stars(image) for image in exposures["image"]]
+    return exposures.drop(columns="image").assign(stars=found)
+
+
+def solved(given: dict, R_sb: Rotation) -> list[dict]:
+    """Attitudes of a head that is rolled by `R_sb` against the star camera, solved from the images."""
+    rows = []
+    for _, row in given["exposures"].iterrows():
+        answer = bs.identify(row["image"], camera=given["star_camera"])
+        assert answer
+        q = (R_sb * answer.R_si).inv().as_quat()  # head to inertial
+        sigma = dict.fromkeys(("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec"), 15.0)
+        rows.append({"time": row["time"], **dict(zip(("qx", "qy", "qz", "qw"), q)), **sigma})
+    return rows
+
+
+def sigmas_off(result: bs.Calibration, R_cs: Rotation) -> np.ndarray:
+    return np.abs((result.R_cs * R_cs.inv()).as_rotvec()) / ARCSEC / result.sigma_arcsec
+
+
+def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
+    given = arrays_of_mini()
+    given["remote_camera"] = look_tables(given["remote_camera"])
+    given["exposures"] = lists_of_stars(given["exposures"])
+    dump = bs.dump_from_arrays(**given)
+    assert isinstance(dump.line_camera, bs.LookAngleCamera)
+    assert not list((Path(dump.root) / "exposures").iterdir())
+    result = bs.calibrate(dump)
+    assert (sigmas_off(result, truth()) < SIGMAS).all(), sigmas_off(result, truth())
+
+
+def test_attitudes_of_a_rolled_head_give_the_matrix_of_truth() -> None:
+    given = arrays_of_mini()
+    given["attitudes"] = solved(given, ROLLED)
+    given["R_cs0"] = Rotation.from_matrix(given["R_cs0"]) * ROLLED.inv()
+    given["aberration_removed"] = "none"
+    del given["exposures"], given["star_camera"]
+    result = bs.calibrate(bs.dump_from_arrays(**given))
+    off = sigmas_off(result, truth() * ROLLED.inv())
+    assert (off < SIGMAS).all(), off
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"attitudes": [{}]}, "exposures, attitudes: found neither or both"),
+        ({"attitudes": [{}], "exposures": None}, "aberration_removed: found None"),
+        ({"remote_camera": 5}, "remote_camera: found 5, expected a LineCamera or a LookAngleCamera"),
+        (
+            {"exposures": [{"time": "2024-11-20T03:40:00", "exposure_s": 0.1, "stars": [{"x_px": 1.0}]}]},
+            "exposures, row 0, stars: found columns x_px, expected also y_px",
+        ),
+    ],
+)
+def test_wrong_levels_are_named(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        bs.dump_from_arrays(**arrays_of_mini() | change)
