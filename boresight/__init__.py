@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
         find_stars,
         identify,
     )
+    from boresight.features.sky_images.sequence import StarTrack, track
     from boresight.features.targets.api import TargetMatches, match_targets
     from boresight.gct_match.settings import MatchSettings
     from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
@@ -69,6 +70,7 @@ __all__ = [
     "StarCamera",
     "StarSettings",
     "StarSolution",
+    "StarTrack",
     "Stars",
     "TargetMatches",
     "TimeLike",
@@ -89,6 +91,7 @@ __all__ = [
     "open_dump",
     "read_result",
     "simulate",
+    "track",
     "validate",
 ]
 
@@ -100,6 +103,7 @@ _MODULES = {
     "features.planning.campaign_plan": "PlanForecast",
     "features.simulation.api": "example simulate",
     "features.sky_images.api": "CameraSolution StarSolution Stars calibrate_star_camera find_stars identify",
+    "features.sky_images.sequence": "StarTrack track",
     "features.targets.api": "TargetMatches match_targets",
     "gct_match.settings": "MatchSettings",
     "geometry.line_camera": "Ccd LineCamera LookAngleCamera",

@@ -50,7 +50,15 @@ if TYPE_CHECKING:
     from astropy.wcs import WCS
     from matplotlib.axes import Axes
 
-__all__ = ["CameraSolution", "StarSolution", "Stars", "calibrate_star_camera", "find_stars", "identify"]
+__all__ = [
+    "CameraSolution",
+    "StarSolution",
+    "Stars",
+    "calibrate_star_camera",
+    "find_stars",
+    "identify",
+    "image_pixels",
+]
 
 NARROWEST_DEG, WIDEST_DEG = 0.5, 90.0  # fields of view that are searched
 SMALLEST_PX, MOST_COUNTS = 32, 65535  # side of an image, and its counts
@@ -577,6 +585,11 @@ def calibrate_star_camera(
         images_rejected=found.frames_refused,
         fit=found,
     )
+
+
+def image_pixels(image: ImageLike, name: str) -> NDArray[Any]:
+    """Grey values (H, W) of a file or an array, as `find_stars` takes them; `name` is the argument's."""
+    return _pixels(image, name).pixels
 
 
 def _times_of(times: Iterable[TimeLike] | TimeLike) -> list[Any]:

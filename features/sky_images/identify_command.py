@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.sky_images.identify_images import Request, identify_images, own_name
+from boresight.features.sky_images.identify_images import Request, identify_images, own_name, read_camera
 from boresight.features.sky_images.options import (
     CameraFile,
     Dark,
@@ -58,9 +58,16 @@ def identify_command(
     times: Times = None,
     orbit: OrbitFile = None,
     site: Site = None,
+    sequence: Annotated[
+        bool, typer.Option("--sequence", help="Frames in the order of time: each is predicted by the last.")
+    ] = False,
+    interval: Annotated[float, typer.Option(help="With --sequence: s from frame to frame.")] = 0.1,
+    exposure: Annotated[
+        float | None, typer.Option(help="With --sequence: exposure time, s; predicts trails of stars.")
+    ] = None,
     settings: SettingsFile = None,
 ) -> Answer:
-    """Name the stars of single images, with no idea where they look.
+    """Name the stars of single images, with no idea where they look; with --sequence track them.
 
     Example: boresight identify sky.png --fov 18.6
     """
@@ -70,6 +77,11 @@ def identify_command(
         raise wrong_usage("--json, --csv and --fits exclude one another")
     if as_fits and times is not None:
         raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
+    if sequence:
+        others = (dark, overlay, report, out, times, orbit, site)
+        if camera is None or as_json or as_fits or any(one is not None for one in others):
+            raise wrong_usage("--sequence needs --camera, and takes --interval, --exposure and --csv only")
+        return _track(images, camera, interval, exposure, as_csv, settings)
     if as_csv:
         print_data(csv_line(FIELDS))
     named = lines = 0
@@ -94,3 +106,33 @@ def identify_command(
         f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
     )
     return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
+
+
+def _track(
+    images: list[Path],
+    camera: Path,
+    interval_s: float,
+    exposure_s: float | None,
+    as_csv: bool,
+    settings: Path | None,
+) -> Answer:
+    """The frames of a sequence, a line each."""
+    from boresight.features.sky_images.sequence import LOST, track  # with pandas 0.3 s to load
+
+    known = read_camera(camera)
+    assert known is not None  # a file was given
+    if not interval_s > 0.0 or (exposure_s is not None and exposure_s < 0.0):
+        raise wrong_usage("--interval must be above 0 s, and --exposure not below")
+    chosen = star_settings(settings)
+    found = track(images, camera=known, interval_s=interval_s, exposure_s=exposure_s, settings=chosen)
+    table = found.table()
+    if as_csv:
+        print_data(table.assign(file=[str(one) for one in images]).to_csv(index=False, lineterminator="\n"))
+    for path, row in zip(images, () if as_csv else table.to_dict("records")):
+        sigmas = f"{row['pointing_sigma_arcsec']:.2f}, {row['roll_sigma_arcsec']:.1f}"
+        place = f"RA {row['ra_deg']:.5f} deg, Dec {row['dec_deg']:+.5f} deg, roll {row['roll_deg']:.4f} deg"
+        where = row["reason"] or f"{place} (1 sigma {sigmas} arcsec), {row['stars']} stars"
+        tell(f"{path!s}   {row['state']}: {where}")
+    (say if as_csv else tell)(found.summary())
+    lost = all(state == LOST for state in found.state)
+    return Answer(exit_status=DATA_DID_NOT_ALLOW if lost else DONE)

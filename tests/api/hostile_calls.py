@@ -117,11 +117,13 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         "targets": [table],
         "errors": {},
     }
+    small = bs.StarCamera(focal_m=1e-3, pixel_m=1e-5, width_px=48, height_px=40, principal_px=(23.5, 19.5))
     places = {"strip": "s01", "ccd": 1, "dump": dump}
     doors = [
         Door("find_stars", bs.find_stars, {"image": noise}),
         Door("identify", bs.identify, {"image": solution.stars, "camera": camera}),
         Door("identify", bs.identify, {"image": noise, "fov_deg": 20.0}),
+        Door("track", bs.track, {"frames": [noise, noise], "camera": small, "times_s": [0.0, 0.1]}),
         Door("calibrate_star_camera", bs.calibrate_star_camera, {"images": [noise], "fov_deg": 20.0}),
         Door(
             "match_template", bs.match_template, {"template": noise, "picture": noise, "start_px": (20, 20)}

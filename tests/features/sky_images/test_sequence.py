@@ -1,0 +1,120 @@
+"""A sequence of star images: every frame is right or lost, and the stated covariance holds."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tomlkit
+from command_line import app
+from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, sequence
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+from typer.testing import CliRunner
+
+import boresight as bs
+from boresight.features.sky_images.identify_images import sky_index
+from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.star_side import star_camera_table
+from boresight.star_id.settings import StarSettings
+from boresight.star_id.tracking import CameraMotion, StarFix, motion_of_fix, predicted_motion, with_fix
+
+INDEX = sky_index(CAMERA, None, StarSettings())
+
+
+@pytest.fixture(scope="module")
+def slew():
+    simulated = sequence(INDEX, 7, 60)
+    return simulated, bs.track(
+        simulated.images, camera=CAMERA, times_s=simulated.times_s, exposure_s=EXPOSURE_S
+    )
+
+
+def test_every_frame_of_a_slew_with_a_gap_and_glare_is_right_or_lost(slew) -> None:
+    simulated, found = slew
+    error, square = errors_of(found, simulated.truth)
+    known = np.isfinite(square)
+    assert set(np.flatnonzero(~known)) == set(simulated.glare)
+    # 30 arcsec: a fifth of a pixel is 10, and roll is ten times less well known than direction
+    assert np.abs(error[known]).max() < 30.0 * ARCSEC
+    low, high = chi2(3 * known.sum()).ppf([0.0005, 0.9995]) / (3 * known.sum())
+    assert low < square[known].mean() < high
+
+
+def test_frames_are_tracked_and_recovery_takes_one_frame(slew) -> None:
+    simulated, found = slew
+    assert found.state[:3] == ("found anew", "found anew", "tracked")
+    (blind,) = simulated.glare
+    assert found.state[blind] == "lost" and found.reason[blind]
+    assert found.state[blind + 1] != "lost"
+    assert found.state.count("tracked") > 0.85 * len(found)
+
+
+def test_the_rate_is_that_of_the_slew(slew) -> None:
+    simulated, found = slew
+    at = 30  # the rate is constant there
+    step = (simulated.truth[at] * simulated.truth[at - 1].inv()).as_rotvec()
+    rate = -np.degrees(step) / (simulated.times_s[at] - simulated.times_s[at - 1])
+    # 0.03 deg/s: roll is known to some 5 arcsec, 0.02 deg/s of the difference of two frames 0.1 s apart
+    np.testing.assert_allclose(found.rate_deg_s[at], rate, atol=0.03)
+
+
+def test_a_jump_is_found_anew_and_not_tracked_wrongly() -> None:
+    here, there = (sequence(INDEX, seed, 12, fastest_deg_s=0.0) for seed in (21, 22))
+    images = here.images[:4] + there.images[:4]
+    found = bs.track(images, camera=CAMERA)
+    truth = Rotation.concatenate([here.truth[:4], there.truth[:4]])
+    assert found.state[4] == "found anew"
+    error, _ = errors_of(found, truth)
+    assert np.abs(error).max() < 30.0 * ARCSEC
+
+
+def test_the_table_has_a_row_a_frame(slew) -> None:
+    _, found = slew
+    table = found.table()
+    assert len(table) == len(found) and tuple(table["state"]) == found.state
+    assert "tracked" in repr(found)
+    with pytest.raises(ValueError, match="lost"):
+        found.R_si(found.state.index("lost"))
+
+
+def test_times_must_increase() -> None:
+    with pytest.raises(ValueError, match="times_s"):
+        bs.track([np.zeros((1024, 1024), np.uint8)] * 2, camera=CAMERA, times_s=[1.0, 1.0])
+
+
+def test_the_filter_of_known_motion_states_its_errors() -> None:
+    """Monte Carlo without images: accelerations and measurement errors are drawn as the filter assumes."""
+    rng, sigma, push, dt = np.random.default_rng(3), np.array([1.0, 1.0, 8.0]) * ARCSEC, 2e-4, 0.1
+    squares = []
+    for _ in range(100):
+        R, rate = Rotation.random(random_state=rng), rng.normal(size=3) * 0.01
+
+        def measured(R: Rotation) -> StarFix:
+            return StarFix(Rotation.from_rotvec(rng.normal(size=3) * sigma) * R, np.diag(sigma**2), 40)
+
+        motion: CameraMotion = motion_of_fix(measured(R), 0.0)
+        for k in range(1, 10):
+            change = push * rng.normal(size=3)
+            R = Rotation.from_rotvec(-(rate + 0.5 * change * dt) * dt) * R
+            rate = rate + change * dt
+            motion = with_fix(predicted_motion(motion, k * dt, push), measured(R))
+        error = np.concatenate([(R * motion.R_si.inv()).as_rotvec(), rate - motion.rate_s])
+        squares.append(error @ np.linalg.solve(motion.covariance, error) / 6.0)
+    low, high = chi2(600).ppf([0.0005, 0.9995]) / 600
+    assert low < np.mean(squares) < high
+
+
+def test_the_command_says_of_every_frame_what_it_is(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("camera.toml").write_text(tomlkit.dumps(star_camera_table(CAMERA, 8)), "utf-8")
+    images = sequence(INDEX, 31, 30, fastest_deg_s=0.0).images[:3]
+    names = [f"f{n}.png" for n in range(3)]
+    for name, image in zip(names, images):
+        cv2.imwrite(name, image)
+    shown = CliRunner().invoke(app, ["identify", *names, "--camera", "camera.toml", "--sequence"])
+    assert shown.exit_code == 0
+    lines = shown.stdout.splitlines()
+    assert ["found anew" in lines[0], "found anew" in lines[1], "tracked" in lines[2]] == [True] * 3
+    refused = CliRunner().invoke(app, ["identify", *names, "--sequence"])
+    assert refused.exit_code == 2
