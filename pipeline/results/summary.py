@@ -17,7 +17,7 @@ from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
-from boresight.pipeline.results.writing import blind_spots_json, verdict_json
+from boresight.pipeline.results.writing import blind_spots_json, ground_m_per_rad, verdict_json
 from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.reasons import doubts
@@ -59,7 +59,8 @@ REASON_WORDS = {  # of causes that counts alone do not explain
 def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
-    lines += blind_lines(blind_spots_json(found.verdict)) + _estimate_lines(found.estimate)
+    lines += blind_lines(blind_spots_json(found.verdict))
+    lines += _estimate_lines(found.estimate, ground_m_per_rad(found.strips, found.camera))
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines(found.omissions))
 
@@ -75,7 +76,9 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
     lines += blind_lines(blind_spots_json(joint.verdict))
     lines.append(f"jointly from {len(of_dumps)} dumps:")
-    lines += _estimate_lines(joint.estimate) + _doubt_lines(joint.estimate, ())
+    camera = next(iter(of_dumps.values())).camera
+    lines += _estimate_lines(joint.estimate, ground_m_per_rad(joint.strips, camera))
+    lines += _doubt_lines(joint.estimate, ())
     return "\n".join(lines + omission_lines(joint.omissions))
 
 
@@ -125,15 +128,19 @@ def _equal_names(group: Sequence[str]) -> str:
     return " = ".join(group[:3]) + (f" = ... ({len(group)} in all)" if len(group) > 3 else "")
 
 
-def _estimate_lines(estimate: InstallationEstimate) -> list[str]:
-    matrix = estimate.R_cs.as_matrix()
-    euler = np.degrees(euler_zxy_from_theta(estimate.theta))
+def _estimate_lines(estimate: InstallationEstimate, m_per_rad: Array) -> list[str]:
+    """Matrix, angles in arc-seconds, and their 1 sigma in metres on the ground (`m_per_rad` (3,))."""
+    matrix, sigma = estimate.R_cs.as_matrix(), estimate.sigma_theta
     lines = ["R_cs ="]
     lines += ["  [" + "  ".join(f"{value:+.12f}" for value in row) + "]" for row in matrix]
     lines += [
-        _row("theta, rad", estimate.theta, "+.9f"),
-        _row("Z-X-Y angles x y z, deg", euler, "+.7f"),
-        _row("1 sigma, arcsec", estimate.sigma_theta / ARCSEC, ".4f"),
+        _row("theta, arcsec", estimate.theta / ARCSEC, "+.3f"),
+        _row("Z-X-Y angles, arcsec", euler_zxy_from_theta(estimate.theta) / ARCSEC, "+.3f"),
+        _row("1 sigma, arcsec", sigma / ARCSEC, ".4f"),
+    ]
+    if np.isfinite(m_per_rad).all():  # scans of the sky see no ground
+        lines.append(_row("1 sigma on the ground, m", sigma * m_per_rad, ".2f"))
+    lines += [
         f"{'from':26s}{estimate.n_exposures} exposures with {estimate.n_stars} stars, "
         f"{estimate.n_strips} strips with {estimate.n_targets} targets",
         f"{'chi2 / dof':26s}{estimate.chi2:.1f} / {estimate.dof}",

@@ -12,9 +12,10 @@ ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"(?<![\w.+-])[+-]?\d+\.\d+(?:e[+-]\d+)?(?![\w.])")
 # Lines of `calibrate` and `validate` whose numbers do not depend on the machine beyond their last digits.
 LABELS = (
-    "theta, rad",
-    "Z-X-Y angles x y z, deg",
+    "theta, arcsec",
+    "Z-X-Y angles, arcsec",
     "1 sigma, arcsec",
+    "1 sigma on the ground, m",
     "chi2 / dof",
 )
 COUNTS = re.compile(r"(\d+) exposures with (\d+) stars, (\d+) strips with (\d+) targets")

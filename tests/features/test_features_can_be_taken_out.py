@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -69,8 +70,8 @@ def test_the_program_lists_all_other_commands_without_a_feature(feature: str, tm
 
 def test_a_dump_is_calibrated_without_any_feature(tmp_path: Path, one_strip: Path) -> None:
     printed = run_in(without(FEATURES, tmp_path), "calibrate", str(one_strip), "--out", "result")
-    (row,) = [line for line in printed.splitlines() if line.startswith("theta, rad")]
+    (row,) = [line for line in printed.splitlines() if line.startswith("theta, arcsec")]
     theta = json.loads((tmp_path / "result" / "installation.json").read_text())["theta_rad"]
-    assert row.split()[2:] == [f"{value:+.9f}" for value in theta]
+    assert row.split()[2:] == [f"{value * 648000 / pi:+.3f}" for value in theta]
     page = (tmp_path / "result" / "report.html").read_text()
     assert page.rstrip().endswith("</html>") and 'id="targets"' in page

@@ -18,6 +18,13 @@ from boresight.pipeline.stages.calibrate import rejections_of
 
 EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
 
+# A remote-sensing camera whose ends look 3 % and 4 % of the range, 0.05 in all, from its axis.
+CAMERA = SimpleNamespace(
+    n_ccds=1,
+    n_px=lambda ccd: 2,
+    directions_from_pixels=lambda ccd, px: np.array([[0.0, -0.01, 1.0], [0.03, 0.04, 1.0]]),
+)
+
 
 def calibration(**changed: Any) -> Any:
     """A calibration with numbers that no two rows have in common."""
@@ -36,8 +43,18 @@ def calibration(**changed: Any) -> Any:
         "bias": None,
         "targets": SimpleNamespace(doubtful=()),
     } | changed
-    verdict = SimpleNamespace(checks=())
-    return SimpleNamespace(estimate=SimpleNamespace(**estimate), verdict=verdict, omissions=(), rows=())
+    ranges_m = [
+        np.array([510e3, np.nan, 560e3]),
+        np.array([640e3]),
+    ]  # one look sees none; mean 570 km
+    return SimpleNamespace(
+        estimate=SimpleNamespace(**estimate),
+        verdict=SimpleNamespace(checks=()),
+        omissions=(),
+        rows=(),
+        strips=[SimpleNamespace(ground=SimpleNamespace(range_m=one)) for one in ranges_m],
+        camera=CAMERA,
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -52,10 +69,21 @@ def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
     rows = {line[:26].strip(): line[26:].split() for line in calibration_summary(calibration()).splitlines()}
     assert rows["1 sigma, arcsec"] == ["0.4541", "0.5153", "8.2676"]
-    assert rows["theta, rad"] == ["+0.001000000", "-0.002000000", "+0.003500000"]
+    assert rows["theta, arcsec"] == ["+206.265", "-412.530", "+721.927"]  # 206264.806" in a radian
+    turned = Rotation.from_rotvec([1e-3, -2e-3, 3.5e-3]).as_euler("ZXY") * 206264.806  # of axes
+    z, x, y = turned
+    assert rows["Z-X-Y angles, arcsec"] == [f"{x:+.3f}", f"{y:+.3f}", f"{z:+.3f}"]
+    # 570 km, 2.7634 m an arc-second; about Z at the edge of the swath, 0.05 of it
+    assert rows["1 sigma on the ground, m"] == ["1.25", "1.42", "1.14"]
     assert rows["from"] == "42 exposures with 3719 stars, 3 strips with 36 targets".split()
     assert rows["chi2 / dof"] == ["57.6", "/", "69"]
     assert rows["not used"] == ["nothing"]
+
+
+def test_scans_of_the_sky_alone_have_no_metres() -> None:
+    found = calibration()
+    found.strips = [SimpleNamespace(ground=SimpleNamespace(range_m=np.full(3, np.nan)))]
+    assert "ground, m" not in calibration_summary(found)
 
 
 def test_each_head_has_the_sigma_of_its_own_axes() -> None:
