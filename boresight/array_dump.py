@@ -31,7 +31,7 @@ from boresight.accepted import (
     utc_of,
     wrong,
 )
-from boresight.array_stars import write_attitudes, write_exposures
+from boresight.array_stars import attitude_keys, write_attitudes, write_exposures
 from boresight.array_tables import Table, bits_of, cell_of, image_of, rows_of, stored, write_tiff
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
@@ -66,6 +66,7 @@ def dump_from_arrays(
     attitude_frame: str = "GCRF",
     attitude_rotation: str = "head to inertial",
     aberration_removed: str | None = None,
+    line_of_sight_s: ArrayLike | None = None,
     strips: Table,
     targets: Table | None = None,
     points: Table | None = None,
@@ -102,14 +103,18 @@ def dump_from_arrays(
         place of images all rows may have `stars`: what `find_stars` returned, or a table of x_px, y_px,
         sigma_x_px, sigma_y_px, cov_xy_px2, flux_dn and, if known, snr, saturated, blended, psf_sigma_px.
     attitudes : table, optional
-        In place of exposures: rows of time, qx, qy, qz, qw (scalar last) and sigma_x_arcsec, sigma_y_arcsec,
-        sigma_z_arcsec about the axes of the star camera, independent from row to row.
+        In place of exposures: rows of time, qx, qy, qz, qw (scalar last) and the errors about the axes of the
+        star camera, independent from row to row: sigma_x_arcsec, sigma_y_arcsec, sigma_z_arcsec, or
+        cov_xx_arcsec2, cov_xy_arcsec2, cov_xz_arcsec2, cov_yy_arcsec2, cov_yz_arcsec2, cov_zz_arcsec2.
     attitude_frame : str
         Inertial axes of the quaternions: "GCRF", "ICRF" or "EME2000".
     attitude_rotation : str
         What the quaternions do with vectors: "head to inertial" or "inertial to head".
     aberration_removed : str
         With attitudes: "none", "annual" or "annual and orbital", as docs/dump-format.md says.
+    line_of_sight_s : (3,) array, optional
+        With attitudes: unit vector along the middle of the head's field of view, axes of the quaternions,
+        (0, 0, 1) for z. The rest of the aberration is put right along it: needed where some is left.
     strips : table
         Rows of id, ccd, time (of line 0), row_period_s, image (lines, samples), and kind (default: ground).
     targets : table, optional
@@ -168,7 +173,8 @@ def dump_from_arrays(
     for name in ("exposures", "strips", "chips", "terrain"):
         (folder / name).mkdir(parents=True)
     if attitudes is not None:
-        head_table = write_attitudes(folder, attitudes, attitude_frame, attitude_rotation, aberration_removed)
+        keys = attitude_keys(attitude_frame, attitude_rotation, aberration_removed, line_of_sight_s)
+        head_table = write_attitudes(folder, attitudes) | keys
     else:
         head_table = write_exposures(folder, star_camera, exposures, star_bits)  # type: ignore[arg-type]
     of_head = ("star_camera", "installation", "exposures") if head_table else ()

@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
-from boresight.accepted import instance_of, number_of, utc_of, wrong
+from boresight.accepted import floats_of, instance_of, number_of, utc_of, wrong
 from boresight.array_tables import Table, bits_of, cell_of, image_of, rows_of, stored, write_tiff
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
+from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 
-__all__ = ["write_attitudes", "write_exposures"]
+__all__ = ["attitude_keys", "write_attitudes", "write_exposures"]
 
 STAR = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")
 MORE = ("snr", "saturated", "blended", "psf_sigma_px")  # optional columns of a list of stars
-QUATERNION = ("qx", "qy", "qz", "qw")
-SIGMAS = ("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec")
 HEAD = {"name": "star-camera", "installation": "installation.toml"}
 FRAMES = ("GCRF", "ICRF", "EME2000")
 SENSES = ("head to inertial", "inertial to head")
@@ -75,10 +76,19 @@ def _stars(given: Any, name: str) -> pd.DataFrame:
     return pd.DataFrame([{key: row[key] for key in (*STAR, *MORE) if key in row} for row in rows])
 
 
-def write_attitudes(
-    folder: Path, table: Table, frame: str, rotation: str, removed: str | None
+def write_attitudes(folder: Path, table: Table) -> dict[str, Any]:
+    """Write attitudes.csv with its errors; its table of [[star_cameras]] without `attitude_keys`."""
+    rows = rows_of(table, "attitudes")
+    errors = COVARIANCES if COVARIANCES[0] in rows[0] else SIGMAS
+    lines = [[_instant(row, n), *_numbers(row, n, (*COMPONENTS, *errors))] for n, row in enumerate(rows)]
+    write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], lines)
+    return HEAD | {"level": "attitudes", "attitudes": "attitudes.csv"}
+
+
+def attitude_keys(
+    frame: str, rotation: str, removed: str | None, line_of_sight_s: ArrayLike | None
 ) -> dict[str, Any]:
-    """Write attitudes.csv; its table of [[star_cameras]]."""
+    """What attitudes.csv means, as keys of [[star_cameras]]."""
     for name, value, allowed in (
         ("attitude_frame", frame, FRAMES),
         ("attitude_rotation", rotation, SENSES),
@@ -86,17 +96,21 @@ def write_attitudes(
     ):
         if value not in allowed:
             raise wrong(name, value, " or ".join(allowed))
-    rows = rows_of(table, "attitudes")
-    lines = [[_instant(row, n), *_numbers(row, n)] for n, row in enumerate(rows)]
-    write_csv(folder / "attitudes.csv", ["utc", *QUATERNION, *SIGMAS], lines)
-    of_table = {"attitudes": "attitudes.csv", "frame": frame, "rotation": rotation}
-    return HEAD | {"level": "attitudes"} | of_table | {"aberration_removed": removed}
+    keys: dict[str, Any] = {"frame": frame, "rotation": rotation, "aberration_removed": removed}
+    expected = "a unit vector in the axes of the quaternions, (0, 0, 1) for z"
+    if line_of_sight_s is None:
+        if removed != "annual and orbital":
+            raise wrong("line_of_sight_s", None, f"{expected}: aberration_removed is {removed!r}")
+        return keys
+    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)")
+    if u_s.shape != (3,) or not abs(np.linalg.norm(u_s) - 1.0) <= DIRECTION_LENGTH:
+        raise wrong("line_of_sight_s", line_of_sight_s, expected)
+    return keys | {"line_of_sight": u_s.tolist()}
 
 
 def _instant(row: Mapping[str, Any], n: int) -> str:
     return utc_of(cell_of(row, "time", "attitudes", n), f"attitudes, row {n}, time")
 
 
-def _numbers(row: Mapping[str, Any], n: int) -> Sequence[float]:
-    keys = (*QUATERNION, *SIGMAS)
+def _numbers(row: Mapping[str, Any], n: int, keys: Sequence[str]) -> Sequence[float]:
     return [number_of(cell_of(row, key, "attitudes", n), f"attitudes, row {n}, {key}") for key in keys]

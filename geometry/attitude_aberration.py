@@ -1,9 +1,10 @@
 """The aberration that a star camera has left in its attitudes, taken out.
 
 A head that compares measured directions with catalogue directions in which an aberration is missing reports
-the attitude R_rep that takes the incomplete direction b of its line of sight (z of frame s) to z. The
-complete apparent direction there is a, so the attitude in the sense of this package is R_rep times the
-smallest rotation that takes a to b. Stars at an angle ρ from the axis agree with that to ρ²/4 of the effect.
+the attitude R_rep that takes the incomplete direction b of its line of sight to that line in the head's own
+axes, which need not be their z. The complete apparent direction there is a, so the attitude in the sense of
+this package is R_rep times the smallest rotation that takes a to b. Stars at an angle ρ from the line of
+sight agree with that to ρ²/4 of the effect.
 """
 
 from __future__ import annotations
@@ -25,20 +26,28 @@ _AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 
 
 def with_all_aberration(
-    R_si: Rotation, removed: AberrationRemoved, epoch: Epoch, t_s: Floats, v_i: Floats
+    R_si: Rotation,
+    removed: AberrationRemoved,
+    epoch: Epoch,
+    t_s: Floats,
+    v_i: Floats,
+    *,
+    line_of_sight_s: Floats,
 ) -> Rotation:
     """Attitudes (N,) as if the head had used apparent directions with annual and orbital aberration.
 
     Parameters
     ----------
     R_si : Rotation
-        (N,) GCRS to star camera as the head reports it; its line of sight is z of frame s.
+        (N,) GCRS to star camera as the head reports it.
     removed : "none", "annual" or "annual and orbital"
         Aberration that the head has allowed for.
     epoch, t_s : Epoch, (N,) array
         Instants, TAI seconds since `epoch`.
     v_i : (N, 3) array
         Geocentric velocity of the satellite, GCRS, m/s.
+    line_of_sight_s : (3,) array
+        Unit vector along the middle of the head's field of view, axes of the head's attitudes.
     """
     if removed == "annual and orbital":
         return R_si
@@ -47,7 +56,7 @@ def with_all_aberration(
         earth = erfa.epv00(*epoch.tt_jd(t_s))[1]["v"] * _AU_PER_DAY
         velocity = v_i + earth
     beta = velocity / SPEED_OF_LIGHT
-    b = R_si.inv().apply([0.0, 0.0, 1.0])
+    b = R_si.inv().apply(line_of_sight_s)
     inverse_gamma = np.sqrt(1.0 - np.einsum("ni,ni->n", beta, beta))
     a = erfa.ab(b, beta, np.ones(len(b)), inverse_gamma)
     normal = np.cross(a, b)

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Bools, Floats, record, scalar
 
-__all__ = ["AttitudeFault", "AttitudeFinding", "find_attitude_fault"]
+__all__ = ["AttitudeFault", "AttitudeFinding", "find_attitude_fault", "off_nadir"]
 
 STEADY_RAD_S = 1e-4  # against the orbital frame: a tenth of the orbital rate; yaw steering stays below
 UNSTEADY_RAD_S = 3e-4  # an attitude that turns faster may be a manoeuvre: another reading must be steady
@@ -72,17 +72,15 @@ def find_attitude_fault(t_s: Floats, R_si: Rotation, R_cs: Rotation, orbit: Orbi
     if not len(first):
         return None
     last = later[first]
-    p_i = orbit.positions_i(t_s)
     R_oi = orbit.R_oi(t_s)
-    limb = np.arcsin(np.minimum(WGS84.semi_major_m / np.linalg.norm(p_i, axis=1), 1.0))
 
     def reading(R: Rotation) -> tuple[bool, float, float]:
         """Whether the Earth is seen, the angle to nadir, the rate against the orbital frame."""
         axis = (R_cs * R).inv().apply([0.0, 0.0, 1.0])
-        off = np.arccos(np.clip(-np.einsum("ki,ki->k", axis, p_i) / np.linalg.norm(p_i, axis=1), -1.0, 1.0))
+        on_earth, off = off_nadir(axis, t_s, orbit)
         R_so = R * R_oi.inv()
         rate = (R_so[last] * R_so[first].inv()).magnitude() / (t_s[last] - t_s[first])
-        return float(np.mean(off < limb)) > 0.5, float(np.median(off)), float(np.median(rate))
+        return float(np.mean(on_earth)) > 0.5, float(np.median(off)), float(np.median(rate))
 
     seen, off, rate = reading(R_si)
     if seen and rate <= UNSTEADY_RAD_S:
@@ -92,6 +90,14 @@ def find_attitude_fault(t_s: Floats, R_si: Rotation, R_cs: Rotation, orbit: Orbi
         if other_seen and other_rate <= STEADY_RAD_S:
             return AttitudeFinding(fault, off, other_off, rate)
     return None if seen else AttitudeFinding(AttitudeFault.UNRELATED, off, float("nan"), rate)
+
+
+def off_nadir(axis_i: Floats, t_s: Floats, orbit: Orbit) -> tuple[Bools, Floats]:
+    """Whether directions (K, 3), GCRS, from the satellite meet the Earth, and their angles to nadir, rad."""
+    p_i = orbit.positions_i(t_s)
+    radius = np.linalg.norm(p_i, axis=1)
+    off = np.arccos(np.clip(-np.einsum("ki,ki->k", axis_i, p_i) / radius, -1.0, 1.0))
+    return off < np.arcsin(np.minimum(WGS84.semi_major_m / radius, 1.0)), off
 
 
 def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[AttitudeFault, Rotation]]:

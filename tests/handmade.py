@@ -67,6 +67,7 @@ attitudes = "str1.csv"
 frame = "GCRF"
 rotation = "{rotation}"
 aberration_removed = "{removed}"
+line_of_sight = [0.0, 0.0, 1.0]
 """
 
 CCD = """

@@ -54,6 +54,7 @@ frame = "GCRF"                 # or "ICRF", "EME2000"
 rotation = "head to inertial"  # what the quaternions do with vectors, or "inertial to head"
 time_scale = "UTC"             # or "TAI", "GPS", with a column tai or gps in place of utc
 aberration_removed = "annual and orbital"   # by the head: or "annual", "none"
+# line_of_sight = [0.0, 0.0, 1.0]           # needed with these two: unit vector, axes of quaternions
 
 [star_cameras.noise]           # 1-sigma about x, y, z of frame s; `boresight noise --write` estimates it
 white_arcsec = [2.0, 2.0, 10.0]

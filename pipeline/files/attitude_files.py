@@ -27,7 +27,7 @@ from boresight.pipeline.files.orbit_file import tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
 
-__all__ = ["AttitudeRows", "check_rows", "read_attitudes"]
+__all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
 SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2

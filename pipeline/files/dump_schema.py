@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 __all__ = [
+    "DIRECTION_LENGTH",
     "LOOK_TABLES",
     "CcdFile",
     "DumpFile",
@@ -38,6 +39,9 @@ __all__ = [
     "TargetRow",
     "head_of_dump",
 ]
+
+
+DIRECTION_LENGTH = 1e-3  # tolerated error of a unit vector's length: three decimals
 
 
 def _one_line(text: str) -> str:
@@ -219,6 +223,10 @@ class NoiseFile(_Strict):
         return self
 
 
+Direction = Annotated[
+    list[Annotated[float, Field(ge=-1.01, le=1.01)]],
+    Field(min_length=3, max_length=3, description="unit vector in the axes of the head's attitudes"),
+]
 SpiceName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9_+\-./]{1,32}$")]
 
 
@@ -244,6 +252,7 @@ class HeadFile(_Strict):
     spice_frame: SpiceName | None = None  # of a CK: the head's frame in the FK
     time_scale: Literal["UTC", "TAI", "GPS"] | None = None  # of a CSV file of attitudes; None: UTC
     aberration_removed: Literal["none", "annual", "annual and orbital"] | None = None
+    line_of_sight: Direction | None = None  # of a head whose attitudes lack aberration
     interpolation: Literal["lagrange", "taylor"] = "lagrange"  # geometry.attitude.interpolation_weights
     noise: NoiseFile = NoiseFile()
 
@@ -258,13 +267,26 @@ class HeadFile(_Strict):
         if missing := sorted(name for name in needed if getattr(self, name) is None):
             raise ValueError(f"level {self.level!r} needs the key {missing[0]}")
         of_file = {"frame", "rotation", "time_scale", "spice_frame"}
-        allowed = needed | (of_file if self.level == "attitudes" else set())
-        for name in set.union(*of_level.values()) | of_file:
+        allowed = needed | (of_file | {"line_of_sight"} if self.level == "attitudes" else set())
+        for name in set.union(*of_level.values(), of_file, {"line_of_sight"}):
             if name not in allowed and getattr(self, name) is not None:
                 raise ValueError(f"level {self.level!r} has no key {name}")
         if self.level != "attitudes" and self.noise.white_arcsec is not None:
             raise ValueError(f"level {self.level!r} has no key noise.white_arcsec: its stars give it")
+        self._check_line_of_sight()
         return self
+
+    def _check_line_of_sight(self) -> None:
+        line = self.line_of_sight
+        if line is None and self.aberration_removed in ("none", "annual"):
+            raise ValueError(
+                f"aberration_removed = {self.aberration_removed!r} needs the key line_of_sight, a unit "
+                "vector in the axes of the quaternions ([0, 0, 1] for z): the rest is put right along it"
+            )
+        if line is not None and abs((length := math.hypot(*line)) - 1.0) > DIRECTION_LENGTH:
+            raise ValueError(
+                f"line_of_sight has length {length:.4g}, 1 within {DIRECTION_LENGTH:g} is needed"
+            )
 
 
 class DumpFile(_Strict):

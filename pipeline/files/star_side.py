@@ -15,13 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
-from boresight.geometry.attitude_aberration import AberrationRemoved
-from boresight.geometry.attitude_consistency import find_attitude_fault
+from boresight.geometry.attitude_aberration import AberrationRemoved, with_all_aberration
+from boresight.geometry.attitude_consistency import find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit, OrbitGapError
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import Omission, RawDataError
@@ -48,6 +48,7 @@ __all__ = [
 ]
 
 ONLY_HEAD = "star_camera"  # name of the head of a dump without [[star_cameras]]
+Z = (0.0, 0.0, 1.0)  # line of sight of a camera in frame s
 
 
 @record
@@ -92,6 +93,19 @@ class SolvedAttitudes:
     rows: AttitudeRows = scalar("as the file has them")
     file: str = scalar("name of the file")
     aberration_removed: AberrationRemoved = scalar("by the head")
+    line_of_sight_s: Floats = array("3", "unit vector along the middle of its field, axes of s")
+
+    def with_all_aberration(self, at: Ints, epoch: Epoch, orbit: Orbit) -> Rotation:
+        """Attitudes (K,) of the rows `at`, which the orbit covers, of apparent directions of stars."""
+        t_s = self.rows.t_s[at]
+        return with_all_aberration(
+            self.rows.R_si[at],
+            self.aberration_removed,
+            epoch,
+            t_s,
+            orbit.states_i(t_s)[1],
+            line_of_sight_s=self.line_of_sight_s,
+        )
 
     def usual_covariance_s(self, noise: AttitudeNoise) -> Floats:
         """Median covariance (3, 3) of an attitude, rad², axes of s: of the rows, or of the head's `noise`."""
@@ -112,6 +126,12 @@ class Head:
     noise_is_assumed: bool = scalar("that noise is neither stated nor estimated", default=False)
     interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
+
+    @property
+    def line_of_sight_s(self) -> Floats:
+        """Unit vector (3,) along the middle of its field of view, axes of s: z of a camera."""
+        source = self.source
+        return source.line_of_sight_s if isinstance(source, SolvedAttitudes) else np.array(Z)
 
     @property
     def n_exposures(self) -> int:
@@ -174,23 +194,39 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch, kernels: 
 
 def check_attitudes(head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]) -> None:
     """`RawDataError` where a head's attitudes during strips of the ground (first and last instant) contradict
-    the orbit.
+    the orbit, or its line of sight, where that is used, meets the Earth.
     """
-    if not isinstance(head.source, SolvedAttitudes):
+    source = head.source
+    if not isinstance(source, SolvedAttitudes):
         return
-    t_s = head.source.rows.t_s
+    t_s = source.rows.t_s
     begin, end = orbit.span_s
     during = np.zeros(len(t_s), dtype=bool)
     for first, last in strips:
         during |= (t_s >= max(first - 1.0, begin)) & (t_s <= min(last + 1.0, end))
+    R_si = source.rows.R_si[during]
     try:
-        found = find_attitude_fault(t_s[during], head.source.rows.R_si[during], head.R_cs0, orbit)
+        found = find_attitude_fault(t_s[during], R_si, head.R_cs0, orbit)
+        blind_rad = _blind_rad(source, t_s[during], R_si, orbit)
     except OrbitGapError:  # strips that the orbit does not cover are not used, and reported as that
         return
     if found is not None:
         raise RawDataError(
-            head.source.file, "quaternions", str(found), "attitudes with which the camera sees the Earth"
+            source.file, "quaternions", str(found), "attitudes with which the camera sees the Earth"
         )
+    if blind_rad is not None:
+        direction = ", ".join(f"{value:.4g}" for value in source.line_of_sight_s)
+        towards = f"[{direction}], which meets the Earth {np.degrees(blind_rad):.0f} deg off nadir"
+        expected = "where this head sees stars, in the axes of its quaternions"
+        raise RawDataError("dump.toml", f"line_of_sight of {head.name}", towards, expected)
+
+
+def _blind_rad(source: SolvedAttitudes, t_s: Floats, R_si: Rotation, orbit: Orbit) -> float | None:
+    """Angle to nadir of a line of sight that is used and meets the Earth at most instants (K,), else None."""
+    if source.aberration_removed == "annual and orbital" or not len(t_s):
+        return None
+    on_earth, off_rad = off_nadir(R_si.inv().apply(source.line_of_sight_s), t_s, orbit)
+    return float(np.median(off_rad)) if np.mean(on_earth) > 0.5 else None
 
 
 def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
@@ -218,7 +254,9 @@ def _attitudes(
     if stated is not None and min(stated) <= 0.0:
         raise RawDataError("dump.toml", f"noise.white_arcsec of {head.name}", stated, "positive values")
     assert head.aberration_removed is not None  # by the schema
-    return SolvedAttitudes(rows, file, head.aberration_removed)
+    line_of_sight = np.array(Z if head.line_of_sight is None else head.line_of_sight)
+    line_of_sight /= np.linalg.norm(line_of_sight)
+    return SolvedAttitudes(rows, file, head.aberration_removed, line_of_sight)
 
 
 def _rows(head: schema.HeadFile, path: Path, file: str, epoch: Epoch, kernels: Kernels) -> AttitudeRows:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Bools, Floats, array, record, scalar
@@ -94,8 +93,7 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
         omissions.append(Omission("head", head.name, reason=reason, cause=Cause.NOT_COVERED))
     at = np.flatnonzero(covered)
     t_s = rows.t_s[at]
-    v_i = dump.orbit.states_i(t_s)[1]
-    R_si = with_all_aberration(rows.R_si[at], source.aberration_removed, dump.epoch, t_s, v_i)
+    R_si = source.with_all_aberration(at, dump.epoch, dump.orbit)
     names = [f"{head.name}-{k + 1:06d}" for k in at.tolist()]
     white = np.tile(head.noise.white_covariance_s, (len(at), 1, 1))
     return HeadSightings(

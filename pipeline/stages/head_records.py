@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.alignment import HeadAlignment, HeadTrack, align_heads, carried_to, common_instants
 from boresight.calib.noise_spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
@@ -105,8 +104,7 @@ def _track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Float
         rows = head.source.rows
         at = np.flatnonzero(covered_instants(dump.orbit, rows.t_s, np.ones(len(rows.t_s), dtype=bool)))
         t_s, temperature = rows.t_s[at], rows.temperature_c
-        v_i = dump.orbit.states_i(t_s)[1]
-        R_hi = with_all_aberration(rows.R_si[at], head.source.aberration_removed, dump.epoch, t_s, v_i)
+        R_hi = head.source.with_all_aberration(at, dump.epoch, dump.orbit)
         warm = None if temperature is None else temperature[at]
         return HeadTrack(name=head.name, t_s=t_s, R_hi=R_hi, R_oi=dump.orbit.R_oi(t_s)), warm
     sighted = sight_head(dump, head, settings, CalibrationSettings().attitudes, StageRunner())

@@ -85,12 +85,12 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> MovedIn
     )
 
 
-def _turned_by_velocity(R_si: Floats, v_i: Floats) -> Floats:
+def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> Floats:
     """Rotations (K, 3), axes of s, of attitudes (K, 3, 3) fitted to stars whose aberration is too large by
-    that of a velocity (K, 3): the line of sight goes back by what the stars went forward.
+    that of a velocity (K, 3): the line of sight (3,), axes of s, goes back by what the stars went forward.
     """
     beta_s = np.einsum("kab,kb->ka", R_si, v_i) / SPEED_OF_LIGHT
-    return -np.cross([0.0, 0.0, 1.0], beta_s)
+    return -np.cross(line_of_sight_s, beta_s)
 
 
 def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
@@ -110,7 +110,9 @@ def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]
             file="dump.toml",
             field=f"aberration_removed of {head.name}",
             turns_s={
-                strip.strip_id: _turned_by_velocity(_attitudes(strip), velocity(_times(strip)))
+                strip.strip_id: _turned_by_velocity(
+                    _attitudes(strip), velocity(_times(strip)), head.line_of_sight_s
+                )
                 for strip in strips
                 if strip.exposures
             },
@@ -132,7 +134,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             directions[strip.strip_id] = (v_i - along * u_i) / SPEED_OF_LIGHT
             if in_attitudes and strip.exposures:
                 v_i = KM_S * dump.orbit.R_oi(_times(strip)).as_matrix()[:, axis]
-                turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i)
+                turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i, head.line_of_sight_s)
         yield MovedInput(
             cause=f"velocity of the orbit, {name}",
             item="all strips of the sky",

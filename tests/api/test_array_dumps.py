@@ -1,7 +1,7 @@
 """Dumps of arrays at other levels than images: look tables, lists of stars, attitudes.
 
-The mounting of the example is bold: 168, -9 and 144 degrees about x, y and z; for attitudes it is rolled
-further.
+The mounting of the example is bold: 168, -9 and 144 degrees about x, y and z; axes of solved attitudes are
+turned further, so that none of them is the line of sight.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from boresight.geometry.line_camera import LookTable
 from boresight.pipeline.files.text_files import toml_tables
 
 ARCSEC = np.pi / 648000.0
-ROLLED = Rotation.from_euler("z", 110.0, degrees=True)  # the head's z stays its line of sight: aberration
+BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)  # star camera to the head's axes
 SIGMAS = 4.0  # about each axis; one in 16 000 of right results is beyond
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
@@ -44,15 +44,17 @@ def lists_of_stars(exposures: pd.DataFrame) -> pd.DataFrame:
     return exposures.drop(columns="image").assign(stars=found)
 
 
-def solved(given: dict, R_sb: Rotation) -> list[dict]:
-    """Attitudes of a head that is rolled by `R_sb` against the star camera, solved from the images."""
+def solved(given: dict, R_hs: Rotation) -> list[dict]:
+    """Attitudes about axes h that a star camera has solved from its images, with their covariances."""
+    cov_s = np.diag([15.0, 15.0, 40.0]) ** 2  # arcsec², larger about the line of sight
+    cov_h = R_hs.as_matrix() @ cov_s @ R_hs.as_matrix().T
+    cov = {f"cov_{'xyz'[i]}{'xyz'[j]}_arcsec2": cov_h[i, j] for i in range(3) for j in range(i, 3)}
     rows = []
     for _, row in given["exposures"].iterrows():
         answer = bs.identify(row["image"], camera=given["star_camera"])
         assert answer
-        q = (R_sb * answer.R_si).inv().as_quat()  # head to inertial
-        sigma = dict.fromkeys(("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec"), 15.0)
-        rows.append({"time": row["time"], **dict(zip(("qx", "qy", "qz", "qw"), q)), **sigma})
+        q = (R_hs * answer.R_si).inv().as_quat()  # head to inertial
+        rows.append({"time": row["time"], **dict(zip(("qx", "qy", "qz", "qw"), q)), **cov})
     return rows
 
 
@@ -71,15 +73,30 @@ def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
     assert (sigmas_off(result, truth()) < SIGMAS).all(), sigmas_off(result, truth())
 
 
-def test_attitudes_of_a_rolled_head_give_the_matrix_of_truth() -> None:
+@pytest.fixture(scope="module")
+def attitudes() -> dict:
+    """Arguments of `dump_from_arrays` with attitudes about bold axes, in which the aberration is left."""
     given = arrays_of_mini()
-    given["attitudes"] = solved(given, ROLLED)
-    given["R_cs0"] = Rotation.from_matrix(given["R_cs0"]) * ROLLED.inv()
+    given["attitudes"] = solved(given, BOLD)
+    given["R_cs0"] = Rotation.from_matrix(given["R_cs0"]) * BOLD.inv()
     given["aberration_removed"] = "none"
     del given["exposures"], given["star_camera"]
-    result = bs.calibrate(bs.dump_from_arrays(**given))
-    off = sigmas_off(result, truth() * ROLLED.inv())
+    return given
+
+
+def test_attitudes_about_bold_axes_give_the_matrix_of_truth(attitudes: dict) -> None:
+    dump = bs.dump_from_arrays(**attitudes, line_of_sight_s=BOLD.apply([0.0, 0.0, 1.0]))
+    result = bs.calibrate(dump)
+    assert result.verdict == "consistent"
+    off = sigmas_off(result, truth() * BOLD.inv())
     assert (off < SIGMAS).all(), off
+
+
+def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None:
+    with pytest.raises(ValueError, match="line_of_sight_s: found None, expected a unit vector"):
+        bs.dump_from_arrays(**attitudes)
+    with pytest.raises(ValueError, match="line_of_sight_s: found"):
+        bs.dump_from_arrays(**attitudes, line_of_sight_s=[0.0, 0.6, 0.6])
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.constants import ARCSEC, SPEED_OF_LIGHT
 
+BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 FIELD = 1e-4 * np.array([[0.0, 0.0], [1.0, 0.2], [-0.6, 0.9], [-0.3, -1.1], [0.8, -0.7]])  # rad
 
 
@@ -27,7 +28,9 @@ def seen_by(u: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("removed", ["none", "annual", "annual and orbital"])
 @pytest.mark.parametrize("k", range(len(TIMES_S)))
-def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int) -> None:
+@pytest.mark.parametrize("R_hs", [Rotation.identity(), BOLD], ids=["z", "bold"])
+def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int, R_hs: Rotation) -> None:
+    """Axes h of the head's attitudes, whose line of sight is z of s."""
     utc = Time(EPOCH.utc_from_seconds([TIMES_S[k]])[0], scale="utc")
     earth = get_body_barycentric_posvel("earth", utc)[1].xyz.to_value(units.m / units.s)
     u_s = np.column_stack([FIELD, np.ones(len(FIELD))])
@@ -41,9 +44,14 @@ def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int)
     }[removed]
     reported, _ = Rotation.align_vectors(u_s, of_the_head)
     got = with_all_aberration(
-        Rotation.concatenate([reported]), removed, EPOCH, TIMES_S[k : k + 1], VELOCITIES_I[k : k + 1]
+        Rotation.concatenate([R_hs * reported]),
+        removed,
+        EPOCH,
+        TIMES_S[k : k + 1],
+        VELOCITIES_I[k : k + 1],
+        line_of_sight_s=R_hs.apply([0.0, 0.0, 1.0]),
     )[0]
-    across = (got * ATTITUDES[k].inv()).as_rotvec()[:2]
+    across = (R_hs.inv() * got * ATTITUDES[k].inv()).as_rotvec()[:2]
     # 20 and 5 arc-seconds are put right; 1e-4 of the velocity squared and of the field are left
     assert np.abs(across).max() < 0.005 * ARCSEC
     turned = (reported * ATTITUDES[k].inv()).magnitude()

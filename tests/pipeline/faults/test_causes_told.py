@@ -154,7 +154,9 @@ def test_the_sound_dump_has_no_finding_and_names_what_it_cannot_show(right):
     ("make", "cause"),
     [
         (
-            lambda dump: change(dump / "dump.toml", '"annual and orbital"', '"none"'),
+            lambda dump: change(
+                dump / "dump.toml", '"annual and orbital"', '"none"\nline_of_sight = [0.0, 0.0, 1.0]'
+            ),
             "aberration of the attitudes, annual",
         ),
         (

@@ -96,6 +96,8 @@ def test_white_noise_is_stated_once(attitudes: Path) -> None:
         ('level = "attitudes"', 'level = "images"', "needs the key camera"),
         ('rotation = "head to inertial"\n', "", "rotation of str1.csv"),
         ('rotation = "head to inertial"', 'rotation = "inertial to head"', "likely|inverse rotation"),
+        ("line_of_sight = [0.0, 0.0, 1.0]\n", "", "'annual' needs the key line_of_sight"),
+        ("line_of_sight = [0.0, 0.0, 1.0]", "line_of_sight = [0.0, 0.6, 0.6]", "has length 0.8485, 1 within"),
         ("#installation", "installation", "exclude one another"),
         ('points = "points.csv"', "", "files.targets|nothing"),
         ("correlation_time_s = [1, 1, 2]\n", "", "come together"),
@@ -104,6 +106,17 @@ def test_white_noise_is_stated_once(attitudes: Path) -> None:
 def test_contradicting_statements_are_refused(old: str, new: str, complaint: str, attitudes: Path) -> None:
     with pytest.raises(RawDataError, match=complaint):
         changed(attitudes, old, new)
+
+
+def test_a_line_of_sight_that_meets_the_earth_is_refused(attitudes: Path) -> None:
+    dump = open_dump(attitudes)
+    assert isinstance(dump.heads[0].source, SolvedAttitudes)
+    down = dump.R_cs0.inv().apply([0.0, 0.0, 1.0])  # where the camera looks, axes of the head
+    stated = f"line_of_sight = {down.tolist()}"
+    with pytest.raises(RawDataError, match=r"line_of_sight of STR1.*meets the Earth 0 deg off nadir"):
+        changed(attitudes, "line_of_sight = [0.0, 0.0, 1.0]", stated)
+    unused = changed(attitudes, '"annual"', '"annual and orbital"')
+    assert np.allclose(unused.heads[0].line_of_sight_s, down)
 
 
 @pytest.mark.parametrize(

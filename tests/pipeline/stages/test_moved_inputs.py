@@ -27,10 +27,12 @@ def test_attitudes_turn_with_a_velocity_as_by_the_aberration_that_a_head_left_in
     epoch, t_s = Epoch.from_utc("2024-11-20T04:00:00"), np.array([0.0, 60.0, 4000.0])
     R_si = Rotation.random(3, random_state=5)
     v_i = np.array([[7400.0, 900.0, -1200.0], [-300.0, 7500.0, 800.0], [100.0, -200.0, 7600.0]])
-    turned = with_all_aberration(R_si, "annual", epoch, t_s, v_i)  # the orbital part is put in
+    u_s = BOLD.apply([0.0, 0.0, 1.0])
+    # the orbital part is put in
+    turned = with_all_aberration(R_si, "annual", epoch, t_s, v_i, line_of_sight_s=u_s)
     expected = (turned * R_si.inv()).as_rotvec()
     # Of second order in v/c, 6e-10 rad, and the annual part's own change: far below 1e-3 of 5 arc-seconds.
-    assert np.abs(_turned_by_velocity(R_si.as_matrix(), v_i) - expected).max() < 1e-3 * 5.0 * ARCSEC
+    assert np.abs(_turned_by_velocity(R_si.as_matrix(), v_i, u_s) - expected).max() < 1e-3 * 5.0 * ARCSEC
 
 
 def test_a_moved_input_changes_the_residuals_as_its_column_says():
