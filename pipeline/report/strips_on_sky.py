@@ -6,13 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import list_values
 from boresight.pipeline.report.drawing import INK, MUTED, Drawing, Spot, drawn, dress_axes, new_figure
+from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.strip_stars import StripStarRow
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.star_names import star_name
 
 __all__ = ["strips_on_sky"]
 
@@ -20,6 +25,8 @@ MOST_STRIPS = 8  # each has a panel
 PANEL_IN = 3.1  # its height
 FEWEST_STARS = 4  # that tell how the camera's axes lie on the sky
 LONGEST = 0.15  # of the panel's width: the arrow of the largest residual
+MOST_NAMES = 12  # of a panel: of its brightest stars
+NAME_PT, MARK_PT, LINE_PT = 7.0, 3.6, 1.5  # size of a name; half a mark and half a line, with clear space
 
 
 def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
@@ -46,6 +53,7 @@ def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
     text = f"Strips on the sky, north up and east to the left: {counts}."
     caption = (
         f"{text} Lines: residuals, the longest of those used {largest:.2f}″. Arrow: later lines of the image."
+        " Names: of the brightest, where there is room."
     )
     return drawn(figure, "strips-on-sky", caption, text, spots)
 
@@ -59,20 +67,49 @@ def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[StripStarRow], l
     dress_axes(axes, "east, °", "north, °")
     axes.set_title(f"{strip}\nRA {ra:.2f}°, Dec {dec:+.2f}°", fontsize=9, color=INK)
     axes.set(xlim=(reach, -reach), ylim=(-reach, reach), aspect="equal")
+    ends: list[Floats] = [np.zeros((0, 2, 2))]
     if (turned := _axes_on_sky(saved, index, place)) is not None:
         to_sky, scan = turned
         off = np.array([_residual(saved, row.row) for row in rows]) @ to_sky.T
         off *= 2.0 * reach * LONGEST / largest
-        for row, (x, y), (dx, dy) in zip(rows, place, off):
-            if row.state == "used":
-                axes.plot([x, x + dx], [y, y + dy], color=MUTED, linewidth=1.2)
+        used = np.array([row.state == "used" for row in rows])
+        ends.append(np.stack([place, place + off], axis=1)[used])
+        for (x, y), (to_x, to_y) in ends[-1]:
+            axes.plot([x, to_x], [y, to_y], color=MUTED, linewidth=1.2)
         middle, half = np.array([-0.82, -0.82]) * reach, 0.15 * reach * scan
-        end, start = (tuple((middle + side * half).tolist()) for side in (1.0, -1.0))
+        ends.append(np.array([[middle - half, middle + half]]))
+        start, end = (tuple(at) for at in ends[-1][0].tolist())
         axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK})
+    _write_names(axes, [row.star for row in rows], place, np.concatenate(ends))
     return [
         Spot(axes=axes, x=x, y=y, link=row.link, style=f"{row.key} {row.colour}", shape=row.shape)
         for row, (x, y) in zip(rows, place.tolist())
     ]
+
+
+def _write_names(axes: Axes, stars: Sequence[str], place: Floats, lines: Floats) -> None:
+    """The names of the brightest stars ("HIP 42") at `place` (N, 2), clear of all marks and of `lines`
+    (M, 2, 2) from one end to the other, in the axes' units.
+    """
+    axes.apply_aspect()  # before it, a place in the picture is not known
+    per_point = axes.figure.dpi / 72.0
+    marks, ends = (axes.transData.transform(at.reshape(-1, 2)) / per_point for at in (place, lines))
+    taken = [mark_boxes(marks, MARK_PT), line_boxes(ends[::2], ends[1::2], LINE_PT)]
+    known = hipparcos_stars().places
+    v_mag = dict(zip(known.hip.tolist(), known.v_mag.tolist()))
+    hip = {n: int(star.split()[1]) for n, star in enumerate(stars) if star.startswith("HIP ")}
+    once = {number: n for n, number in reversed(hip.items())}  # of a star in two CCDs the first mark
+    order = sorted(once, key=lambda number: v_mag.get(number, np.inf))[:MOST_NAMES]
+    names = [star_name(number) for number in order]
+    font = FontProperties(size=NAME_PT)
+    sizes = [text_to_path.get_text_width_height_descent(name, font, False)[0] for name in names]
+    boxes = np.array([(width, 1.2 * NAME_PT) for width in sizes]).reshape(-1, 2)
+    frame = np.concatenate(axes.bbox.get_points() / per_point)
+    at = place_labels(marks[[once[number] for number in order]], boxes, MARK_PT, frame, np.vstack(taken))
+    to_axes = axes.transAxes.inverted()
+    for name, (x, y) in zip(names, to_axes.transform(at * per_point).tolist()):
+        if np.isfinite(x):
+            axes.text(x, y, name, size=NAME_PT, ha="center", va="center", transform=axes.transAxes, color=INK)
 
 
 def _residual(saved: Saved, row: int) -> Floats:

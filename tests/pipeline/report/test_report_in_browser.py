@@ -37,6 +37,7 @@ CHROMIUM = next(
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="NO CHROMIUM FOUND: the report was not looked at in a browser"
 )
+SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 SWITCHES = (
     "--headless=new",
     "--no-sandbox",
@@ -479,3 +480,31 @@ def test_the_star_image_is_zoomed_by_button_key_and_pointer(address, finished):
 def brightness(colour: str) -> float:
     red, green, blue = (float(x) for x in colour[colour.index("(") + 1 : -1].split(",")[:3])
     return 0.3 * red + 0.6 * green + 0.1 * blue
+
+
+def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, tmp_path):
+    told = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(tmp_path), "--workers", "1"])
+    assert told.exit_code == 0, told.output
+
+    async def look() -> tuple[list[str], list[list[float]], list[list[float]]]:
+        browser = await opened(address)
+        await browser.go(tmp_path / "report.html", 1280, "light")
+        await browser.value("panel = document.querySelector('#strips-on-sky-words').closest('svg'); 0")
+        texts = "[...panel.querySelectorAll('text')]"
+        box = "(e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }"
+        return (
+            await browser.value(f"{texts}.map((e) => e.textContent.trim())"),
+            await browser.value(f"{texts}.map({box})"),
+            await browser.value(f"[...panel.querySelectorAll('.dot')].map({box})"),
+        )
+
+    names, boxes, dots = asyncio.run(look())
+    assert {"Pleione", "Asterope", "Celaeno"} <= set(names)  # the brightest of this scan
+    assert len(dots) == 15
+    names_at = [box for name, box in zip(names, boxes) if name[0].isalpha()]
+    for n, (left, top, right, bottom) in enumerate(names_at):
+        others = np.array([*names_at[:n], *names_at[n + 1 :], *dots])
+        x = np.minimum(right, others[:, 2]) - np.maximum(left, others[:, 0])
+        y = np.minimum(bottom, others[:, 3]) - np.maximum(top, others[:, 1])
+        # The box of a text is as high as its font, 2 px beyond the letters that it holds.
+        assert not ((x > 0.0) & (y > 2.0)).any(), names

@@ -1,0 +1,65 @@
+"""Places for labels beside marks: none covers another label, a mark or a line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.geometry.record import Bools, Floats
+
+__all__ = ["line_boxes", "mark_boxes", "place_labels"]
+
+# Where a label may stand: sides of its mark, and how far from it, in gaps; the first that is free is taken.
+_SIDES = tuple(
+    (np.array(side), far)
+    for far in (1.0, 2.0)
+    for side in ((1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1))
+)
+_DIAGONAL = 0.7  # of that distance, along x and along y, on a diagonal
+
+
+def place_labels(points: Floats, sizes: Floats, gap: float, frame: Floats, taken: Floats) -> Floats:
+    """Centres (N, 2) of labels, the first labels first; NaN where one finds no room.
+
+    Parameters
+    ----------
+    points : (N, 2) array
+        The marks that the labels belong to, in the units of the picture.
+    sizes : (N, 2) array
+        Width and height of each label.
+    gap : float
+        From a mark's middle to its label.
+    frame : (4,) array
+        The picture: smallest x and y, largest x and y.
+    taken : (M, 4) array
+        Boxes that no label may cover, as `frame`.
+    """
+    places = np.full((len(points), 2), np.nan)
+    for n, (point, size) in enumerate(zip(points, sizes)):
+        for side, far in _SIDES:
+            centre = point + side * (0.5 * size + far * gap * (_DIAGONAL if side.all() else 1.0))
+            box = np.concatenate([centre - 0.5 * size, centre + 0.5 * size])
+            inside = (box[:2] >= frame[:2]).all() and (box[2:] <= frame[2:]).all()
+            if inside and not _covers(box, taken).any():
+                places[n] = centre
+                taken = np.vstack([taken, box])
+                break
+    return places
+
+
+def mark_boxes(points: Floats, half: float) -> Floats:
+    """Squares (N, 4) about points (N, 2), of the given half side."""
+    return np.column_stack([points - half, points + half])
+
+
+def line_boxes(start: Floats, end: Floats, half: float) -> Floats:
+    """Squares (N, 4) that cover straight lines from `start` (M, 2) to `end` (M, 2)."""
+    boxes: list[Floats] = [np.zeros((0, 4))]
+    for one, other in zip(start, end):
+        count = int(np.ceil(np.hypot(*(other - one)) / half)) + 1
+        boxes.append(mark_boxes(one + np.linspace(0.0, 1.0, count)[:, None] * (other - one), half))
+    return np.vstack(boxes)
+
+
+def _covers(box: Floats, others: Floats) -> Bools:
+    """(M,) whether `box` (4,) shares area with others (M, 4)."""
+    return np.asarray((box[:2] < others[:, 2:]).all(axis=1) & (box[2:] > others[:, :2]).all(axis=1))
