@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
     from boresight.features.sky_images.sequence import StarTrack, track
     from boresight.features.targets.api import TargetMatches, match_targets
     from boresight.gct_match.settings import MatchSettings
-    from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
+    from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera, LookTable
     from boresight.geometry.star_camera import StarCamera
     from boresight.matching import Match, NotMatched, match_template
     from boresight.missions import Calibration, Validation, calibrate, read_result, validate
@@ -57,6 +57,7 @@ __all__ = [
     "ImageLike",
     "LineCamera",
     "LookAngleCamera",
+    "LookTable",
     "Match",
     "MatchSettings",
     "NotIdentified",
@@ -106,7 +107,7 @@ _MODULES = {
     "features.sky_images.sequence": "StarTrack track",
     "features.targets.api": "TargetMatches match_targets",
     "gct_match.settings": "MatchSettings",
-    "geometry.line_camera": "Ccd LineCamera LookAngleCamera",
+    "geometry.line_camera": "Ccd LineCamera LookAngleCamera LookTable",
     "geometry.star_camera": "StarCamera",
     "matching": "Match NotMatched match_template",
     "missions": "Calibration Validation calibrate read_result validate",

@@ -27,6 +27,7 @@ EXAMPLES = {
     "star_tracker": "Find, identify, calibrate a lens",
     "matching": "Match two arrays, and a strip",
     "vectors": "From vectors to the matrix",
+    "own_arrays": "From your own arrays to the matrix",
 }
 DOOR = (
     "boresight.missions",

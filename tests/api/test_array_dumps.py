@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from test_tasks import MINI, arrays_of_mini
 
 import boresight as bs
-from boresight.geometry.line_camera import LookTable
 from boresight.pipeline.files.text_files import toml_tables
 
 ARCSEC = np.pi / 648000.0
@@ -35,7 +34,7 @@ def look_tables(camera: bs.LineCamera) -> bs.LookAngleCamera:
     for n in range(camera.n_ccds):
         samples = np.unique(np.append(np.arange(0.0, camera.n_px(n), 16.0), camera.n_px(n) - 1.0))
         u = camera.directions_from_pixels(n, samples)
-        tables.append(LookTable(camera.n_px(n), samples, u[:, 0] / u[:, 2], u[:, 1] / u[:, 2]))
+        tables.append(bs.LookTable(camera.n_px(n), samples, u[:, 0] / u[:, 2], u[:, 1] / u[:, 2]))
     return bs.LookAngleCamera(tuple(tables))
 
 

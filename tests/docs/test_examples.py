@@ -10,16 +10,24 @@ from pathlib import Path
 import matplotlib
 import pytest
 
+MOST_LINES = 40  # of code, without comments
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
-def test_there_are_three_examples_with_their_output_and_pictures() -> None:
-    assert len(EXAMPLES) == 3
+def test_there_are_four_examples_with_their_output_and_pictures() -> None:
+    assert len(EXAMPLES) == 4
     for path in EXAMPLES:
         assert path.with_suffix(".txt").is_file()
         assert list((ROOT / "docs" / "images").glob(f"example_{path.stem}.*"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_is_short(path: Path) -> None:
+    code = path.read_text(encoding="utf-8").split('"""\n', 1)[1]
+    lines = [line for line in code.splitlines() if line.strip() and not line.strip().startswith("#")]
+    assert len(lines) <= MOST_LINES
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
