@@ -168,7 +168,8 @@ def dumps(runs: int, work: Path, first_seed: int) -> list[tuple[tuple[str, ...],
     lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     done = {(one["dump"], one["seed"]): one for one in lines if one["commit"] == commit}
     imported()
-    wanted = [(name, first_seed + n) for name, share in SHARES.items() for n in range(share * runs // 100)]
+    names = [name for name, share in SHARES.items() for _ in range(share * runs // 100)]
+    wanted = [(name, first_seed + n) for n, name in enumerate(names)]  # no two dumps share a drawn error
     cases = []
     for name, seed in wanted:
         if (name, seed) not in done:

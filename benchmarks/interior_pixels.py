@@ -97,7 +97,7 @@ def flown(scenario: Scenario, seed: int, per_deg2: float, catalogue: Path) -> Mi
 def run(cameras: str, seed: int, per_deg2: float, folder: Path) -> tuple[float, ...]:
     """Map error before and after, its stated 1-sigma (px rms), chi2 of the map, stars."""
     scenario = scenario_of(cameras, SCANS, 0, seed)
-    none = replace(scenario.errors, distortion_px=0.0, distortion_across_px=0.0)
+    none = replace(scenario.errors, distortion_px=0.0)
     pixel_rad = calibrated_line_camera(scenario.line_camera).pixel_rad
     priors = InteriorPriors(
         shift_px=5e-6 / pixel_rad, curve_px=3e-6 / pixel_rad, curve_length_px=5e-3 / pixel_rad

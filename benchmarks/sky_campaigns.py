@@ -176,9 +176,7 @@ def lens() -> None:
     """The residual distortion that the simulator draws for images, smooth over the field of all CCDs."""
     made: dict[str, list[InstallationEstimate]] = {"each CCD": [], "the whole field": []}
     assumed = calibrated_line_camera(LineCameraSettings())
-    errors = ErrorSettings(
-        distortion_length_px=LENGTH_PX, distortion_mean_share=1.0, distortion_across_px=0.3
-    )
+    errors = ErrorSettings(distortion_length_px=LENGTH_PX)
     for seed in range(LENS_SEEDS):
         rng = np.random.default_rng(4000 + seed)
         true = distorted_line_camera(assumed, errors, rng)

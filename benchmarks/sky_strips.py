@@ -158,9 +158,7 @@ def scenario_of(cameras: str, scans: int, ground: int, seed: int) -> Scenario:
             only_around_stars_px=0.0,
         )
     strips = replace(base.strips, count=ground, only_around_targets_px=400.0)
-    # the estimate's prior: both components, mean included
-    errors = replace(base.errors, distortion_mean_share=1.0, distortion_across_px=base.errors.distortion_px)
-    return replace(base, sky_strips=sky if scans else SkyStripSettings(), strips=strips, errors=errors)
+    return replace(base, sky_strips=sky if scans else SkyStripSettings(), strips=strips)
 
 
 def run(cameras: str, seed: int, scans: int, ground: int, scratch: Path) -> Outcome:

@@ -80,11 +80,10 @@ def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
 def distorted_line_camera(
     calibrated: LineCamera, errors: ErrorSettings, rng: np.random.Generator
 ) -> LineCamera:
-    """The camera as it is: with a smooth Gaussian process along the detectors on top of the tables, one
-    across them, and what each CCD has for itself (`ErrorSettings.ccd_px`).
+    """The camera as it is: on top of the tables a smooth Gaussian process along the detectors, another one
+    across them, of the same rms, and what each CCD has for itself (`ErrorSettings.ccd_px`).
 
-    The mean over all samples is taken off, but for the share that is to be kept: a shift of the whole field
-    is by definition part of the installation. The estimate's prior holds it, and is judged with a share of 1.
+    Their mean over the field stays: the stated error of a look vector holds it, and so does the estimate.
     """
     tables = [ccd.distortion_samples for ccd in calibrated.ccds]
     places = np.concatenate([ccd.focal_plane(ccd.distortion_samples)[:, 1] for ccd in calibrated.ccds])
@@ -98,22 +97,18 @@ def distorted_line_camera(
     def of_each_ccd() -> Array:
         return np.concatenate([_own_of_ccd(table, errors.ccd_px, rng) for table in tables])
 
-    def kept(total_px: Array) -> list[Array]:
-        left = (total_px - (1.0 - errors.distortion_mean_share) * total_px.mean()) * pixel_m
-        return np.split(left, np.cumsum([len(table) for table in tables])[:-1])
-
-    along = drawn(errors.distortion_px)
-    across: Array = np.zeros(len(places))
-    if errors.distortion_across_px:
-        across = drawn(errors.distortion_across_px)
+    along, across = drawn(errors.distortion_px), drawn(errors.distortion_px)
     if any(errors.ccd_px):
         along, across = along + of_each_ccd(), across + of_each_ccd()
+    ends = np.cumsum([len(table) for table in tables])[:-1]
     ccds = [
-        replace(ccd, distortion_offsets_m=ccd.distortion_offsets_m + part)
-        for ccd, part in zip(calibrated.ccds, kept(along))
+        replace(
+            ccd,
+            distortion_offsets_m=ccd.distortion_offsets_m + along_px * pixel_m,
+            across_offsets_m=across_px * pixel_m,
+        )
+        for ccd, along_px, across_px in zip(calibrated.ccds, np.split(along, ends), np.split(across, ends))
     ]
-    if across.any():
-        ccds = [replace(ccd, across_offsets_m=part) for ccd, part in zip(ccds, kept(across))]
     return replace(calibrated, ccds=tuple(ccds))
 
 

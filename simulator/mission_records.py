@@ -67,7 +67,7 @@ class StatedErrors:
     position_m: float  # each axis, common to a strip
     clock_s: float  # row times against orbit and star camera, common to a strip
     vibration_arcsec: float  # each axis, too fast for the star exposures to follow
-    look_distortion_px: float  # smooth along the detector
+    look_distortion_px: float  # each axis, smooth over the field
     look_ccd_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift, slope and bend of each CCD by itself
 
 

@@ -288,10 +288,8 @@ class ErrorSettings:
     vibration_arcsec: float = 0.1  # rms of each axis, sines in the band below
     vibration_hz: tuple[float, float] = (30.0, 80.0)
     clock_s: float = 1.0e-4  # 1 sigma of the rows' time against orbit and star camera, one draw a strip
-    distortion_px: float = 0.3  # rms of what the distortion table leaves, smooth along the detector
+    distortion_px: float = 0.3  # rms, along and across the detectors, of the table's smooth error
     distortion_length_px: float = 1500.0  # its correlation length
-    distortion_mean_share: float = 0.0  # of its mean that is kept; 0: the installation is defined without it
-    distortion_across_px: float = 0.0  # rms of the same across the detectors
     # rms of what each CCD has for itself, along and across it: constant, linear and quadratic in its samples
     ccd_shift_px: float = 0.0
     ccd_slope_px: float = 0.0

@@ -96,7 +96,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
             "vibration_arcsec": errors.vibration_arcsec,
             "look_distortion_px": errors.look_distortion_px,
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
-            **(of_ccds if any(errors.look_ccd_px) else {}),
+            **of_ccds,
         },
         **({"terrain": heights} if heights else {}),
     }
