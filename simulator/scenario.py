@@ -48,6 +48,7 @@ __all__ = [
 
 
 LARGEST = 1e15  # of any number: no setting comes near it
+OF_DISTORTION = 0.2  # a CCD's own shift, slope and bend: what a dump means that does not state them
 
 
 class ScenarioError(ValueError):
@@ -290,15 +291,19 @@ class ErrorSettings:
     clock_s: float = 1.0e-4  # 1 sigma of the rows' time against orbit and star camera, one draw a strip
     distortion_px: float = 0.3  # rms, along and across the detectors, of the table's smooth error
     distortion_length_px: float = 1500.0  # its correlation length
-    # rms of what each CCD has for itself, along and across it: constant, linear and quadratic in its samples
-    ccd_shift_px: float = 0.0
-    ccd_slope_px: float = 0.0
-    ccd_bend_px: float = 0.0
+    # rms of what each CCD has for itself, along and across it: constant, linear and quadratic in its samples;
+    # not given: `OF_DISTORTION` of distortion_px
+    ccd_shift_px: float | None = None
+    ccd_slope_px: float | None = None
+    ccd_bend_px: float | None = None
 
     @property
     def ccd_px(self) -> tuple[float, float, float]:
         """Shift, slope and bend."""
-        return self.ccd_shift_px, self.ccd_slope_px, self.ccd_bend_px
+        usual = OF_DISTORTION * self.distortion_px
+        given = (self.ccd_shift_px, self.ccd_slope_px, self.ccd_bend_px)
+        shift, slope, bend = (usual if one is None else one for one in given)
+        return shift, slope, bend
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,9 +439,9 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Nested tables of plain values, tuples as lists: what `scenario_from_dict` takes. Without scans of the
-    sky there is no table for them."""
+    sky there is no table for them; what is not given is left out."""
     without = None if scenario.sky_strips.scans else {"sky_strips"}
-    plain: dict[str, Any] = _codec().dump_python(scenario, mode="json", exclude=without)
+    plain: dict[str, Any] = _codec().dump_python(scenario, mode="json", exclude=without, exclude_none=True)
     return plain
 
 

@@ -88,7 +88,8 @@ def test_one_curve_over_all_ccds_shifts_the_whole_field_as_much_as_a_lens_does()
         mean = knot_weights(curve, place, knots, length).mean(axis=0)
         return np.sqrt(mean @ correlation(knots) @ mean)
 
-    errors = ErrorSettings(distortion_px=1.0, distortion_length_px=length)
+    no_own = {"ccd_shift_px": 0.0, "ccd_slope_px": 0.0, "ccd_bend_px": 0.0}
+    errors = ErrorSettings(distortion_px=1.0, distortion_length_px=length, **no_own)
     rng, residuals = np.random.default_rng(8), []
     for _ in range(400):
         true = distorted_line_camera(camera, errors, rng)

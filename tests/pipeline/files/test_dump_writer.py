@@ -11,12 +11,14 @@ import pytest
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.run.processes import FORKS, Processes
 from boresight.simulator.mission_records import Mission
 
+OF_EACH_CCD = ("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px")
 SMALL = (
     "strips.count=1",
     "strips.lines=300",
@@ -67,6 +69,11 @@ def test_cameras_and_matrix_come_back_to_fourteen_digits(flown: tuple[Mission, P
         assert np.allclose(got, expected, atol=1e-14)  # rad: 1e-10 px
     assert (dump.R_cs0 * mission.installation.R_cs.inv()).magnitude() < 1e-15
     assert dump.errors.vibration_arcsec * ARCSEC == mission.errors.vibration_arcsec * ARCSEC
+    drawn = mission.scenario.errors
+    assert (dump.errors.look_distortion_px, dump.errors.look_ccd_px) == (drawn.distortion_px, drawn.ccd_px)
+    # a dump that does not state its CCDs' own errors means the same: both may be calibrated together
+    unstated = Errors(**dump.errors.model_dump(exclude=set(OF_EACH_CCD)))
+    assert unstated.look_ccd_px == dump.errors.look_ccd_px
 
 
 def test_times_and_orbit_come_back_to_the_nanosecond_and_the_micrometre(
