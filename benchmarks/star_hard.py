@@ -81,7 +81,7 @@ class Row:
     complete: float = 0.95
     over: float = 1.1  # centroids over the bound, at most
     as_stated: bool = False  # whether chi2 of the places must be 1 to a tenth
-    camera: dict = field(default_factory=dict)
+    shutter_px: float = 0.0  # motion while rows are read one after another, in any direction
 
 
 ROWS = (
@@ -119,6 +119,8 @@ ROWS = (
     # what the compression takes away is no fault of the method
     Row("JPEG quality 70", sensor=Sensor(bits=8, bias_dn=16.0, jpeg=70), complete=0.9, over=1.6),
     Row("JPEG quality 40", sensor=Sensor(bits=8, bias_dn=16.0, jpeg=40), complete=0.9, over=3.0),
+    Row("rolling shutter of 1 px", shutter_px=1.0),
+    Row("rolling shutter of 3 px", shutter_px=3.0),
     Row("16 bits", sensor=Sensor(bits=16, e_per_dn=0.6, bias_dn=800.0), as_stated=True),
 )
 
@@ -274,6 +276,10 @@ def _sky(row: Row, camera: StarCamera, R_si: Rotation, places, rng) -> Stars:
         rows, xy, v = rows[keep], xy[keep], v[keep]
     corners = np.array([-0.5, row.side_px - 0.5])
     xy = np.vstack([xy, rng.uniform(*corners, (extra, 2))])
+    if row.shutter_px:  # the attitude is that of the middle row's instant
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        moved = row.shutter_px * np.array([np.cos(angle), np.sin(angle)])
+        xy = xy + (xy[:, 1:] / (row.side_px - 1) - 0.5) * moved
     electrons = row.electrons_at_v7 * 10.0 ** (-0.4 * (np.append(v, fainter) - 7.0))
     return Stars(xy, electrons)
 

@@ -184,8 +184,12 @@ class StarCamera:
 
         A covariance C (2, 2) px² of a centroid gives that of its direction: `J C J^T` (3, 3) rad².
         """
+        return self.directions_and_jacobian(xy_px)[1]
+
+    def directions_and_jacobian(self, xy_px: ArrayLike) -> tuple[Array, Array]:
+        """`directions_from_pixels` (N, 3) and `pixel_jacobian` (N, 3, 2): the distortion is inverted once."""
         if self.smooth is not None or self.projection != "tangent":
-            return self._differences(_points(xy_px))
+            return self.directions_from_pixels(xy_px), self._differences(_points(xy_px))
         ideal = self._ideal_mm(_points(xy_px))
         _, own, other = self._distorted(ideal)
         dactual_dideal = np.empty((len(ideal), 2, 2))
@@ -194,7 +198,8 @@ class StarCamera:
         f_mm = self.focal_m * _MM
         u = _normalised(_pairs(ideal / -f_mm))
         across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * (u[:, 2] / f_mm)[:, None, None]
-        return -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
+        J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
+        return _normalised(_pairs(ideal * (-1.0 / f_mm))), J
 
     def opencv_parameters(self) -> OpenCVParameters:
         """Parameters in OpenCV's convention: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f, k3 = q3 f^6

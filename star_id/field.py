@@ -22,9 +22,10 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.star_id.centroids import Centroids
-from boresight.star_id.field_fit import fit_attitude_and_lens, fit_known_camera
+from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
+from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
 from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify_stars
 from boresight.star_id.identification.tangent_plane import FieldOfView
@@ -111,6 +112,9 @@ class FieldSolution:
     false_alarm_probability: float = scalar("upper bound, over all proposals tried")
     log_false_alarm_probability: float = scalar("its natural logarithm")
     stars: StarList | None = scalar("all detections, if the image itself or a star list was given")
+    misfit_px: float = scalar(
+        "rms displacement of stars from the camera's model, an axis, px; 0: none seen", default=0.0
+    )
     mirrored: bool = scalar(
         "whether the image is a mirror image: all else holds for it with the columns reversed", default=False
     )
@@ -347,7 +351,9 @@ def _of_known_camera(
     used = _if_enough(select_for_calibration(stars, rows, found.stars, camera, index, settings))
     fit = fit_known_camera(camera, xy[used], cov[used], u_i[used])
     solution = _solution(found, stars.xy_px, camera, index)
-    return replace(solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, u_i=u_i)
+    return replace(
+        solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, misfit_px=fit.misfit_px, u_i=u_i
+    )
 
 
 def _fitted(
@@ -394,6 +400,7 @@ def _fitted(
         R_si=R_si,
         cov_s=fit.field.cov_s,
         fov_x_sigma_rad=float(np.hypot(fit.field.fov_x_sigma_rad, unknown_scale * camera.fov_x_rad)),
+        misfit_px=fit.field.misfit_px,
         u_i=star_directions(index, rows, observer),
         stars=stars,
     )

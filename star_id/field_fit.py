@@ -1,5 +1,5 @@
-"""Attitude of one image from identified stars, each weighted by its own covariance, and, for an uncalibrated
-camera, its focal length and distortion.
+"""Attitude, focal length and distortion of an uncalibrated camera from the identified stars of one image,
+each weighted by its own covariance.
 
 Identification weights all stars equally; a bright star has the information of a hundred faint ones.
 """
@@ -11,20 +11,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
+from boresight.star_id.camera_fit import IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 
-__all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens", "fit_known_camera"]
+__all__ = ["FieldFit", "LensFit", "common_variance", "fit_attitude_and_lens"]
 
 
 # Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
 _LARGEST_VARIANCE = 1e12
-# Rejection of outliers from the attitude of one image: one good star in 10 000, by the scatter of the
-# stars (`limit_from_scatter`), since they are many and the camera is only roughly known.
-_REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
 # Halvings of the interval of the common variance: to the last digits. `scipy.optimize.brentq` takes 0.1 s
 # to load.
 _HALVINGS = 50
@@ -43,6 +39,7 @@ class FieldFit:
     cov_s: Floats = array("3, 3", "of a right-handed rotation of the image's centre about axes s, rad^2")
     camera: StarCamera = scalar("as given, or fitted")
     fov_x_sigma_rad: float = scalar("1-sigma error of the field of view, rad; 0 for a camera that was given")
+    misfit_px: float = scalar("rms displacement of stars from the camera's model, an axis, px; 0: none seen")
 
 
 @record
@@ -57,19 +54,6 @@ class LensFit:
         u_s = self.field.R_si.apply(u_i)
         xy = self.field.camera.pixels_from_directions(u_s)
         return self.errors.predict(u_s, xy)
-
-
-def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats) -> FieldFit:
-    """Attitude of a calibrated camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3),
-    GCRS.
-
-    Outliers are rejected; the covariance is scaled by the reduced chi2 if that exceeds 1.
-    """
-    J = camera.pixel_jacobian(xy_px)
-    cov_s = J @ cov_px @ J.transpose(0, 2, 1)
-    attitude = fit_attitude(camera.directions_from_pixels(xy_px), u_i, cov_s, _REJECTION)
-    variance_factor = max(1.0, attitude.chi2 / max(attitude.dof, 1))
-    return FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0)
 
 
 def fit_attitude_and_lens(
@@ -95,12 +79,49 @@ def fit_attitude_and_lens(
         cov = cov_px + common * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
-        common, before = _common_variance(fit, equations.leverage(common), cov_px, common), common
+        own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
+        leverage, before = equations.leverage(common), common
+        common = common_variance(fit.residual_px[fit.keep], leverage, own, before)
         if abs(common - before) <= 0.1 * before:
             break
     errors = lens_errors(equations, common)
     cov_s, fov_x_sigma = errors.of_centre()
-    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma), errors)
+    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
+
+
+def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
+    """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
+    likelihood, from residuals (N, 2), px, of stars with variances (N,) of their own.
+
+    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
+    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
+    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
+    """
+    square = (residual_px**2).sum(axis=1)
+
+    def excess(variance: float) -> float:
+        v = own_px2 + variance
+        return float((square / v**2).sum() - ((2.0 - leverage) / v).sum())
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    most = float(square.sum() + own_px2.max())
+    while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
+        most *= 2.0
+    if most >= _LARGEST_VARIANCE:
+        return before
+    least = 0.0
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        least, most = (middle, most) if excess(middle) > 0.0 else (least, middle)
+
+    def log_likelihood(variance: float) -> float:
+        v = own_px2 + variance
+        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
+
+    found = 0.5 * (least + most)
+    gained = log_likelihood(found) - log_likelihood(0.0)
+    return found if gained > _COMMON_LOG_LIKELIHOOD else 0.0
 
 
 def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
@@ -117,39 +138,3 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "q1": 0.03 / (corner * f_mm) ** 2,
         "q2": 0.01 / (corner * f_mm) ** 4,
     }
-
-
-def _common_variance(fit: CameraFit, leverage: Floats, cov_px: Floats, before: float) -> float:
-    """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
-    likelihood.
-
-    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
-    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
-    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
-    """
-    own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
-    square = (fit.residual_px[fit.keep] ** 2).sum(axis=1)
-
-    def excess(variance: float) -> float:
-        v = own + variance
-        return float((square / v**2).sum() - ((2.0 - leverage) / v).sum())
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    most = float(square.sum() + own.max())
-    while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
-        most *= 2.0
-    if most >= _LARGEST_VARIANCE:
-        return before
-    least = 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (least + most)
-        least, most = (middle, most) if excess(middle) > 0.0 else (least, middle)
-
-    def log_likelihood(variance: float) -> float:
-        v = own + variance
-        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
-
-    found = 0.5 * (least + most)
-    gained = log_likelihood(found) - log_likelihood(0.0)
-    return found if gained > _COMMON_LOG_LIKELIHOOD else 0.0

@@ -1,5 +1,4 @@
-"""Errors of the attitude and camera that were fitted to one image, what the camera model cannot explain
-included.
+"""Errors of the attitude and camera of one image, what the camera model cannot explain included.
 
 The pixels of directions are the camera's model plus a smooth distortion, a sum of Legendre polynomials of the
 image's coordinates to the sixth degree, each with a Gaussian coefficient of variance t^2 / 2^degree. The size
@@ -11,11 +10,13 @@ residuals are alike where they are near to one another.
 The linear terms that no camera has, a stretch along one direction of the image, are of another cause than the
 lens: refraction compresses the sky along the vertical, a rolling shutter or resampling stretches rows. Their
 size, too, is that of the largest evidence. What stretches an image changes its scale by as much, which no
-star of this image shows: it enters the error of the field of view.
+star of this image shows: it enters the error of the field of view. A stretch along a diagonal may be a shear,
+that of a rolling shutter, half of which is a rotation: it enters the error of the roll.
 
-Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (7), the
-stretch (2) and the coefficients. A rotation about the image's centre is nearly independent of all parameters;
-a rotation about the optical axis, which may lie anywhere, would be a small difference of large terms.
+Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (seven of a
+fitted camera; the focal length of one that was given and does not fit), the stretch (2) and the coefficients.
+A rotation about the image's centre is nearly independent of all parameters; a rotation about the optical
+axis, which may lie anywhere, would be a small difference of large terms.
 """
 
 from __future__ import annotations
@@ -57,6 +58,11 @@ _TRIED_WARP = 2.0
 _STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)
 # Gain of log evidence by a stretch for it to be stated: one, for its one parameter (Akaike 1974).
 _STRETCH_LOG_EVIDENCE = 1.0
+# The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
+# temperature, and all angles with the Earth's velocity.
+_FOCAL = PARAMETERS[:1]
+# Cells along columns and rows whose middles stand for the detector: its mean squares to 2 %.
+_CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
 _STEP_PX = 0.01
 # Steps to the eight neighbours of a place in the search for the best pair of sizes.
@@ -65,10 +71,11 @@ _NEIGHBOURS = np.array([[i, j] for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.
 
 @record(kw_only=True)
 class LensErrors:
-    """Errors of P unknowns: 10, the two of a stretch if one is seen, and the coefficients of a smooth
-    distortion if one is seen."""
+    """Errors of P unknowns: a rotation (3) and F of the camera, the two of a stretch if one is seen, and the
+    coefficients of a smooth distortion if one is seen."""
 
-    camera: StarCamera = scalar("as fitted")
+    camera: StarCamera = scalar("as fitted, or given")
+    free: tuple[str, ...] = scalar("F names of its parameters")
     slopes: Floats = array("P, 4", "rotation of the image's centre (3) and field of view, rad, by unknown")
     mean: Floats = array("P", "of the unknowns, about the fit")
     covariance: Floats = array("P, P", "of the unknowns")
@@ -77,26 +84,74 @@ class LensErrors:
 
     def of_centre(self) -> tuple[Floats, float]:
         """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
-        of the field of view, rad. A distortion that is seen, but not in the camera, counts as an error."""
-        centre, field = self.mean[:3], self.slopes[:, 3]
-        cov_s = self.covariance[:3, :3] + np.outer(centre, centre)
-        half = 0.5 * max(self.camera.width_px, self.camera.height_px)
-        scale = self.stretch_px / half * self.camera.fov_x_rad
+        of the field of view, rad, of a fitted camera. A distortion that is seen, but not in the camera,
+        counts as an error; so does a shear of the stretch's size, of which the camera may have absorbed a
+        part."""
+        (turn, cov_s), field = self._turn(), self.slopes[:, 3]
+        cov_s = cov_s + np.outer(turn, turn)
+        if self.stretch_px:
+            axis, half = self.camera.middle_axes()[:, 2], self._half_px
+            sheared = max(abs(float(self.mean[self._diagonal])), self.stretch_px) / half
+            cov_s += np.outer(axis, axis) * (sheared**2 + 2.0 * sheared * abs(float(turn @ axis)))
+        scale = self.stretch_px / self._half_px * self.camera.fov_x_rad
         return cov_s, float(np.sqrt(field @ self.covariance @ field + (field @ self.mean) ** 2 + scale**2))
+
+    def turned(self) -> tuple[Floats, Floats]:
+        """Rotation (3,) of the image's centre, about the axes of s, and its covariance (3, 3), rad^2: of a
+        given camera, whose attitude follows what displaces the stars. A stretch along a diagonal may be half
+        of a shear along rows or columns: the covariance has a rotation of its size."""
+        turn, cov_s = self._turn()
+        if self.stretch_px:
+            axis, k = self.camera.middle_axes()[:, 2], self._diagonal
+            sheared2 = float(self.mean[k] ** 2 + self.covariance[k, k]) / self._half_px**2
+            cov_s = cov_s + np.outer(axis, axis) * sheared2
+        return turn, cov_s
 
     def predict(self, u_s: Floats, xy_px: Floats) -> tuple[Floats, Floats]:
         """Places (N, 2), px, and covariances (N, 2, 2), px^2, of stars in directions (N, 3), frame s, that
         the camera images at `xy_px` (N, 2)."""
-        columns = _columns(self.camera, u_s, xy_px, self.slopes, stretched=self.stretch_px > 0.0)
+        columns = self._columns(u_s, xy_px)
         cov = _multiplied(columns, self.covariance) @ columns.transpose(0, 2, 1)
         return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
+
+    def displaced_px(self) -> float:
+        """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
+        the camera: scale, stretch and smooth distortion, less the best-fitting rotation."""
+        size = np.array([self.camera.width_px, self.camera.height_px])
+        xy = (np.indices(_CELLS).reshape(2, -1).T + 0.5) / _CELLS * size - 0.5
+        columns = self._columns(self.camera.directions_from_pixels(xy), xy)
+        columns = columns[np.isfinite(columns).all(axis=(1, 2))].reshape(-1, len(self.mean))
+        moved = columns @ self.mean
+        moved = moved - columns[:, :3] @ np.linalg.lstsq(columns[:, :3], moved, rcond=None)[0]
+        return float(np.sqrt((moved**2).mean()))
+
+    def _columns(self, u_s: Floats, xy_px: Floats) -> Floats:
+        return _columns(self.camera, u_s, xy_px, self.slopes, self.free, stretched=self.stretch_px > 0.0)
+
+    def _turn(self) -> tuple[Floats, Floats]:
+        """Rotation (3,) of the image's centre, and its covariance (3, 3); a stretch alone turns nothing."""
+        to_turn = np.eye(3, len(self.mean))
+        if self.stretch_px:
+            k = self._diagonal
+            to_turn[:, k - 1 : k + 1] = self.slopes[k - 1 : k + 1, :3].T
+        return to_turn @ self.mean, to_turn @ self.covariance @ to_turn.T
+
+    @property
+    def _diagonal(self) -> int:
+        """Which unknown is the stretch along the diagonals, if one is seen."""
+        return 3 + len(self.free) + 1
+
+    @property
+    def _half_px(self) -> float:
+        return 0.5 * max(self.camera.width_px, self.camera.height_px)
 
 
 @record(kw_only=True)
 class LensEquations:
     """Linear equations for the residuals of the K kept stars of a fit to one image, in P unknowns."""
 
-    camera: StarCamera = scalar("as fitted")
+    camera: StarCamera = scalar("as fitted, or given")
+    free: tuple[str, ...] = scalar("names of its parameters that are unknowns")
     variance_factor: float = scalar("of the fit")
     u_s: Floats = array("K, 3", "directions, frame s")
     xy_px: Floats = array("K, 2", "pixels that the camera predicts")
@@ -118,14 +173,33 @@ class LensEquations:
         xy = fit.camera.pixels_from_directions(u_s)
         return cls(
             camera=fit.camera,
+            free=PARAMETERS,
             variance_factor=fit.variance_factor,
             u_s=u_s,
             xy_px=xy,
             residual_px=fit.residual_px[fit.keep],
             cov_px=cov_px[fit.keep],
             slopes=slopes,
-            columns=_columns(fit.camera, u_s, xy, slopes, stretched=False),
+            columns=_columns(fit.camera, u_s, xy, slopes, PARAMETERS, stretched=False),
             sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]),
+        )
+
+    @classmethod
+    def of_given(cls, camera: StarCamera, u_s: Floats, xy_px: Floats, cov_px: Floats) -> LensEquations:
+        """With rotation and focal length as unknowns, of a camera that was given: stars in directions (N, 3),
+        frame s, measured at (N, 2), px, with centroid covariances (N, 2, 2), px^2."""
+        slopes, xy = _camera_slopes(camera, _FOCAL), camera.pixels_from_directions(u_s)
+        return cls(
+            camera=camera,
+            free=_FOCAL,
+            variance_factor=1.0,
+            u_s=u_s,
+            xy_px=xy,
+            residual_px=xy_px - xy,
+            cov_px=cov_px,
+            slopes=slopes,
+            columns=_columns(camera, u_s, xy, slopes, _FOCAL, stretched=False),
+            sigma=np.full(3 + len(_FOCAL), np.inf),
         )
 
     def stretched(self, size_px: float) -> LensEquations:
@@ -139,7 +213,7 @@ class LensEquations:
 
     def _with(self, more_slopes: Floats, stretch_px: float) -> LensEquations:
         slopes = np.vstack([self.slopes, more_slopes])
-        columns = _columns(self.camera, self.u_s, self.xy_px, slopes, stretched=stretch_px > 0.0)
+        columns = _columns(self.camera, self.u_s, self.xy_px, slopes, self.free, stretched=stretch_px > 0.0)
         return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
 
     def solved(self, common_px2: float) -> _Linear:
@@ -179,7 +253,8 @@ def lens_errors(equations: LensEquations, common_px2: float) -> LensErrors:
         equations = equations.stretched(stretch)
         plain = equations.solved(common_px2)
     warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None
-    mean = plain.mean if stretch else np.zeros(10)  # the fit is their most probable value
+    is_fit = equations.free == PARAMETERS and not stretch  # then it is their most probable value
+    mean = np.zeros(len(plain.mean)) if is_fit else plain.mean
     return warped or _errors(equations, plain, mean, common_px2, equations.variance_factor)
 
 
@@ -239,6 +314,7 @@ def _errors(
 ) -> LensErrors:
     return LensErrors(
         camera=equations.camera,
+        free=equations.free,
         slopes=equations.slopes,
         mean=mean,
         covariance=factor * posterior.covariance,
@@ -320,23 +396,31 @@ def _multiplied(columns: Floats, matrix: Floats) -> Floats:
     return np.asarray((columns.reshape(-1, len(matrix)) @ matrix).reshape(columns.shape))
 
 
-def _columns(camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats, *, stretched: bool) -> Floats:
+def _columns(
+    camera: StarCamera,
+    u_s: Floats,
+    xy_px: Floats,
+    slopes: Floats,
+    free: tuple[str, ...],
+    *,
+    stretched: bool,
+) -> Floats:
     """(N, 2, P) derivatives of the pixels of directions (N, 3), frame s, by the unknowns."""
-    A = rotation_derivatives(camera, u_s)
-    parts = [A, pixel_derivatives(camera, u_s) + A @ slopes[3:10, :3].T]
+    A, known = rotation_derivatives(camera, u_s), 3 + len(free)
+    parts = [A, pixel_derivatives(camera, u_s, free) + A @ slopes[3:known, :3].T]
     if stretched:
-        parts.append(_stretch_derivatives(camera, xy_px) + A @ slopes[10:12, :3].T)
-    known = 12 if stretched else 10
+        parts.append(_stretch_derivatives(camera, xy_px) + A @ slopes[known : known + 2, :3].T)
+        known += 2
     if len(slopes) > known:
         parts.append(smooth_derivatives(camera, xy_px, _DEGREE) + A @ slopes[known:, :3].T)
     return np.concatenate(parts, axis=2)
 
 
-def _camera_slopes(camera: StarCamera) -> Floats:
-    """(10, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
-    parameters."""
+def _camera_slopes(camera: StarCamera, free: tuple[str, ...] = PARAMETERS) -> Floats:
+    """(3 + F, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
+    parameters `free`."""
     points = _slope_points(camera)
-    moved = pixel_derivatives(camera, camera.directions_from_pixels(points))
+    moved = pixel_derivatives(camera, camera.directions_from_pixels(points), free)
     largest = np.abs(moved).max(axis=(0, 1))
     return np.vstack([np.zeros((3, 4)), _slopes_of(camera, points, moved / largest) * largest[:, None]])
 

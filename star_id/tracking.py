@@ -20,12 +20,12 @@ from scipy.special import bdtrc
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.field_fit import fit_known_camera
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.finding.windows import windows_at
+from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import Observer, proper_motion_covariance, star_directions
 from boresight.star_id.settings import StarSettings

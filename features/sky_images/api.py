@@ -29,7 +29,7 @@ from boresight.accepted import (
 )
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.frame_facts import observer_at
-from boresight.features.sky_images.identify_images import sky_index
+from boresight.features.sky_images.identify_images import departure, sky_index
 from boresight.features.sky_images.sip import TanSip, tan_sip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
@@ -169,6 +169,8 @@ class StarSolution(SuccessfulResult):
     residual_px: Floats = array("M, 2", "measured minus predicted centroids")
     false_alarm_probability: float = scalar("upper bound of the probability that the identification is wrong")
     camera: StarCamera = scalar("the camera as given, or as fitted to this image")
+    misfit_px: float = scalar("rms displacement of stars from it, an axis, px; 0: none seen", default=0.0)
+    departure: str = scalar("how the stars depart from a camera that was given; empty: not seen", default="")
     stars: Stars = scalar("all stars found in the image, identified or not")
     mirrored: bool = scalar("whether the image is a mirror image: all is stated for its columns reversed")
     observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
@@ -249,6 +251,7 @@ class StarSolution(SuccessfulResult):
             f"rms residual {np.sqrt((self.residual_px**2).mean()):.3f} px per axis, "
             f"wrong with probability < {self.false_alarm_probability:.0e}"
             f"{', MIRROR IMAGE: all is stated for its columns reversed' if self.mirrored else ''}\n"
+            f"{self.departure + chr(10) if self.departure else ''}"
             f"not used: {'; '.join(self.not_used) or 'nothing'}"
         )
 
@@ -654,6 +657,8 @@ def _solution(found: FieldSolution, stars: Stars, observer: Observer | None) -> 
         residual_px=found.residual_px,
         false_alarm_probability=found.false_alarm_probability,
         camera=found.camera,
+        misfit_px=found.misfit_px,
+        departure=departure(found),
         stars=stars,
         mirrored=found.mirrored,
         observer=observer,

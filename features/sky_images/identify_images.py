@@ -46,6 +46,7 @@ from boresight.star_id.sight import explained
 __all__ = [
     "Line",
     "Request",
+    "departure",
     "identify_images",
     "misshapen_in",
     "own_name",
@@ -227,6 +228,7 @@ def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]
         "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
         "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
         "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),
+        "misfit_px": found.misfit_px,
         "mirrored": found.mirrored,
     }
 
@@ -275,7 +277,18 @@ def _facts(record: dict[str, Any], found: FieldSolution) -> str:
     ).format_map(record) + (
         f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
         + ("" if found.camera.projection == "tangent" else "   fisheye projection")
+        + (f"   {departing}" if (departing := departure(found)) else "")
         + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
+    )
+
+
+def departure(found: FieldSolution) -> str:
+    """A sentence, where the stars show that a camera is not as it was given; else empty."""
+    if not found.misfit_px or found.fov_x_sigma_rad:
+        return ""
+    return (
+        f"NOT THE CAMERA GIVEN: stars are displaced by {found.misfit_px:.2g} px rms (another focal length or"
+        " lens, rolling shutter, refraction); the stated errors include it"
     )
 
 

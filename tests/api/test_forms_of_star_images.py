@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
@@ -137,3 +139,21 @@ def test_colours_become_grey_and_other_shapes_are_refused(pixels: np.ndarray) ->
         bs.find_stars(np.full((64, 64), -5))
     with pytest.raises(ValueError, match="time: found 'yesterday', expected UTC since 1972"):
         bs.identify(pixels, time="yesterday")
+
+
+def test_a_camera_that_the_stars_contradict_is_reported(
+    solution: bs.StarSolution, pixels: np.ndarray
+) -> None:
+    assert solution.misfit_px == 0.0 and "NOT THE CAMERA GIVEN" not in repr(solution)
+    longer = replace(solution.camera, focal_m=1.001 * solution.camera.focal_m)
+    found = bs.identify(pixels, camera=longer, time="2024-11-20T03:40:01.6")
+    assert found and f"NOT THE CAMERA GIVEN: stars are displaced by {found.misfit_px:.2g} px rms" in repr(
+        found
+    )
+    # 1e-3 of columns and rows from the middle, over 1024 x 768 px
+    np.testing.assert_allclose(found.misfit_px, 1e-3 * np.sqrt((1024.0**2 + 768.0**2) / 24.0), rtol=0.1)
+    # the direction is that of the right camera, to the errors of stars in 20 deg
+    off = SkyCoord(found.ra_deg, found.dec_deg, unit="deg").separation(
+        SkyCoord(solution.ra_deg, solution.dec_deg, unit="deg")
+    )
+    assert off.arcsec < 3.0 * found.sigma_arcsec[0]

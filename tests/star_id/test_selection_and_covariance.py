@@ -15,11 +15,11 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
 from boresight.star_id.camera_fit import IdentifiedStars, fit_camera
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field_fit import fit_known_camera
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.windowed_centroid import windowed_centroids
+from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
 from boresight.star_id.observer import Observer, proper_motion_covariance
 from boresight.star_id.score import cramer_rao_px

@@ -1,0 +1,133 @@
+"""Attitude of one image of a camera that was given, and whether the camera is as it was given.
+
+A focal length that has changed, a rolling shutter, refraction or another lens displace stars smoothly, and
+bias the attitude by much more than the stars' errors. Clean images are tested for that by four sums of the
+residuals and keep their attitude. In the others a scale, a stretch and, where the evidence asks for it, a
+smooth distortion are fitted with the attitude (`lens_misfit`), whose covariance states what they leave open.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
+
+from boresight.geometry.attitude_estimate import AttitudeSettings, EstimatedAttitude, fit_attitude
+from boresight.geometry.record import Bools, Floats
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.field_fit import FieldFit, common_variance
+from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
+
+__all__ = ["fit_known_camera"]
+
+
+# Rejection of outliers from the attitude of one image: one good star in 10 000, by the scatter of the
+# stars (`limit_from_scatter`), since they are many and the camera is only roughly known.
+_REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
+# Squared scale and stretch, in their variances, from which the camera is not as given: 3 degrees of freedom,
+# 2 % of clean images by chance. What is below it biases the roll by up to three times its error.
+_LINEAR_SEEN = 10.0
+# Excess of chi-square over its degrees of freedom, in its standard deviations, from which a distortion is
+# looked for (set by hand: centroids of real images are up to a fifth worse than stated).
+_EXCESS_SEEN = 4.0
+# Fewest stars by which a departure from the camera is seen: it has three parameters and more (set by hand).
+_FEWEST = 8
+# Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
+_ANY_STRETCH_PX = 100.0
+# Most rounds of rejecting outliers and fitting again, and of estimating the variance common to all stars.
+_ROUNDS = 4
+# Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
+_EXPECTED_SCALE = 2e-4
+
+
+def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats) -> FieldFit:
+    """Attitude of a calibrated camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3),
+    GCRS.
+
+    Outliers are rejected; the covariance is scaled by the reduced chi2 if that exceeds 1. Where the stars
+    show that the camera is not as given, the attitude is that of `_departing`.
+    """
+    u_s, J = camera.directions_and_jacobian(xy_px)
+    cov_s = J @ cov_px @ J.transpose(0, 2, 1)
+    attitude = fit_attitude(u_s, u_i, cov_s, _REJECTION)
+    residual = u_s - attitude.R_si.apply(u_i)
+    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, residual, J, attitude):
+        departing = _departing(camera, xy_px, cov_px, u_i, attitude)
+        if departing is not None:
+            return departing
+    variance_factor = max(1.0, attitude.chi2 / max(attitude.dof, 1))
+    return FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
+
+
+def _is_seen_to_depart(
+    xy_px: Floats, cov_px: Floats, residual: Floats, J: Floats, attitude: EstimatedAttitude
+) -> bool:
+    """Whether chi-square, or a scale and stretch in the residuals (N, 3) of directions, are beyond chance.
+
+    With z the star's place from the mean, r its residual, both as complex numbers, and v its variance, the
+    estimate of a scale is  sum Re(conj(z) r) / v  over  sum |z|^2 / v,  that of a stretch  sum z r / v.
+    """
+    if attitude.chi2 - attitude.dof > _EXCESS_SEEN * math.sqrt(2.0 * attitude.dof):
+        return True
+    # J^T J is the square of a pixel's angle
+    angle2 = 0.5 * np.einsum("nij,nij->n", J, J)
+    weight = attitude.kept / (0.5 * (cov_px[:, 0, 0] + cov_px[:, 1, 1]))
+    weighted = np.einsum("nij,ni->nj", J, residual) * (weight / angle2)[:, None]
+    r = weighted.view(np.complex128)[:, 0]
+    z = np.ascontiguousarray(xy_px).view(np.complex128)[:, 0]
+    z = z - weight @ z / weight.sum()
+    scale, stretch = np.vdot(z, r).real, z @ r
+    return bool(scale**2 + abs(stretch) ** 2 > _LINEAR_SEEN * np.vdot(z, weight * z).real)
+
+
+def _departing(
+    camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, attitude: EstimatedAttitude
+) -> FieldFit | None:
+    """Attitude of the image's centre with what displaces the stars fitted, too; None where it cannot be."""
+    R_si, kept = attitude.R_si, attitude.kept
+    for _ in range(_ROUNDS):
+        if kept.sum() < _FEWEST:
+            return None
+        u_s = R_si.apply(u_i)
+        try:
+            errors = _errors(LensEquations.of_given(camera, u_s[kept], xy_px[kept], cov_px[kept]))
+        except np.linalg.LinAlgError:  # the camera does not reach its edges
+            return None
+        before, kept = kept, _agreeing(errors, u_s, xy_px, cov_px)
+        if np.array_equal(before, kept):
+            break
+    turn, cov_s = errors.turned()
+    scale = errors.mean[3] / camera.focal_m
+    linear_only = len(errors.mean) == 4 and abs(scale) < _EXPECTED_SCALE
+    misfit_px = 0.0 if linear_only else errors.displaced_px()
+    return FieldFit(Rotation.from_rotvec(turn) * R_si, cov_s, camera, 0.0, misfit_px)
+
+
+def _errors(equations: LensEquations) -> LensErrors:
+    """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
+    linear = equations.stretched(_ANY_STRETCH_PX)
+    own, common, before = 0.5 * np.trace(equations.cov_px, axis1=1, axis2=2), 0.0, -1.0
+    for _ in range(_ROUNDS):
+        solution = linear.solved(common)
+        residual = linear.residual_px - linear.columns @ solution.mean
+        before, common = common, common_variance(residual, solution.leverage, own, common)
+        if abs(common - before) <= 0.1 * before:
+            break
+    square = np.einsum(
+        "ki,kij,kj->", residual, np.linalg.inv(equations.cov_px + common * np.eye(2)), residual
+    )
+    factor = max(1.0, float(square) / max(2 * len(own) - linear.columns.shape[2], 1))
+    return lens_errors(replace(equations, variance_factor=factor), common)
+
+
+def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) -> Bools:
+    """(N,) stars within the limit of `_REJECTION` of the places that are predicted."""
+    predicted, _ = errors.predict(u_s, errors.camera.pixels_from_directions(u_s))
+    off = xy_px - predicted
+    inverse = np.linalg.inv(cov_px + errors.common_px2 * np.eye(2))
+    square = np.nan_to_num(np.einsum("ni,nij,nj->n", off, inverse, off), nan=np.inf)
+    scatter = max(1.0, float(np.median(square) / chdtri(2, 0.5)))
+    return square <= scatter * float(chdtri(2, _REJECTION.probability_false_alarm))

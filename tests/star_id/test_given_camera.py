@@ -1,0 +1,136 @@
+"""Attitudes of cameras that are not what they were given as: errors as stated, and reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from frames import PLACES, SMALL_CAMERA, directions_of, listed_stars, stars_in_view
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
+from boresight.star_id.given_camera import fit_known_camera
+
+SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
+MIDDLE = 0.5 * (SIZE - 1.0)
+FRAMES = 60
+# Mean of 60 squares (roll) and of 120 (direction) that are correct: 95 % lie within 0.66 to 1.39, and 0.76 to
+# 1.27; the range asked for is wider than the latter.
+LEAST, MOST = 0.66, 1.4
+
+
+def shutter(px, angle):
+    """Rows read one after another while the image moves by `px`, along `angle`, in all."""
+    return lambda xy: xy + px * (xy[:, 1:] / (SIZE[1] - 1.0) - 0.5) * np.array([np.cos(angle), np.sin(angle)])
+
+
+def scaled(by):
+    return lambda xy: MIDDLE + (1.0 + by) * (xy - MIDDLE)
+
+
+def cubic(px):
+    """Another lens: displaced by `px` at the ends of the longer side, by the cube of the distance."""
+    half = 0.5 * SIZE.max()
+    return lambda xy: xy + px * (xy - MIDDLE) * ((xy - MIDDLE) ** 2).sum(axis=1)[:, None] / half**3
+
+
+def rms_less_rotation(displace):
+    """Rms displacement along one axis, px, over the detector, less that of a shift and a rotation."""
+    x, y = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0.0, size - 1.0, 40) for size in SIZE)))
+    xy = np.column_stack([x, y])
+    moved = displace(xy) - xy
+    turned = np.column_stack([MIDDLE[1] - y, x - MIDDLE[0]])
+    moved = moved - moved.mean(axis=0)
+    moved -= turned * (moved * turned).sum() / (turned**2).sum()
+    return np.sqrt((moved**2).mean())
+
+
+def fits(displace):
+    """Squared normalised errors of direction (K, 2) and roll (K,), and the fits, of frames of `SMALL_CAMERA`
+    whose stars are displaced."""
+    squares, found = [], []
+    for k in range(FRAMES):
+        rng = np.random.default_rng([11, k])
+        R_si = Rotation.random(random_state=rng)
+        rows, exact = stars_in_view(SMALL_CAMERA, R_si, PLACES)
+        sigma = 10.0 ** rng.uniform(-2.0, -0.8, len(rows))
+        xy = displace(rng.uniform(0.0, 2.0 * np.pi))(exact) + sigma[:, None] * rng.normal(size=exact.shape)
+        u_i = directions_of(PLACES)[rows]
+        fit = fit_known_camera(SMALL_CAMERA, xy, sigma[:, None, None] ** 2 * np.eye(2), u_i)
+        axes = SMALL_CAMERA.middle_axes()
+        error = axes.T @ (R_si * fit.R_si.inv()).as_rotvec()
+        squares.append(error**2 / np.diag(axes.T @ fit.cov_s @ axes))
+        found.append(fit)
+    return np.array(squares), found
+
+
+@pytest.mark.parametrize("px", [0.3, 1.0, 3.0])
+def test_errors_are_as_stated_where_rows_were_read_one_after_another(px):
+    """Before: 54 and 82 times the stated variance of roll for 1 and 3 px."""
+    squares, found = fits(lambda angle: shutter(px, angle))
+    assert LEAST < squares[:, :2].mean() < MOST
+    assert LEAST < squares[:, 2].mean() < MOST
+    sizes = [rms_less_rotation(shutter(px, angle)) for angle in (0.0, 0.5 * np.pi)]
+    noise = 0.1 * px + 0.01  # stars do not cover the detector evenly
+    for fit in found:
+        assert min(sizes) - noise < fit.misfit_px < max(sizes) + noise
+
+
+def test_half_of_a_shear_is_a_rotation_and_a_motion_along_columns_is_none():
+    """A row read later is displaced sideways: the image turns by half of that."""
+    sideways, along = (fits(lambda _, a=angle: shutter(3.0, a))[1] for angle in (0.0, 0.5 * np.pi))
+    turn = 3.0 / (SIZE[1] - 1.0) / 2.0
+    axis = SMALL_CAMERA.middle_axes()[:, 2]
+    stated = [np.sqrt(axis @ fit.cov_s @ axis) for fit in sideways]
+    np.testing.assert_allclose(np.median(stated), turn, rtol=0.1)
+    assert np.median([np.sqrt(axis @ fit.cov_s @ axis) for fit in along]) < 0.2 * turn
+
+
+def test_another_focal_length_displaces_no_attitude():
+    """1e-4, as the Earth's velocity changes angles, is no misfit; 1e-3 is reported."""
+    squares, found = fits(lambda _: scaled(1e-4))
+    assert LEAST < squares[:, :2].mean() < MOST
+    assert sum(fit.misfit_px > 0.0 for fit in found) <= 6  # 4 % ask for a stretch by chance
+    squares, found = fits(lambda _: scaled(1e-3))
+    assert LEAST < squares[:, :2].mean() < MOST
+    np.testing.assert_allclose([fit.misfit_px for fit in found], rms_less_rotation(scaled(1e-3)), rtol=0.15)
+
+
+@pytest.mark.parametrize("px", [0.5, 2.0])
+def test_errors_are_as_stated_for_another_lens(px):
+    squares, found = fits(lambda _: cubic(px))
+    assert squares[:, :2].mean() < MOST and squares[:, 2].mean() < MOST
+    assert min(fit.misfit_px for fit in found) > 0.1 * px
+
+
+def test_attitudes_of_the_camera_that_was_given_are_those_of_its_stars():
+    rng = np.random.default_rng(5)
+    R_si = Rotation.random(random_state=rng)
+    stars = listed_stars(SMALL_CAMERA, R_si, PLACES, rng)
+    rows, exact = stars_in_view(SMALL_CAMERA, R_si, PLACES)
+    nearest = ((stars.xy_px[:, None] - exact) ** 2).sum(axis=2).argmin(axis=1)
+    u_i = directions_of(PLACES)[rows[nearest]]
+    fit = fit_known_camera(SMALL_CAMERA, stars.xy_px, stars.cov_px, u_i)
+    J = SMALL_CAMERA.pixel_jacobian(stars.xy_px)
+    plain = fit_attitude(
+        SMALL_CAMERA.directions_from_pixels(stars.xy_px),
+        u_i,
+        J @ stars.cov_px @ J.transpose(0, 2, 1),
+        AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True),
+    )
+    assert fit.misfit_px == 0.0
+    assert np.array_equal(fit.R_si.as_quat(), plain.R_si.as_quat())  # to the last bit
+
+
+@pytest.mark.parametrize("projection", ["tangent", "equidistant"])
+def test_directions_with_their_derivatives_are_those_without(projection):
+    camera = replace(SMALL_CAMERA, projection=projection, q1=SMALL_CAMERA.q1 + 1e-6)
+    xy = np.random.default_rng(2).uniform(0.0, SIZE - 1.0, (50, 2))
+    u_s, J = camera.directions_and_jacobian(xy)
+    assert np.array_equal(u_s, camera.directions_from_pixels(xy))
+    step = 0.01
+    right, left = (camera.directions_from_pixels(xy + np.array([s, 0.0])) for s in (step, -step))
+    moved = right - left
+    # central differences of a step of 0.01 px: rounding 1e-16 / 0.02 px
+    np.testing.assert_allclose(J[:, :, 0], moved / (2.0 * step), atol=1e-13)
