@@ -157,7 +157,7 @@ def measured(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> t
     """What the matcher says of some targets, and its CPU without reading, s."""
     strip = Timed(task.strip.images)
     start = time.process_time()
-    result = match_strip(
+    scene = scene_of(
         strip,
         pushbroom_of(task),
         [task.targets[n] for n in chosen],
@@ -166,6 +166,7 @@ def measured(task: StripTask, chips: Sequence[Chip], chosen: Sequence[int]) -> t
         task.sigma_installation_rad,
         task.settings,
     )
+    result = match_strip(scene)
     return result, time.process_time() - start - strip.read_s
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from boresight.gct_match.consistency import consistent_matches
 from boresight.gct_match.imaging.views import view_of
 from boresight.gct_match.locate import locate
-from boresight.gct_match.predict.scene import Scene, scene_of
+from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import Template, chip_points, chip_sides_px, predict_template
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
@@ -40,8 +40,6 @@ from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats
-from boresight.geometry.strip_image import StripImage
-from boresight.geometry.terrain import Surface
 
 __all__ = ["keep_whole", "match_strip"]
 
@@ -55,34 +53,13 @@ def keep_whole(match: TargetMatch) -> TargetMatch:
     return match
 
 
-def match_strip(
-    strip: StripImage,
-    pushbroom: Pushbroom,
-    targets: Sequence[Target],
-    chips: Sequence[Chip],
-    surface: Surface,
-    sigma_installation_rad: Floats,
-    settings: MatchSettings,
-    *,
-    each: Each = map,
-    keep: Keep = keep_whole,
-) -> StripMatches:
+def match_strip(scene: Scene, *, each: Each = map, keep: Keep = keep_whole) -> StripMatches:
     """Positions of a strip's targets, from an installation matrix wrong by up to `settings.sigmas` sigma.
 
     Parameters
     ----------
-    strip : StripImage
-        Raw pixels, read by window.
-    pushbroom : Pushbroom
-        The rigorous model at the initial installation matrix.
-    targets, chips : sequences of one length and order
-        Chip n shows the ground around target n. A sequence may read its files when they are asked for.
-    surface : Surface
-        Ellipsoidal heights of the ground between the targets.
-    sigma_installation_rad : (3,) array
-        1-sigma of the rotation by which the installation matrix may be wrong, about the axes of frame c.
-    settings : MatchSettings
-        Search ranges and limits of the tests.
+    scene : Scene
+        Strip, model, targets with their chips, and settings: see `scene_of`.
     each : callable, optional
         Applies a function to parts of the work that can be done at once; default: one after another.
     keep : callable, optional
@@ -96,13 +73,11 @@ def match_strip(
     Raises
     ------
     ValueError
-        If targets and chips differ in number or order. Errors of `strip.read` are passed on.
+        If targets and chips differ in order. Errors of `strip.read` are passed on.
     """
-    if len(targets) != len(chips):
-        raise ValueError(f"{len(targets)} targets and {len(chips)} chips do not belong to one another")
-    if not targets or not strip.ccds:
+    if not scene.targets:
         return _no_matches((), 1.0)
-    scene = scene_of(strip, pushbroom, targets, chips, surface, sigma_installation_rad, settings)
+    settings = scene.settings
     plan, refused = _feasible(scene, plan_search(scene))
     searched = sorted({window.target for window in plan.windows})
     uncertain = bool(plan.windows) and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0

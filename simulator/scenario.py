@@ -396,6 +396,7 @@ def sky_scenario() -> Scenario:
     )
 
 
+# Functions that make a scenario, by its name.
 _BUILTIN = types.MappingProxyType({"mini": mini_scenario, "paper": paper_scenario, "sky": sky_scenario})
 
 

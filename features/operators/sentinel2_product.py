@@ -38,11 +38,12 @@ __all__ = ["BANDS", "AttitudeRecord", "Refining", "Sentinel2", "read_sentinel2"]
 
 _FIRST_PIXEL_M = 10.0  # pixel size to which LINE_PERIOD refers
 _GRANULE_LINES = 2304  # of 10 m
+# Paths of elements below the root of a datastrip's metadata.
 _ANCILLARY = "Satellite_Ancillary_Data_Info"
-_POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"
-_CORRECTED = f"{_ANCILLARY}/Attitudes/Corrected_Attitudes/Values"
-_TRACKERS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/STR_List/STR"
-_SENSOR = "Image_Data_Info/Sensor_Configuration"
+_POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"  # states of the orbit
+_CORRECTED = f"{_ANCILLARY}/Attitudes/Corrected_Attitudes/Values"  # attitudes that the operator uses
+_TRACKERS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/STR_List/STR"  # attitudes of each star tracker
+_SENSOR = "Image_Data_Info/Sensor_Configuration"  # times and TDI
 # Element of a datastrip's metadata that says whether its model is refined.
 _STATE = "Image_Data_Info/Geometric_Info/Refined_Corrections_List/Refined_Corrections/MSI_State"
 # Most elements of a kind that are read from a datastrip.
@@ -287,7 +288,7 @@ def _tracker_mounting(model: Element, name: str, file: str) -> Rotation:
     return Rotation.from_quat([*vector, *scalar_part])
 
 
-_QUATERNION = (("VECTOR", 3), ("SCALAR", 1))
+_QUATERNION = (("VECTOR", 3), ("SCALAR", 1))  # elements of a quaternion and how many numbers each holds
 
 
 def _mounting_angles(model: Element, file: str) -> Floats:
@@ -306,7 +307,7 @@ def _mounting_angles(model: Element, file: str) -> Floats:
     return 1e-3 * np.array(angles)
 
 
-_AXES = ((1, "X"), (2, "Y"), (3, "Z"))
+_AXES = ((1, "X"), (2, "Y"), (3, "Z"))  # number and axis of each rotation from piloting frame to instrument
 
 
 def _refining(root: Element, t_middle_s: float, file: str) -> Refining | None:

@@ -23,6 +23,7 @@ from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD
 
 __all__ = ["PLOTS"]
 
+# How Matplotlib draws the paper's values.
 PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
 
 
@@ -334,6 +335,7 @@ def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     return figure
 
 
+# What draws the table of an experiment, by the experiment's name.
 PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "inputs": plot_inputs,
     "figure4": plot_figure4,

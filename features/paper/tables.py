@@ -54,6 +54,7 @@ Progress = Callable[[int, int], None]
 
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
+# In the order in which the command runs them; the paper's figures and tables by name.
 EXPERIMENTS = (
     "inputs",
     "figure4",
@@ -65,7 +66,7 @@ EXPERIMENTS = (
     "readings",
     "geometry",
 )
-FROM_PIXELS = ("grid", "table4", "table5")
+FROM_PIXELS = ("grid", "table4", "table5")  # of them: those that can be run through rendered images
 
 
 def run_experiment(

@@ -45,7 +45,6 @@ from boresight.star_id.observer import Observer, sky_directions
 from boresight.star_id.settings import StarSettings
 
 if TYPE_CHECKING:
-    import pandas as pd
     from astropy.coordinates import SkyCoord
     from astropy.wcs import WCS
     from matplotlib.axes import Axes

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -31,7 +32,6 @@ from boresight.star_id.tracking import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
 __all__ = ["StarTrack", "track"]
@@ -81,8 +81,6 @@ class StarTrack(Result):
 
     def table(self) -> pd.DataFrame:
         """One row a frame: time, state, direction and roll with 1-sigma, rates, stars, cpu_ms, reason."""
-        import pandas as pd
-
         places = np.full((len(self), 3), np.nan)
         for n in np.flatnonzero(np.isfinite(self.quat_si[:, 0])):
             places[n] = np.degrees(ra_dec_roll(self.camera, self.R_si(n)))

@@ -20,4 +20,4 @@ class Whereabouts:
     )
 
 
-NOWHERE = Whereabouts()
+NOWHERE = Whereabouts()  # neither times nor place are known

@@ -42,7 +42,32 @@ def scene_of(
     sigma_installation_rad: Floats,
     settings: MatchSettings,
 ) -> Scene:
-    """The scene of a strip with at least one CCD and one target; `sigma_installation_rad` (3,) in frame c."""
+    """The scene of a strip: what `match_strip` starts from.
+
+    Parameters
+    ----------
+    strip : StripImage
+        Raw pixels of one CCD at least, read by window.
+    pushbroom : Pushbroom
+        The rigorous model at the initial installation matrix.
+    targets, chips : sequences of one length and order
+        Chip n shows the ground around target n. A sequence may read its files when they are asked for.
+    surface : Surface
+        Ellipsoidal heights of the ground between the targets.
+    sigma_installation_rad : (3,) array
+        1-sigma of the rotation by which the installation matrix may be wrong, about the axes of frame c.
+    settings : MatchSettings
+        Search ranges and limits of the tests.
+
+    Raises
+    ------
+    ValueError
+        If targets and chips differ in number, or the strip has no CCD.
+    """
+    if len(targets) != len(chips):
+        raise ValueError(f"{len(targets)} targets and {len(chips)} chips do not belong to one another")
+    if not strip.ccds:
+        raise ValueError("a strip without a CCD shows no target")
     ends = [pushbroom.rows.rows_of_lines(k, [-0.5, strip.shape(k)[0] - 0.5]) for k in strip.ccds]
     rows = float(np.min(ends)), float(np.max(ends))
     pushbroom = pushbroom.tabulated(*rows)
@@ -54,5 +79,5 @@ def scene_of(
         surface=surface,
         sigma_installation_rad=np.asarray(sigma_installation_rad, dtype=float),
         settings=settings,
-        trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]), rows),
+        trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]).reshape(-1, 3), rows),
     )

@@ -293,7 +293,7 @@ def fitted(text: str, terminal: bool) -> str:
     return "\n".join(lines)
 
 
-_PRINTABLE = _Printable()
+_PRINTABLE = _Printable()  # the one filter of all messages: control characters become visible
 log.addFilter(_PRINTABLE)
 log.addHandler(_Console())
 

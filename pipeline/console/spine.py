@@ -6,7 +6,8 @@ from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["SPINE"]
 
-_CONSOLE = "pipeline.console"
+_CONSOLE = "pipeline.console"  # module below `boresight` with the spine's commands
+# The commands of the spine, in the form of a feature, each with a line of help.
 SPINE = Feature(
     commands=(
         Command(

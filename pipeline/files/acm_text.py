@@ -20,9 +20,9 @@ from boresight.pipeline.files.text_files import MAX_ROWS, check_number
 __all__ = ["AcmAttitudes", "is_acm", "read_acm"]
 
 MARK, VERSION = "CCSDS_ACM_VERS", "2.0"
-BLOCKS = ("META", "ATT", "PHYS", "COV", "MAN", "AD", "USER")
-QUATERNION = ("Q1", "Q2", "Q3", "QC")
-ANGLES = ("X", "Y", "Z")
+BLOCKS = ("META", "ATT", "PHYS", "COV", "MAN", "AD", "USER")  # names that stand before _START and _STOP
+QUATERNION = ("Q1", "Q2", "Q3", "QC")  # components of a row of attitude, scalar last
+ANGLES = ("X", "Y", "Z")  # of the variances in a row
 
 
 @record(kw_only=True)

@@ -44,7 +44,7 @@ def write_dumps_report(result: Path) -> Path:
     return path
 
 
-COUNTS = ("frames", "stars", "targets", "chi2", "dof")
+COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation.json
 
 
 def _matrix(content: dict[str, Any], source: str) -> dict[str, Any]:
@@ -102,4 +102,4 @@ def _drift(result: Path) -> dict[str, Any] | None:
     }
 
 
-CONSTANT = ("chi2", "dof", "p_value")
+CONSTANT = ("chi2", "dof", "p_value")  # fields of drift.json: test that the matrix does not drift

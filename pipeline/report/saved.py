@@ -123,4 +123,5 @@ _SIGHTINGS = {  # only the plotted columns of long tables
     "stars": "xy_px residual_s normalised kept",
     "exposures": "exposure_id t_s stars usable chi2 dof",
 }
+# Tables of evidence/ that every result has.
 _EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map", "allan")

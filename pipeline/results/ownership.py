@@ -39,6 +39,7 @@ from boresight.pipeline.run.settings import Settings
 __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
+# Files and folders of a result that may be replaced or removed; others are the user's.
 OWN_FILES = (
     "installation.json run.json requirement.json about.json dumps.json".split()
     + "validation.json report.html report.pdf".split()

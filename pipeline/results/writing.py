@@ -52,6 +52,7 @@ __all__ = [
     "write_sightings",
 ]
 
+# Of installation.json, in their order (docs/result-format.md).
 FIELDS = (
     "verdict",
     "blind_spots",

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 Record = TypeVar("Record")
-FINITE = ConfigDict(allow_inf_nan=False)
+FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite or NaN
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ AXES = (
     ("radial", ("too far down", "too far up")),
 )
 Switch = Callable[[LightEffects, bool], LightEffects]
+# How each effect of light is switched, by its key in `[conventions]`.
 EFFECTS: Mapping[str, Switch] = {
     "light_time": lambda effects, on: replace(effects, light_time=on),
     "aberration": lambda effects, on: replace(effects, aberration=on),

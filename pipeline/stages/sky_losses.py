@@ -164,6 +164,7 @@ def _rows_reversed(found: StripStars, task: SkyTask) -> StripStars:
     return replace(found, xy_px=found.xy_px * [1.0, -1.0] + [0.0, task.strip.lines - 1.0])
 
 
+# Readings of a strip that are tried where no star is identified, as messages name them.
 TRIALS: Mapping[str, Changed] = {
     "with the order of columns reversed": _columns_reversed,
     "with the order of rows reversed": _rows_reversed,

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.match import keep_whole, match_strip
+from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
@@ -67,7 +68,7 @@ __all__ = [
 MAX_CHIP_PIXELS = 4096 * 4096
 NOTHING = np.empty((0, 0), np.float32)  # in the place of a picture that is not kept
 MOST_CHIPS = 256  # of a strip in memory: 100 MB of 200 x 200 px; of more each is read thrice
-IN_ORDER = InOrder()
+IN_ORDER = InOrder()  # the executor where none is given: this process
 
 
 @record(kw_only=True)
@@ -279,7 +280,7 @@ def strip_matches(
         return parts.map(function, items, lambda n, outcome: None)
 
     try:
-        result = match_strip(
+        scene = scene_of(
             task.strip.images,
             pushbroom_of(task),
             [task.targets[n] for n in readable],
@@ -287,9 +288,8 @@ def strip_matches(
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
-            each=map_parts,
-            keep=keep,
         )
+        result = match_strip(scene, each=map_parts, keep=keep)
     except RawDataError as error:
         omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))
         return None, omitted

@@ -30,13 +30,15 @@ SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong 
 
 def matched(case: Case, strip: SmallStrip | None = None, chips: list[Chip] | None = None) -> StripMatches:
     return match_strip(
-        strip or case.strip,
-        case.pushbroom,
-        case.targets,
-        chips or case.chips,
-        SURFACE,
-        SIGMA,
-        MatchSettings(),
+        scene_of(
+            strip or case.strip,
+            case.pushbroom,
+            case.targets,
+            chips or case.chips,
+            SURFACE,
+            SIGMA,
+            MatchSettings(),
+        )
     )
 
 
@@ -86,7 +88,15 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
     inside = [ccd for ccd in (0, 1) if 8.0 < case.true.pixels_from_ground(ccd, shown.p_e[None])[0][0] < 411.0]
     model = case.true
     outcome = match_strip(
-        case.strip, model, [shown], [chip], SURFACE, np.full(3, 1e-5), MatchSettings(smallest_template_px=16)
+        scene_of(
+            case.strip,
+            model,
+            [shown],
+            [chip],
+            SURFACE,
+            np.full(3, 1e-5),
+            MatchSettings(smallest_template_px=16),
+        )
     )
     assert sorted(m.ccd for m in outcome.matches) == inside
 
@@ -111,7 +121,7 @@ def test_targets_compared_in_groups_are_those_that_agree_together(
 def test_small_uncertainty_needs_no_bootstrap(case: Case):
     case.strip.pixels_read = 0
     outcome = match_strip(
-        case.strip, case.true, case.targets, case.chips, SURFACE, np.full(3, 1e-5), MatchSettings()
+        scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, np.full(3, 1e-5), MatchSettings())
     )
     assert len(outcome.matches) == len(case.targets)
     assert case.strip.pixels_read < 12 * 200 * 200
@@ -126,7 +136,9 @@ def test_places_predicted_within_a_window_are_measured_without_a_search(case: Ca
     plan = plan_search(scene)
     assert max(window.radius_px for window in plan.windows) > 2 * settings.margin_px + 2
     case.strip.pixels_read = 0
-    outcome = match_strip(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
+    outcome = match_strip(
+        scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
+    )
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
     assert case.strip.pixels_read < searched_px(scene, plan)  # of which a search reads all
 
@@ -141,7 +153,9 @@ def searched_px(scene: Scene, plan: SearchPlan) -> int:
 def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case, off_px: float):
     theta = np.array([off_px * 1.2e-5, 0.0, 0.0])  # 12 µrad a pixel
     model = case.true.with_installation(deviation_from_theta(theta).inv() * case.true.R_cs)
-    outcome = match_strip(case.strip, model, case.targets, case.chips, SURFACE, WINDOWS, MatchSettings())
+    outcome = match_strip(
+        scene_of(case.strip, model, case.targets, case.chips, SURFACE, WINDOWS, MatchSettings())
+    )
     error, _ = errors(case, outcome)
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
     assert np.abs(error).max() < 0.015  # px, as from any other matrix
@@ -215,13 +229,15 @@ def test_cloud_and_saturation_are_kept_out(case: Case):
         images[ccd][200:330, 100:300] = np.nan  # a cloud mask
         images[ccd][400:420, :] = 4095.0  # blooming
     outcome = match_strip(
-        SmallStrip(images),
-        case.pushbroom,
-        case.targets,
-        case.chips,
-        SURFACE,
-        SIGMA,
-        MatchSettings(saturation=4000.0),
+        scene_of(
+            SmallStrip(images),
+            case.pushbroom,
+            case.targets,
+            case.chips,
+            SURFACE,
+            SIGMA,
+            MatchSettings(saturation=4000.0),
+        )
     )
     error, _ = errors(case, outcome)
     assert len(outcome.matches) >= 8
@@ -233,13 +249,15 @@ def test_target_outside_the_strip_is_listed(case: Case):
     far = Target("far", case.targets[0].p_e + np.array([0.0, 0.0, 90e3]), np.full(3, 0.1))
     chip = replace(case.chips[0], target_id="far")
     outcome = match_strip(
-        case.strip,
-        case.true,
-        [*case.targets, far],
-        [*case.chips, chip],
-        SURFACE,
-        np.full(3, 1e-5),
-        MatchSettings(),
+        scene_of(
+            case.strip,
+            case.true,
+            [*case.targets, far],
+            [*case.chips, chip],
+            SURFACE,
+            np.full(3, 1e-5),
+            MatchSettings(),
+        )
     )
     reasons = {refusal.target_id: refusal.reason for refusal in outcome.refused}
     assert reasons["far"] is Reason.OUTSIDE_REACH
@@ -286,7 +304,9 @@ def test_virtual_ccd_gives_the_same_places_as_the_raw_ones(case: Case, outcome: 
     virtual = VirtualStrip(case.pushbroom, SURFACE)
     image = virtual.stitched(case.strip.read, dict.fromkeys(case.strip.ccds, LINES), (0, LINES))
     found = match_strip(
-        SmallStrip({0: image}), virtual.virtual, case.targets, case.chips, SURFACE, SIGMA, MatchSettings()
+        scene_of(
+            SmallStrip({0: image}), virtual.virtual, case.targets, case.chips, SURFACE, SIGMA, MatchSettings()
+        )
     )
     placed = {match.target_id: match for match in found.matches}
     nees = []
@@ -306,7 +326,9 @@ def test_places_that_an_exposure_moves_together_are_kept(case: Case):
     turn[np.argmin(np.abs(track.t_s - 0.4))] = case.pushbroom.R_cs.inv().apply([0.0, 72e-6, 0.0])
     nodes = Rotation.from_rotvec(turn) * track.R_si_nodes
     moved = replace(case.pushbroom, attitude=replace(track, R_si_nodes=nodes))
-    outcome = match_strip(case.strip, moved, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
+    outcome = match_strip(
+        scene_of(case.strip, moved, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
+    )
     residual = np.array([match.residual_px for match in outcome.matches])
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
     assert np.ptp(residual, axis=0).max() > 5.0  # px
@@ -339,7 +361,7 @@ def test_a_ccd_whose_image_begins_later_has_its_targets_on_its_own_lines(case: C
     rows = replace(case.pushbroom.rows, first_row={1: float(later)})
     pushbroom = replace(case.pushbroom, rows=rows)
     targets = case.targets[-4:], case.chips[-4:]
-    found = match_strip(SmallStrip(images), pushbroom, *targets, SURFACE, SIGMA, MatchSettings())
+    found = match_strip(scene_of(SmallStrip(images), pushbroom, *targets, SURFACE, SIGMA, MatchSettings()))
     place = {target.target_id: target.p_e[None] for target in case.targets}
     assert {one.ccd for one in found.matches} == {0, 1} and len(found.matches) >= 4
     for one in found.matches:
