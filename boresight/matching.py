@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Match", "NotMatched", "match_template"]
 
-
+# Radius of the search, px, and the largest start of a template, px: slips are beyond (set by hand).
 LEAST_RADIUS_PX, MOST_RADIUS_PX, MOST_PX = 4, 1000, 1e6
 LARGEST_VALUE = 1e15  # of a grey value: squares and sums of it stay finite
 

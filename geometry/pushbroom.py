@@ -51,6 +51,7 @@ Array = NDArray[np.float64]
 _POSITION_M = 1e-7
 _VELOCITY_M_S = 1e-6
 _ROTATION = 1e-13
+# Of the fifteen columns of the table: position, velocity, rotation matrix.
 _TOLERANCE = np.repeat([_POSITION_M, _VELOCITY_M_S, _ROTATION], [3, 3, 9])
 _CHUNK = 32_768  # points at a time: their arrays stay in the cache
 _MANY = 1_500  # number of points from which a table over the rows saves time

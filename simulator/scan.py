@@ -99,7 +99,9 @@ def all_panels(lines: int, samples: int) -> NDArray[np.bool_]:
 
 
 def panels_near(places_px: Array, reach_px: float, lines: int, samples: int) -> NDArray[np.bool_]:
-    """Those of `all_panels` that reach within `reach_px` of one of the places (N, 2), sample and line."""
+    """True, in the shape of `all_panels`, for panels within `reach_px` of one of the places (N, 2), sample
+    and line.
+    """
     near = ~all_panels(lines, samples)
     size = np.array([_PANEL_SAMPLES, _PANEL_LINES])
     for place in places_px:

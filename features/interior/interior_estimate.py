@@ -22,7 +22,9 @@ from boresight.geometry.sightings import StripSightings
 
 __all__ = ["InteriorEstimate", "calibrate_interior", "map_difference_px"]
 
-RATES_APART = 0.2  # of the largest rate: strips less different do not tell a delay from a shift
+# Difference of row rates, share of the largest: strips less different do not tell a delay from a shift (set
+# by hand).
+RATES_APART = 0.2
 
 
 @record(kw_only=True)

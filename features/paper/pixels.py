@@ -79,7 +79,7 @@ ONE_STRIP = (
     "errors.clock_s=0.0",
     "errors.distortion_px=0.0",
 )
-GROUND_PIXEL_M = 240e-6 / 10.0 * 530e3
+GROUND_PIXEL_M = 240e-6 / 10.0 * 530e3  # pixel pitch / focal length x height of the rendered camera
 GRID_FRAME, TABLE_4_FRAME = (30, 10), (55, 20)  # stars and targets at the level of vectors
 SIGMA_S_PX = (0.0091, 0.0332)  # mean stated sigma_s over the sky: first + second x read noise, px and px/DN
 

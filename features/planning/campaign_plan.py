@@ -25,7 +25,8 @@ __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
 
 # Numbers of targets for which the forecast is made.
 TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
-ALL_ERRORS = "all errors"
+ALL_ERRORS = "all errors"  # name of the variant in which no error is left out
+# Factor of a sigma that cannot be zero, in the forecast without that error (set by hand).
 NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
 DRAWS = 25  # example strips of a variant
 

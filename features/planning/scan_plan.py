@@ -39,13 +39,12 @@ from boresight.simulator.motion import acceleration
 
 __all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]
 
-AU_M = 1.495978707e11  # IAU 2012 resolution B2
 TRIES = 200  # pointings drawn for one candidate
 COMPARED = 5  # of those that are clear: the one with most stars is the candidate
 FIELD_RAD = 0.012  # within which stars are counted for that
 # Steps of finding when a star crosses the detector (set by hand).
 NEWTON_STEPS = 5
-Z = np.array([0.0, 0.0, 1.0])
+Z = np.array([0.0, 0.0, 1.0])  # line of sight, in frames s and c
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,8 +218,8 @@ def angles_to_bodies(epoch: Epoch, t_s: float, p_i: Floats, axes_i: Floats) -> F
     the Earth), rad, from a satellite at `p_i` (3,), m, GCRS.
     """
     jd = epoch.tt_jd(np.array([t_s]))
-    sun = -erfa.epv00(*jd)[0]["p"][0] * AU_M - p_i
-    moon = erfa.moon98(*jd)["p"][0] * AU_M - p_i
+    sun = -erfa.epv00(*jd)[0]["p"][0] * erfa.DAU - p_i
+    moon = erfa.moon98(*jd)["p"][0] * erfa.DAU - p_i
     bodies = np.array([one / np.linalg.norm(one) for one in (sun, moon, -p_i)])
     angles = np.arccos(np.clip(axes_i @ bodies.T, -1.0, 1.0))
     return np.asarray(angles - [0.0, 0.0, np.arcsin(WGS84.semi_major_m / np.linalg.norm(p_i))])

@@ -33,7 +33,7 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 __all__ = ["PositionFit", "fit_position"]
 
 _FARTHEST_PX = 2.5  # from the start
-_RIM = 3  # the filters reach this far over the template's edge, and over a hole's
+_RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
 _COLUMNS = 2 + TERMS  # of the design matrix: the two derivatives and the radiometry
 # Most Gauss-Newton steps with given weights (set by hand).
 _STEPS = 5

@@ -92,7 +92,9 @@ def best_positions(
     boxes: Sequence[tuple[int, int, int, int]],
     count: int,
 ) -> Positions:
-    """The best positions of a template whose first pixel lies in the box (x0, y0, x1, y1) of a picture."""
+    """The `count` best positions, in all pictures, of a template whose first pixel lies in the box (x0, y0,
+    x1, y1), px, of a picture.
+    """
     first, second = (times * count for times in _KEPT)
     found = [_cells(template.pooled, p.pooled, box, first) for p, box in zip(pictures, boxes, strict=True)]
     everywhere = Positions(

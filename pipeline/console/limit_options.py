@@ -24,8 +24,9 @@ JunitFile = Annotated[Path | None, typer.Option("--junit", help="JUnit XML file 
 def held(
     command: str, limits: Sequence[Limit], junit: Path | None, begun_s: float, answer: Answer | None = None
 ) -> Answer:
-    """`answer` with its limits: a line each, the JUnit file, exit status 4 if one is missed."""
-
+    """`answer` of a command with its limits: a line each, and exit status 4 if one is missed. The JUnit file
+    states the time since `begun_s` (`time.perf_counter`).
+    """
     told = answer if answer is not None else Answer()
     if junit is not None:
         text = junit_xml(command, limits, time.perf_counter() - begun_s)

@@ -249,6 +249,7 @@ COLOURS = {
     "refuted": "red",
     "not checkable": "yellow",
 }
+# The verdict at the beginning of a line, or after that word.
 _VERDICT = re.compile(rf"^(verdict +|)({'|'.join(COLOURS)})(?= |:|$)", re.MULTILINE)
 
 
@@ -293,6 +294,7 @@ def fitted(text: str, terminal: bool) -> str:
     return "\n".join(lines)
 
 
+# The one filter of all messages: control characters become visible.
 _PRINTABLE = _Printable()  # the one filter of all messages: control characters become visible
 log.addFilter(_PRINTABLE)
 log.addHandler(_Console())

@@ -15,7 +15,7 @@ __all__ = ["read_centroids"]
 # Columns of a list of centroids.
 NUMBERS = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")
 OPTIONAL = ("snr", "saturated", "blended", "psf_sigma_px")
-TRUTHS = {"true": True, "1": True, "false": False, "0": False}
+TRUTHS = {"true": True, "1": True, "false": False, "0": False}  # texts of a truth value, in lower case
 # Largest place of a centroid, px, that can be one: no detector is wider.
 LIMIT_PX = 1e6
 USUAL_PSF_PX = 1.0  # where the list does not state its width

@@ -24,7 +24,7 @@ EARTH = 399  # NAIF's id
 # Steps, s, of which the smallest with at most MAX_STATES states is taken. Of 60 s the interpolation below
 # errs by less than 1e-6 m in a low orbit.
 STEPS_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
-MAX_STATES = 100_000
+MAX_STATES = 100_000  # of an orbit: a day at 1 s
 DEGREE = 9  # of Hermite's interpolation
 
 

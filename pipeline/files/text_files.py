@@ -51,8 +51,9 @@ MAX_ROWS = 500_000  # of a table; a record takes 1 kB
 # Regular expression of a decimal number in the text files of a dump: ASCII digits, optional sign, point and
 # exponent; no nan, no inf.
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-PLAIN_NUMBER = "a finite number in ASCII digits"
+PLAIN_NUMBER = "a finite number in ASCII digits"  # the same in messages
 _PLAIN_NUMBER = re.compile(NUMBER)
+# Strings and comments of TOML, of any of its four kinds of quotes, closed or not.
 _STRING_OR_COMMENT = re.compile(
     r'''"""(?:\\.|[^\\])*?(?:"""|\Z)|\'{3}.*?(?:\'{3}|\Z)|"(?:\\.|[^"\\\n])*(?:"|$)|'[^'\n]*(?:'|$)|\#[^\n]*''',
     re.DOTALL | re.MULTILINE,

@@ -44,8 +44,10 @@ __all__ = [
     "rule_axes",
 ]
 
+# Colours that stand for variables of the style sheet while a figure is drawn; of no meaning themselves.
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
 _X, _Y, _Z = "#0d0e0f", "#101112", "#131415"
+# Variable of the page's style sheet by its mark.
 # Variable of the page's style sheet by its mark.
 _VARIABLES = {
     INK: "var(--ink)",
@@ -60,7 +62,7 @@ _VARIABLES = {
 WIDTH_IN = 4.6
 MARGINS_IN = (0.72, 0.2, 0.47, 0.1)  # left, right, bottom, top: room for ticks and labels
 LABELS_IN = (0.53, 0.28)  # of axes with these margins: y label left of them, x label below
-NUMBERS_PT = 7.0  # from an axis to its numbers
+NUMBERS_PT = 7.0  # points (1/72 inch) from an axis to its numbers
 MOST_INTERVALS = 5  # between ticks: more crowd a figure of this width
 
 
@@ -74,6 +76,7 @@ class Curve:
     marker: str = scalar("matplotlib marker")
 
 
+# Axes of frame c: label, colour, dash, marker.
 # Axes of frame c: label, colour, dash, marker.
 AXES = (Curve("X", _X, "-", "o"), Curve("Y", _Y, "--", "s"), Curve("Z", _Z, ":", "^"))
 

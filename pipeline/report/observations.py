@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 MOST_PRINTED = 12  # cards of used targets that a print shows; those not used are all printed
-GROUND, TARGETS = "evidence/ground", "sightings/targets"
+GROUND, TARGETS = "evidence/ground", "sightings/targets"  # tables of a result, without suffix
 
 
 @record(kw_only=True)
@@ -162,6 +162,7 @@ FORMS = {
     "lon_deg": ".6f",
     "height_m": ".1f",
 }
+# Columns of sightings/targets.parquet that a card shows, and the forms of their numbers.
 SIGHTED = {"correlation": ".3f", "probability_wrong": ".1e", "detectable_m": ".2f"}
 
 

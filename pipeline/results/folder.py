@@ -29,7 +29,7 @@ from boresight.pipeline.run.unit_store import UnitStore
 
 __all__ = ["DUMPS", "INTERIOR", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
 
-DUMPS, VALIDATION = "dumps.json", "validation.json"
+DUMPS, VALIDATION = "dumps.json", "validation.json"  # names of files in a result's folder
 # File of a result, below its folder, that holds an interior orientation; its picture and camera file lie
 # beside it.
 INTERIOR = "interior/interior.json"

@@ -38,7 +38,9 @@ from boresight.pipeline.run.settings import Settings
 
 __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 
+# Files in a result's folder: whose result it is, and that a run writes into it.
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
+# Files and folders of a result that may be replaced or removed; others are the user's.
 # Files and folders of a result that may be replaced or removed; others are the user's.
 OWN_FILES = (
     "installation.json run.json requirement.json about.json dumps.json".split()

@@ -72,6 +72,7 @@ TABLES = {
     "head": "dump.toml",
     "target": "targets.csv",
 }
+# What a finding says of items of one cause, before the file to correct.
 SEVERAL = {
     Cause.REPEATED: "not independent of others, so left out; remove from",
     Cause.SAME_PIXELS: "one image under several times, so none is used; correct file in",

@@ -27,12 +27,14 @@ AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 # Units of further inputs, in s, m and rad: a thousandth, and a kilometre a second.
 MILLI = 1e-3
 KM_S = 1e3
+# Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
     ("along the track", ("too large", "too small")),
     ("across the track", ("too far right", "too far left")),
     ("radial", ("too far down", "too far up")),
 )
 Switch = Callable[[LightEffects, bool], LightEffects]
+# How each effect of light is switched, by its key in `[conventions]`.
 # How each effect of light is switched, by its key in `[conventions]`.
 EFFECTS: Mapping[str, Switch] = {
     "light_time": lambda effects, on: replace(effects, light_time=on),

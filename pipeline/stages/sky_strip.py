@@ -58,7 +58,7 @@ __all__ = [
 # Cause of a star that is not used since its identification may be wrong, in lists and counts.
 NAME_UNSURE = "name unsure"
 _NODES = 33  # lines at which the motion of the image points is given
-NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors
+NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors (set by hand)
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
 # Margin around a strip's field, rad, within which catalogue stars are looked up: more than aberration and
 # refraction.

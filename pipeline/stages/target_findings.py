@@ -33,7 +33,8 @@ __all__ = [
 
 FEWEST = 3  # targets that make a pattern
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
-GROUP_PENALTY = 3.0  # of a group: one more number, in units of the logarithm of a likelihood
+# Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
+GROUP_PENALTY = 3.0
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 SHOWN = 4  # names in a sentence

@@ -60,7 +60,7 @@ class Psf:
         return 0 if self.shape is None else (self.shape.shape[0] // FINE - 1) // 2
 
     def sigma_at(self, xy_px: Floats) -> Floats:
-        """Standard deviation (N,) at pixels (N, 2)."""
+        """Standard deviation (N,) of the Gaussian, px, at pixels (N, 2)."""
         size = np.array([self.width_px, self.height_px])
         radius2 = 2.0 * (((xy_px + 0.5) / size - 0.5) ** 2).sum(axis=1)
         return np.asarray(self.sigma_px + (self.sigma_corner_px - self.sigma_px) * radius2)

@@ -141,7 +141,9 @@ def match_within(
 
 
 def robust_sigma(distance: Floats, pixel: float) -> float:
-    """One-axis standard deviation from the median of distances (K,), limited to 0.15 to 3 pixels."""
+    """One-axis standard deviation from the median of distances (K,), limited to 0.15 to 3 pixels; all in the
+    unit in which `pixel` is the size of a pixel.
+    """
     if len(distance) == 0:
         return pixel
     median = float(distance[distance.argsort()[len(distance) // 2]])
