@@ -99,11 +99,12 @@ def digests(dumps: Path, experiments: bool) -> dict[str, str]:
             for command in commands_on(name, sources):
                 label = " ".join(command).replace(str(dumps), "DUMPS")
                 found[f"{name}: {label}"] = printed(out, *command)
-        for path in sorted(
-            (out / "exported").rglob("*")
-        ):  # with the program's version and the time of writing replaced
+        # Exported files, with the program's version, the time of writing and the result's id replaced.
+        own = sha256((out / "mini" / "installation.json").read_bytes())[:16].encode()
+        for path in sorted((out / "exported").rglob("*")):
             if path.is_file():
-                found[f"exported: {path.name}"] = sha256(VERSION.sub(b"VERSION", path.read_bytes()))
+                content = VERSION.sub(b"VERSION", path.read_bytes().replace(own, b"RESULT"))
+                found[f"exported: {path.name}"] = sha256(content)
         for label, command in alone(dumps).items():
             found[label] = printed(out, *command)
         for name in QUICK_EXPERIMENTS if experiments else ():
