@@ -1,8 +1,11 @@
-"""`boresight star-camera-plan IMAGE`: where to look to calibrate the camera that took an image."""
+"""`boresight star-camera-plan [IMAGE]`: where to look to calibrate the camera that took an image, or one that
+is not yet built.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +18,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.features.sky_images.identify_images import read_camera, read_sky_image, sky_index
+from boresight.features.sky_images.planned_camera import (
+    LIMIT_SNR,
+    CameraNumbers,
+    camera_of_numbers,
+    images_of_numbers,
+)
 from boresight.features.sky_images.sky_plan import SkyPlan, StarImageModel, plan_pointings
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
@@ -27,6 +37,10 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["SkyPlanRequest", "plan_sky"]
 
+# Error of the model, px, from which the camera counts as not determined: errors are then those of its prior.
+_NOT_DETERMINED_PX = 5.0
+_Known = tuple[StarCamera, StarImageModel, StarIndex, str]  # with a line about it
+
 
 @dataclass(frozen=True, slots=True)
 class SkyPlanRequest:
@@ -34,7 +48,11 @@ class SkyPlanRequest:
 
     camera_file: Path | None = None
     fov_deg: float | None = None
+    numbers: CameraNumbers = field(
+        default_factory=CameraNumbers
+    )  # of a camera without image; its fov_deg is that above
     frames: int = 10
+    wanted_px: float | None = None  # largest error of the model that is enough
     candidates: int = 500
     utc: str | None = None  # of the campaign: keeps the Sun away
     sun_deg: float = 60.0
@@ -43,28 +61,32 @@ class SkyPlanRequest:
     plot: Path | None = None  # PNG
 
 
-def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tuple[list[str], bool]:
-    """Lines to print, and whether there is a plan."""
-    given = read_camera(request.camera_file)
-    image = read_sky_image(path, given, request.camera_file)
-    index = sky_index(given, request.fov_deg, settings)
-    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
-    seen = solve_field(image, index, settings, camera=given, fov_x_rad=fov)
-    if isinstance(seen, NotIdentified):
-        return [f"no plan: {path}: {seen.reason}"], False
+def plan_sky(path: Path | None, request: SkyPlanRequest, settings: StarSettings) -> tuple[list[str], int]:
+    """Lines to print, and the exit status: 0, 1 without a plan, 4 where `wanted_px` is not reached.
+
+    Without an image, `request.numbers` describe the camera.
+    """
+    if path is None:
+        camera, images, index, line = _by_numbers(request, settings)
+    else:
+        known = _by_image(path, request, settings)
+        if isinstance(known, str):
+            return [f"no plan: {path}: {known}"], DATA_DID_NOT_ALLOW
+        camera, images, index, line = known
     candidates = Rotation.random(request.candidates, random_state=np.random.default_rng(request.seed))
-    lines = [f"{seen.matches} stars of {path} give the noise and detection limit of this camera"]
+    lines = [line]
     if request.utc is not None:
-        candidates, line = _away_from_the_sun(seen.camera, candidates, request.utc, request.sun_deg)
+        candidates, line = _away_from_the_sun(camera, candidates, request.utc, request.sun_deg)
         lines.append(line)
     if len(candidates) < request.frames:
-        return [*lines, f"no plan: {len(candidates)} pointings to choose {request.frames} from"], False
-    try:
-        images = StarImageModel.of(seen, index)
-    except ValueError as error:
-        return [*lines, f"no plan: {path}: {error}"], False
-    plan = plan_pointings(seen.camera, images, index, settings, candidates, request.frames)
-    table = _table(seen.camera, plan)
+        few = f"no plan: {len(candidates)} pointings to choose {request.frames} from"
+        return [*lines, few], DATA_DID_NOT_ALLOW
+    plan = plan_pointings(camera, images, index, settings, candidates, request.frames)
+    if plan.pointings[-1].sigma_px > _NOT_DETERMINED_PX:
+        most = max(pointing.stars for pointing in plan.pointings)
+        none = f"no plan: {most} stars at most in a field do not determine the camera"
+        return [*lines, f"{none}: a wider field or fainter stars are needed"], DATA_DID_NOT_ALLOW
+    table = _table(camera, plan)
     lines.append(
         "image   RA deg   Dec deg  roll deg  stars   largest error of the model after it, px (random)"
     )
@@ -73,14 +95,65 @@ def plan_sky(path: Path, request: SkyPlanRequest, settings: StarSettings) -> tup
         f"   {row.largest_sigma_px:.4f}  ({row.random_sigma_px:.4f})"
         for row in table.itertuples()
     ]
+    status = DONE
+    if request.wanted_px is not None:
+        line, reached = _wanted(plan, request.wanted_px)
+        lines.append(line)
+        status = DONE if reached else LIMIT_MISSED
     if request.out is not None:
         out = request.out
         write_whole(out, lambda target: table.to_csv(target, index=False, lineterminator="\n"))
         lines.append(f"-> {out}")
     if request.plot is not None:
-        _draw(seen.camera, plan, table, index, request.plot)
+        _draw(camera, plan, table, index, request.plot)
         lines.append(f"-> {request.plot}")
-    return lines, True
+    return lines, status
+
+
+def _by_image(path: Path, request: SkyPlanRequest, settings: StarSettings) -> _Known | str:
+    """The camera that took an image, or why it is not known."""
+    given = read_camera(request.camera_file)
+    image = read_sky_image(path, given, request.camera_file)
+    index = sky_index(given, request.fov_deg, settings)
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    seen = solve_field(image, index, settings, camera=given, fov_x_rad=fov)
+    if isinstance(seen, NotIdentified):
+        return seen.reason
+    try:
+        images = StarImageModel.of(seen, index)
+    except ValueError as error:
+        return str(error)
+    line = f"{seen.matches} stars of {path} give the noise and detection limit of this camera"
+    return seen.camera, images, index, line
+
+
+def _by_numbers(request: SkyPlanRequest, settings: StarSettings) -> _Known:
+    """The camera that the options describe."""
+    numbers = replace(request.numbers, fov_deg=request.fov_deg)
+    camera = camera_of_numbers(numbers, read_camera(request.camera_file))
+    images, index = images_of_numbers(numbers, camera), sky_index(None, None, settings)
+    line = (
+        f"a camera of {camera.width_px} x {camera.height_px} px and {np.degrees(camera.fov_x_rad):.2f} deg,"
+        f" in which stars of V = {numbers.limit_mag:g} have SNR {LIMIT_SNR:g}"
+    )
+    faintest = float(index.stars.v_mag.max())
+    if numbers.limit_mag is not None and numbers.limit_mag > faintest:
+        line += f"; of stars fainter than V = {faintest:.1f}, where the catalogue ends, none counts"
+    return camera, images, index, line
+
+
+def _wanted(plan: SkyPlan, wanted_px: float) -> tuple[str, bool]:
+    """How many images reach an error of the model, px, and whether these do."""
+    after = [pointing.sigma_px for pointing in plan.pointings]
+    enough = next((n for n, sigma in enumerate(after, start=1) if sigma <= wanted_px), 0)
+    if enough:
+        return f"{enough} images reach {wanted_px:g} px", True
+    # information grows with the number of images
+    more = math.ceil(len(after) * (after[-1] / wanted_px) ** 2)
+    return (
+        f"MISSED: {len(after)} images reach {after[-1]:.4f} px, not {wanted_px:g}; some {more} would",
+        False,
+    )
 
 
 def _away_from_the_sun(

@@ -288,6 +288,56 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     assert np.degrees(np.arccos((axes * middle.cartesian.xyz.value.T).sum(axis=1))).max() < 1.0
 
 
+def test_a_camera_that_is_not_yet_built_is_planned_by_its_numbers(folder, tmp_path):
+    """The numbers of the sensor that took an image give the same fields' errors as the image."""
+    usual = ("--frames", 4, "--candidates", 60)
+    sensor = Sensor()
+    noise_e = np.hypot(sensor.read_noise_dn, 12.0**-0.5) * sensor.e_per_dn  # and of rounding
+    flux = sensor.flux_at_v7_dn * sensor.e_per_dn
+    snr_at_v7 = flux / (noise_e * np.sqrt(4.0 * np.pi) * sensor.sigma_px)
+    numbers = (
+        *("--limit-mag", 7.0 + 2.5 * np.log10(snr_at_v7 / 5.5), "--noise-e", noise_e),
+        *("--psf-sigma-px", sensor.sigma_px, "--full-e", (255.0 - sensor.background_dn) * sensor.e_per_dn),
+    )
+    out = [tmp_path / "image.csv", tmp_path / "numbers.csv"]
+    assert run("star-camera-plan", folder / "sky0.png", "--fov", 18.6, *usual, "--out", out[0]).exit_code == 0
+    given = ("--size", 1280, 960, "--fov", 18.6, *numbers, *usual)
+    done = run("star-camera-plan", *given, "--wanted-px", 0.5, "--out", out[1])
+    assert done.exit_code == 0 and "1 images reach 0.5 px" in done.stdout, done.output
+    image, planned = (pd.read_csv(path)["largest_sigma_px"] for path in out)
+    # gain, width and zero point of one image are good to some per cent; the lens is without distortion
+    np.testing.assert_allclose(planned, image, rtol=0.2)
+    assert run("star-camera-plan", *given, "--wanted-px", 1e-3).exit_code == 4
+    # the field of view by focal length and pitch is the same camera
+    focal_mm = 1280 * 6e-3 / 2.0 / np.tan(np.radians(9.3))
+    geometry = ("--size", 1280, 960, "--focal-mm", focal_mm, "--pixel-um", 6.0)
+    run("star-camera-plan", *geometry, *numbers, *usual, "--out", tmp_path / "focal.csv")
+    same = pd.read_csv(tmp_path / "focal.csv")["largest_sigma_px"]
+    np.testing.assert_allclose(same, planned, rtol=1e-9)  # rounding
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ((), "--size"),
+        (("--size", 1000, 1000), "--fov and --focal-mm"),
+        (("--size", 1000, 1000, "--fov", 10, "--focal-mm", 50), "--fov and --focal-mm"),
+        (("--size", 1000, 1000, "--focal-mm", 50), "--pixel-um"),
+        (("--size", 1000, 1000, "--fov", 10), "--limit-mag"),
+        (("--size", 1000, 1000, "--fov", 120, "--limit-mag", 6), "between 0.5 and 90"),
+        (("--size", 10, 1000, "--fov", 20, "--limit-mag", 6), "32 pixels"),
+    ],
+)
+def test_what_a_planned_camera_lacks_is_named(given, named):
+    wrong = run("star-camera-plan", *given)
+    assert isinstance(wrong.exception, RawDataError) and named in str(wrong.exception)
+
+
+def test_a_field_of_too_few_stars_is_no_plan():
+    done = run("star-camera-plan", "--size", 1000, 1000, "--fov", 1, "--limit-mag", 4, "--candidates", 40)
+    assert done.exit_code == 1 and "do not determine the camera" in done.stdout
+
+
 def test_no_plan_is_an_answer(folder):
     done = run("star-camera-plan", folder / "dark.png", "--fov", 18.6)
     assert done.exit_code == 1 and "no plan" in done.stdout
