@@ -15,8 +15,8 @@ import numpy as np
 from record import exit_status, head, peak_mib, verdict
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.calib.ten_steps import frame_information_literally
+from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
+from boresight.features.paper.ten_steps import frame_information_literally
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.vector_sets import VectorSets

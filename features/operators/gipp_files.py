@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of
+from boresight.pipeline.files.content import limited_content
 from boresight.pipeline.files.text_files import GZIP, unpacked, utf8_text
 from boresight.pipeline.files.xml_files import xml_root
 
@@ -45,6 +45,7 @@ DAMAGE = (
     RuntimeError,  # a password
     NotImplementedError,  # a compression of other programs
 )
+EXPECTED = "a folder, a GIPP file or an archive of them"  # what messages say was expected
 MAX_BYTES = 128 * 2**20  # of a file, packed and unpacked; all GIPP files of a satellite take 40 MB
 # Most members of an archive that are looked at: a package holds some hundred.
 MAX_MEMBERS = 10_000
@@ -65,13 +66,13 @@ def find_gipp_files(place: Path, stem: str) -> dict[str, GippFile]:
     `place` is a folder or an archive. Of several packings of one file a document is taken before an archive.
     """
     if not place.is_dir():
-        raw = _content(place, place.name)
+        raw = limited_content(place, place.name, EXPECTED, MAX_BYTES)
         return _members(raw, place.name, stem)
     inside = [path for path in sorted(place.iterdir()) if path.is_dir() and re.fullmatch(stem, path.name)]
     paths = [path for folder in (place, *inside) for path in sorted(folder.iterdir()) if not path.is_dir()]
     files = {path.relative_to(place).as_posix(): path for path in paths}
     return {
-        name: GippFile(file, partial(_content, files[file], file))
+        name: GippFile(file, partial(limited_content, files[file], file, EXPECTED, MAX_BYTES))
         for name, file in _wanted(list(files), stem).items()
     }
 
@@ -94,15 +95,6 @@ def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
 def _data(root: Element) -> Element:
     """The document itself, or that in the Data_Block of an Earth Explorer file."""
     return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
-
-
-def _content(path: Path, file: str) -> bytes:
-    if (size := check_regular(path, file, "a folder, a GIPP file or an archive of them")) > MAX_BYTES:
-        raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_BYTES} bytes")
-    try:
-        return content_of(path)
-    except OSError as error:
-        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
 
 
 def _wanted(files: list[str], stem: str) -> dict[str, str]:

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.paper.frames import calibrate_frames
 from boresight.features.paper.geometry_search import (
     GeometrySearch,
     covariance_shapes,

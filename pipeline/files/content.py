@@ -24,6 +24,7 @@ __all__ = [
     "content_digest",
     "content_of",
     "identity_of",
+    "limited_content",
     "open_regular",
     "read_ahead",
     "remember_digest",
@@ -121,6 +122,16 @@ def check_regular(path: Path, file: str, expected: str) -> int:
         found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device, FIFO or socket"
         raise RawDataError(file, "file", found, expected)
     return status.st_size
+
+
+def limited_content(path: Path, file: str, expected: str, max_bytes: int) -> bytes:
+    """All bytes of a regular file; `RawDataError` for one that is missing, unreadable or too large."""
+    if (size := check_regular(path, file, expected)) > max_bytes:
+        raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes")
+    try:
+        return content_of(path)
+    except OSError as error:
+        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
 
 
 def identity_of(path: Path) -> Identity:

@@ -17,7 +17,7 @@ from typing import Any
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of
+from boresight.pipeline.files.content import content_of, limited_content
 
 __all__ = ["CK", "NO_KERNELS", "SPK", "Kernels", "is_kernel", "loaded", "toolkit"]
 
@@ -94,7 +94,7 @@ def loaded(path: Path, file: str, kernels: Kernels) -> Iterator[str]:
 
 def _copy(path: Path, file: str, copy: Path) -> str:
     """Write a checked kernel to `copy`."""
-    raw = _content(path, file)
+    raw = limited_content(path, file, "a SPICE kernel", MAX_BYTES)
     if raw.startswith((*BINARY.values(), b"DAF/", OF_OLD_FILES)):
         _check_daf(raw, file)
     elif not raw.startswith(b"KPL/"):
@@ -132,15 +132,6 @@ def _check_daf(raw: bytes, file: str) -> None:
                 found = f"numbers {begin} to {end} of {len(raw) // 8}"
                 raise RawDataError(file, f"segment {n + 1} of record {at}", found, "numbers inside the file")
         at = int(following)
-
-
-def _content(path: Path, file: str) -> bytes:
-    if (size := check_regular(path, file, "a SPICE kernel")) > MAX_BYTES:
-        raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_BYTES} bytes")
-    try:
-        return content_of(path)
-    except OSError as error:
-        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
 
 
 def _reason(error: Exception) -> str:

@@ -18,7 +18,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import Identity, check_regular, content_of, identity_of
+from boresight.pipeline.files.content import Identity, identity_of, limited_content
 from boresight.pipeline.files.xml_files import read_xml
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -74,17 +74,15 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
     """
     if (kind := FORMATS.get(path.suffix.lower())) is None:
         raise RawDataError(file, "file", path.suffix or "no suffix", f"one of {', '.join(FORMATS)}")
-    if (size := check_regular(path, file, "a readable file")) > MAX_BYTES:
-        raise RawDataError(file, "file", f"{size} bytes", f"at most {MAX_BYTES} bytes")
+    content = limited_content(path, file, "a readable file", MAX_BYTES)
     from astropy.table import Table  # with pandas 0.6 s to load
 
     if kind == "votable":
         _check_streams(read_xml(path, file), file)  # and no DTD or entity, before another parser sees it
-    elif kind == "fits" and not content_of(path).startswith(FITS_MAGIC):
-        found = content_of(path)[:8].hex(" ")
-        raise RawDataError(file, "byte 0", found, "a FITS file that is not packed")
+    elif kind == "fits" and not content.startswith(FITS_MAGIC):
+        raise RawDataError(file, "byte 0", content[:8].hex(" "), "a FITS file that is not packed")
     try:
-        table = Table.read(io.BytesIO(content_of(path)), format=kind)
+        table = Table.read(io.BytesIO(content), format=kind)
     except Exception as error:  # astropy raises errors of many kinds for a damaged file
         raise RawDataError(file, "table", f"{type(error).__name__}: {error}", f"a table ({kind})") from error
     table.rename_columns(table.colnames, [name.lower() for name in table.colnames])

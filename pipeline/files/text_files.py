@@ -20,7 +20,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of
+from boresight.pipeline.files.content import limited_content
 
 __all__ = [
     "GZIP",
@@ -83,7 +83,7 @@ def path_inside(root: Path, relative: str, *, file: str, field: str) -> Path:
 
 def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a UTF-8 file without byte-order mark; `RawDataError` if it is too large or not UTF-8."""
-    return utf8_text(_content(path, file, max_bytes), file)
+    return utf8_text(limited_content(path, file, "a readable file", max_bytes), file)
 
 
 def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -91,7 +91,7 @@ def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
 
     `RawDataError` also for a damaged gzip file and for one of more than `max_bytes` unpacked.
     """
-    raw = _content(path, file, max_bytes)
+    raw = limited_content(path, file, "a readable file", max_bytes)
     return utf8_text(unpacked(raw, file, max_bytes) if raw.startswith(GZIP) else raw, file)
 
 
@@ -107,15 +107,6 @@ def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
             file, "gzip", f"more than {max_bytes} bytes unpacked", f"at most {max_bytes} bytes"
         )
     return content
-
-
-def _content(path: Path, file: str, max_bytes: int) -> bytes:
-    if (size := check_regular(path, file, "a readable file")) > max_bytes:
-        raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes of text")
-    try:
-        return content_of(path)
-    except OSError as error:
-        raise RawDataError(file, "file", error.strerror or str(error), "a readable file") from error
 
 
 def utf8_text(raw: bytes, file: str) -> str:

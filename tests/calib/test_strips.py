@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.frames import calibrate_frames
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SharedUnknowns
 from boresight.calib.strips import group_strips, linearise, prepare_strip
+from boresight.features.paper.frames import calibrate_frames
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from boresight.calib.frames import calibrate_frames
 from boresight.features.paper.comparison import compare_geometry, noise_law
+from boresight.features.paper.frames import calibrate_frames
 from boresight.features.paper.geometry_search import (
     GeometrySearch,
     covariance_shapes,

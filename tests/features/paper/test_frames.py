@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
+from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.vector_sets import VectorSets

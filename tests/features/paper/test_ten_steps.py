@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.calib.ten_steps import calibrate_literally, frame_information_literally
+from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
+from boresight.features.paper.ten_steps import calibrate_literally, frame_information_literally
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.simulator.campaign import CameraPair, draw_frames
