@@ -97,7 +97,6 @@ __all__ = [
 ]
 
 # Public names by the module, below `boresight`, that defines them; it is imported when one is asked for.
-# Public names by the module, below `boresight`, that defines them; it is imported when one is asked for.
 _MODULES = {
     "array_dump": "dump_from_arrays",
     "accepted": "ImageLike PathLike RotationLike SiteLike TimeLike",
@@ -126,7 +125,6 @@ if os.path.isfile(os.path.join(__path__[0], "geometry")):  # what git makes of a
         f"{os.path.join(__path__[0], 'geometry')} is a file: this checkout is without symbolic links;"
         " clone it by `git clone -c core.symlinks=true`, or install the package (a wheel has no links)"
     )
-# The same, by name.
 # The same, by name.
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 

@@ -57,7 +57,6 @@ ImageLike: TypeAlias = NDArray[np.generic] | PathLike
 
 ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
 LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
-# Characters of an argument that a message repeats.
 LONGEST_SHOWN = 80  # characters of an argument that a message repeats
 Kind = TypeVar("Kind")
 

@@ -16,7 +16,6 @@ from boresight.version import __version__
 __all__ = ["begin", "command_line", "run_command_line"]
 
 # Words of a command line after which nothing shows that libraries are loading.
-# Words of a command line after which nothing shows that libraries are loading.
 SILENT = {"--quiet", "-q", "--json", "--help", "-h"}
 
 

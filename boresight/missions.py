@@ -65,8 +65,6 @@ __all__ = ["Calibration", "Validation", "calibrate", "read_result", "validate"]
 DumpLike = PathLike | Dump
 # Columns of sightings/stars.parquet and of sightings/targets.parquet, with the names that tables of a result
 # give them.
-# Columns of sightings/stars.parquet and of sightings/targets.parquet, with the names that tables of a result
-# give them.
 STARS = {"exposure_id": "exposure", "hip": "hip", "normalised": "statistic", "kept": "kept"}
 TARGETS = {"strip_id": "strip_id", "target_id": "target_id", "ccd": "ccd", "correlation": "correlation"}
 
@@ -393,7 +391,6 @@ def calibrate(
         return dataclasses.replace(made, folder=None, _scratch=scratch, _run=(opened, found, chosen))
 
 
-# Processes; a larger number is taken for a slip.
 MOST_WORKERS = 1024  # processes; a larger number is taken for a slip
 
 

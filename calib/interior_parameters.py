@@ -224,8 +224,6 @@ def _mean(model: InteriorModel, kind: str) -> Floats:
 
 # Combinations of interior parameters that no observation tells from another unknown: what is fixed at its
 # stated value, and the unknown that takes its place.
-# Combinations of interior parameters that no observation tells from another unknown: what is fixed at its
-# stated value, and the unknown that takes its place.
 GAUGES = (
     Gauge("principal point, in flight direction", "rotation about Y of the installation matrix"),
     Gauge("principal point, along the detectors", "rotation about X of the installation matrix"),
@@ -233,7 +231,6 @@ GAUGES = (
     Gauge("scale common to all CCDs", "focal length"),
     Gauge("mean and slope of each curve", "shift, rotation and scale of its CCD"),
 )
-# The delays of rows: where they are estimated only their mean is fixed, else all are.
 # The delays of rows: where they are estimated only their mean is fixed, else all are.
 STAGGER_COMMON = Gauge("delay of the rows common to all CCDs", "offset of the row clock")
 STAGGER = Gauge("delay of each CCD's rows", "its shift across the detector, unless strips differ in rate")

@@ -44,9 +44,7 @@ MANY = 8  # exposures of a strip that follow the motion; scatter of so many is t
 FEWEST_SHOW = 3  # exposures of a strip: two determine constant and rate
 SPREAD = (1.0, 0.5, 1.0)  # 1-sigma of the logarithms of a, T and the factor of the noise
 AMPLITUDES = np.exp(np.linspace(-4.0, 3.0, 29))  # in units of the stated values
-# The same of T: from 1/4.5 to 4.5 of it.
 TIMES = np.exp(np.linspace(-1.5, 1.5, 13))  # the same of T: from 1/4.5 to 4.5 of it
-# Factors of the attitudes' stated noise: 1 to 128.
 NOISES = 2.0 ** np.arange(8)  # factors of the attitudes' stated noise: 1 to 128
 MOST_STRIPS = 24  # that are asked; more would not change the answer
 MOST_EXPOSURES = 64  # of a strip
@@ -65,7 +63,6 @@ class SlowMotion:
         return np.tensordot(np.exp(-0.5 * lag2[:, :, None] / self.time_s**2), self.variance, axes=1)
 
 
-# No motion between exposures.
 AT_REST = SlowMotion(time_s=np.zeros(0), variance=np.zeros(0))  # no motion between exposures
 
 

@@ -9,7 +9,6 @@ from boresight.pipeline.console.feature import Feature
 __all__ = ["features"]
 
 # Folders of `features/`, in the order in which --help lists their commands.
-# Folders of `features/`, in the order in which --help lists their commands.
 NAMES = (
     "sky_images",
     "targets",

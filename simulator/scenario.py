@@ -397,7 +397,6 @@ def sky_scenario() -> Scenario:
 
 
 # Functions that make a scenario, by its name.
-# Functions that make a scenario, by its name.
 _BUILTIN = types.MappingProxyType({"mini": mini_scenario, "paper": paper_scenario, "sky": sky_scenario})
 
 

@@ -5,7 +5,6 @@ from boresight.pipeline.console.feature import Command, Feature, Job
 __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
-# What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
     commands=(
         Command(

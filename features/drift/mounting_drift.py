@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-AXES = ("X", "Y", "Z")  # of frame c, as tables name them  # of frame c, as tables name them
+AXES = ("X", "Y", "Z")  # of frame c, as tables name them
 # By which the unknowns of the distortion are measured.
 OF_DISTORTION = (
     *("sigma_distortion_rad", "distortion_length_px", "distortion_pixel_rad"),

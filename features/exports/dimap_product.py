@@ -25,7 +25,7 @@ from boresight.pipeline.files.text_files import read_text
 
 __all__ = ["corrected_dimap"]
 
-_OF_POLYNOMIAL = ("COEFFICIENTS", "DEGREE")  # children of Q0 ... Q3  # children of Q0 ... Q3
+_OF_POLYNOMIAL = ("COEFFICIENTS", "DEGREE")  # children of Q0 ... Q3
 
 
 def corrected_dimap(product: Path, correction: Rotation, notes: Mapping[str, str]) -> bytes:

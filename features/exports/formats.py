@@ -297,7 +297,6 @@ def _dimap(request: ExportRequest) -> Made:
 
 OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that write strips one by one
 # What writes a format, by the name after --format.
-# What writes a format, by the name after --format.
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
     "spice-ck": _spice_attitude,

@@ -16,7 +16,7 @@ from boresight.geometry.record import Floats
 
 __all__ = ["kml_text"]
 
-NAMESPACE = "http://www.opengis.net/kml/2.2"  # of OGC KML 2.2  # of OGC KML 2.2
+NAMESPACE = "http://www.opengis.net/kml/2.2"  # of OGC KML 2.2
 COLOURS = {"footprint": "ff00a5ff", "used": "ff00c000", "rejected": "ff0000ff"}  # aabbggrr
 
 

@@ -9,7 +9,7 @@ from boresight.pipeline.files.text_tables import csv_line
 
 __all__ = ["matrix_csv"]
 
-_AXES = "xyz"  # of rows and columns of R_cs  # of rows and columns of R_cs
+_AXES = "xyz"  # of rows and columns of R_cs
 
 
 def matrix_csv(installation: dict[str, Any], notes: Notes) -> str:

@@ -18,8 +18,7 @@ from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["Notes", "notes_of"]
 
-UNKNOWN = "not known"  # what a note says of a missing text  # what a note says of a missing text
-# The conventions, as every exported file states them.
+UNKNOWN = "not known"  # what a note says of a missing text
 # The conventions, as every exported file states them.
 FRAMES = "s star camera, c remote-sensing camera (x flight, z to the ground); u_c = R_cs u_s; i GCRS, e ITRS"
 

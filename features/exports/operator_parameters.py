@@ -25,7 +25,6 @@ from boresight.geometry.epoch import Epoch
 __all__ = ["operator_parameters"]
 
 # The model of the parameters, as the file states it.
-# The model of the parameters, as the file states it.
 MODEL = "v_s = Q(t)^-1 diag(1, 1, 1 + h) R_sc0 v_c,  Q = R_y(b) R_x(a) R_z(c);  a, b, c in rad of t - t0 in s"
 
 

@@ -34,7 +34,6 @@ __all__ = [
 TICK_S = 1.0 / 1024.0
 _RECORD = 128  # doubles of a DAF record
 _J2000 = 1  # NAIF's number of the frame, in practice the axes of ICRF
-# CK data type: quaternions interpolated linearly (NAIF, CK Required Reading).
 _TYPE_3 = 3  # CK data type: quaternions interpolated linearly (NAIF, CK Required Reading)
 _DIRECTORY = 100  # epochs to an entry of the directory
 

@@ -14,12 +14,10 @@ from boresight.pipeline.files.dimap_metadata import DimapStrip
 
 __all__ = ["dimap_mission"]
 
-# Name of the head: its attitude is the operator's, not a star camera's.
 HEAD = "OPERATOR"  # name of the head: its attitude is the operator's, not a star camera's
 STEP_S = 0.1  # the attitude polynomial of degree 3 is sampled with it and interpolated to 1e-12 rad
 SIGMA_ARCSEC = 2.0  # of the operator's attitude: 7 m on the ground from 695 km
 MIN_WHITE_ARCSEC = 1e-3  # the polynomial is smooth
-# 1-sigma for `[errors]` of the dump; assumed, the product states none.
 # 1-sigma for `[errors]` of the dump; assumed, the product states none.
 ERRORS = {
     "position_m": 1.0,

@@ -39,14 +39,11 @@ __all__ = ["BANDS", "AttitudeRecord", "Refining", "Sentinel2", "read_sentinel2"]
 _FIRST_PIXEL_M = 10.0  # pixel size to which LINE_PERIOD refers
 _GRANULE_LINES = 2304  # of 10 m
 # Paths of elements below the root of a datastrip's metadata.
-# Paths of elements below the root of a datastrip's metadata.
 _ANCILLARY = "Satellite_Ancillary_Data_Info"
-_POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"  # states of the orbit  # states of the orbit
-# Attitudes that the operator uses.
+_POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"  # states of the orbit
 _CORRECTED = f"{_ANCILLARY}/Attitudes/Corrected_Attitudes/Values"  # attitudes that the operator uses
-# Attitudes of each star tracker.
 _TRACKERS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/STR_List/STR"  # attitudes of each star tracker
-_SENSOR = "Image_Data_Info/Sensor_Configuration"  # times and TDI  # times and TDI
+_SENSOR = "Image_Data_Info/Sensor_Configuration"  # times and TDI
 # Element of a datastrip's metadata that says whether its model is refined.
 _STATE = "Image_Data_Info/Geometric_Info/Refined_Corrections_List/Refined_Corrections/MSI_State"
 # Most elements of a kind that are read from a datastrip.
@@ -291,7 +288,6 @@ def _tracker_mounting(model: Element, name: str, file: str) -> Rotation:
     return Rotation.from_quat([*vector, *scalar_part])
 
 
-# Elements of a quaternion and how many numbers each holds.
 _QUATERNION = (("VECTOR", 3), ("SCALAR", 1))  # elements of a quaternion and how many numbers each holds
 
 
@@ -311,7 +307,6 @@ def _mounting_angles(model: Element, file: str) -> Floats:
     return 1e-3 * np.array(angles)
 
 
-# Number and axis of each rotation from piloting frame to instrument.
 _AXES = ((1, "X"), (2, "Y"), (3, "Z"))  # number and axis of each rotation from piloting frame to instrument
 
 

@@ -29,7 +29,7 @@ from boresight.simulator.campaign import CameraPair
 
 __all__ = ["COMPARISONS", "noise_law", "rms_of"]
 
-AXES = ("X", "Y", "Z")  # of frame c  # of frame c
+AXES = ("X", "Y", "Z")  # of frame c
 # Height of the paper's satellite, m.
 HEIGHT_M = 530e3
 GAIN_M = float(np.mean([row[k] - row[k + 1] for row in TABLE_5.values() for k in (0, 2)]))  # over Wang
@@ -322,7 +322,6 @@ def compare_geometry(table: pd.DataFrame) -> Iterator[str]:
         )
 
 
-# What compares the table of an experiment with the paper, by the experiment's name.
 # What compares the table of an experiment with the paper, by the experiment's name.
 COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "convergence": compare_convergence,

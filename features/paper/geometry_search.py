@@ -38,11 +38,9 @@ __all__ = [
 ]
 
 # (2, 3) arcsec, about X, Y, Z: standard deviations of the paper's Fig. 7, and the rms of its Table 4.
-# (2, 3) arcsec, about X, Y, Z: standard deviations of the paper's Fig. 7, and the rms of its Table 4.
 PAPER = np.array(
     [FIGURE_7_SIGMA_ARCSEC, np.sqrt(np.mean([np.square(own) for _, own in TABLE_4.values()], axis=0))]
 )
-# Noise of star and target positions, px, of the campaigns in each row.
 # Noise of star and target positions, px, of the campaigns in each row.
 _CELLS = (FIGURE_7_CELLS, tuple(TABLE_4))
 

@@ -31,7 +31,6 @@ __all__ = ["inputs"]
 # source, item, unit, place on the axis of a curve, paper, ours, what arithmetic gives
 Row = tuple[str, str, str, float, float, float, float]
 # Of the table: `at` is the abscissa, `expected` the value by formula.
-# Of the table: `at` is the abscissa, `expected` the value by formula.
 COLUMNS = ["source", "item", "unit", "at", "paper", "ours", "expected"]
 HEIGHT_M, NONE = 530e3, float("nan")  # height of the paper's satellite; a number that there is not
 

@@ -31,8 +31,7 @@ __all__ = ["run_all", "verdict_of"]
 NamedProgress = Callable[[str, int, int], None]  # experiment, done, in all
 Row = tuple[str, ...]  # cells of a line of a table; the first is its head, the last the verdict
 
-AXES = ("X", "Y", "Z")  # of frame c  # of frame c
-# What a cell says where the paper gives no number.
+AXES = ("X", "Y", "Z")  # of frame c
 NONE = "not printed"  # what a cell says where the paper gives no number
 
 
@@ -208,7 +207,6 @@ def _beside(paper: float, rms: float, bound: float, *, smaller: str) -> Row:
     return f"{paper:.4f}", f"{rms:.4f}", f"{bound:.4f}", verdict_of(rms, paper, smaller=smaller)
 
 
-# Column headings of tables of angles, and of tables of errors on the ground.
 # Column headings of tables of angles, and of tables of errors on the ground.
 ARCSEC_HEAD = ("", "paper, ″", "ours, ″", "bound, ″", "verdict")
 GROUND_HEAD = ("", "paper, m", "ours, m", "Wang: paper", "ours")

@@ -24,7 +24,6 @@ from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD
 __all__ = ["PLOTS"]
 
 # How Matplotlib draws the paper's values.
-# How Matplotlib draws the paper's values.
 PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
 
 
@@ -336,7 +335,6 @@ def plot_table5_pixels(table: pd.DataFrame) -> Figure:
     return figure
 
 
-# What draws the table of an experiment, by the experiment's name.
 # What draws the table of an experiment, by the experiment's name.
 PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "inputs": plot_inputs,

@@ -55,7 +55,6 @@ Progress = Callable[[int, int], None]
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
 
 # In the order in which the command runs them; the paper's figures and tables by name.
-# In the order in which the command runs them; the paper's figures and tables by name.
 EXPERIMENTS = (
     "inputs",
     "figure4",
@@ -67,7 +66,6 @@ EXPERIMENTS = (
     "readings",
     "geometry",
 )
-# Of them: those that can be run through rendered images.
 FROM_PIXELS = ("grid", "table4", "table5")  # of them: those that can be run through rendered images
 
 

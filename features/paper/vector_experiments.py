@@ -74,11 +74,9 @@ Progress = Callable[[int, int], None]
 
 MATRIX_28 = (0.003, 0.002, 0.001)  # rad, the paper's (28) under its own (12) and (13)
 # 1-sigma errors of the paper's Table 1.
-# 1-sigma errors of the paper's Table 1.
 TABLE_1 = StripPlan(
     sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC, sigma_distortion_rad=3e-7
 )
-# For an estimator that assumes no error but the noise of stars and targets, as the paper's.
 # For an estimator that assumes no error but the noise of stars and targets, as the paper's.
 NO_NUISANCES = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
@@ -352,7 +350,6 @@ def figure8(settings: ExperimentSettings) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-# Names of the columns of `_waves`.
 ATTITUDE_AXES = ("roll", "pitch", "yaw")  # names of the columns of `_waves`
 
 

@@ -21,7 +21,6 @@ from boresight.version import __version__
 __all__ = ["example", "simulate"]
 
 CHECKOUT = Path(version.__file__).resolve().parents[1]  # the repository, where the package is used from one
-# Fixtures of the checkout, and built-in scenarios of the same name.
 EXAMPLES = ("mini", "sky")  # fixtures of the checkout, and built-in scenarios of the same name
 
 

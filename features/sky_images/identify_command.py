@@ -35,7 +35,6 @@ from boresight.pipeline.files.text_tables import csv_line
 __all__ = ["identify_command"]
 
 # Columns of --csv: keys of an image's record.
-# Columns of --csv: keys of an image's record.
 FIELDS = (
     "file,identified,ra_deg,dec_deg,roll_deg,fov_x_deg,matches,rms_arcsec,false_alarm_probability,cpu_ms,reason,"
     "pointing_sigma_arcsec,roll_sigma_arcsec,fov_x_sigma_deg,mirrored"

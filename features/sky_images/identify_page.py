@@ -24,7 +24,6 @@ from boresight.star_id.finding.windows import star_windows
 __all__ = ["write_sky_page"]
 
 # What became of a detection, and the words for it.
-# What became of a detection, and the words for it.
 STATES = {
     "used": "identified",
     "saturated": "not identified, saturated",

@@ -23,9 +23,7 @@ __all__ = ["time_of_image"]
 _HEAD_BYTES = 2**17  # EXIF stands before the pixels
 # Tags of EXIF 2.32: its directory, DateTimeOriginal, OffsetTimeOriginal, ExposureTime.
 _EXIF_IFD, _TAKEN, _OFFSET, _EXPOSURE_S = 0x8769, 0x9003, 0x9011, 0x829A
-# A date of FITS, with or without time.
 _ISO = re.compile(r"\d{4}-\d\d-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?)?Z?")  # a date of FITS, with or without time
-# Values of TIMESYS that are UTC within 1 s.
 _UTC_NAMES = ("UTC", "UT1", "UT", "")  # values of TIMESYS that are UTC within 1 s
 _YEARS = (1972, 2100)  # from the first leap second on; a clock that was never set is mostly before
 

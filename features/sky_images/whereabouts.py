@@ -20,4 +20,4 @@ class Whereabouts:
     )
 
 
-NOWHERE = Whereabouts()  # neither times nor place are known  # neither times nor place are known
+NOWHERE = Whereabouts()  # neither times nor place are known

@@ -11,7 +11,6 @@ from boresight.pipeline.files.whole_file import is_vacant
 __all__ = ["Skeleton", "write_skeleton"]
 
 # Templates of the files; names in braces are fields of `Skeleton` and what follows from them.
-# Templates of the files; names in braces are fields of `Skeleton` and what follows from them.
 DUMP = """# A dump for boresight; docs/dump-format.md describes every key.
 format = "boresight-dump"
 format_version = 1
@@ -114,7 +113,6 @@ STOP_TIME = 2000-01-01T00:00:00
 META_STOP
 
 """
-# Heads of the tables.
 # Heads of the tables.
 STRIPS = "id,ccd,file,utc_first_row,row_period_s,lines\n"
 EXPOSURES = "id,file,utc_mid,exposure_s\n"

@@ -26,7 +26,6 @@ __all__ = ["HeightModel", "Ortho", "read_heights", "read_ortho"]
 MAX_PIXELS = 20_000 * 20_000
 GREY_BANDS = 3  # of a colour image: their mean; a fourth band is infrared or transparency
 # Option of GDAL: no name is fetched from the network.
-# Option of GDAL: no name is fetched from the network.
 _OFFLINE = {"CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none"}
 _LISTS = (b"<", b"{")  # first bytes of files that name others: XML, JSON
 _SOURCES = ("SourceFilename", "SourceDataset", "SourceRaster")  # of a VRT

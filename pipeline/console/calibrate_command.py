@@ -58,7 +58,6 @@ from boresight.version import commit
 __all__ = ["calibrate_command"]
 
 # Distributions whose versions run.json states.
-# Distributions whose versions run.json states.
 REPORTED_PACKAGES = (
     "numpy",
     "scipy",

@@ -294,7 +294,6 @@ def fitted(text: str, terminal: bool) -> str:
     return "\n".join(lines)
 
 
-# The one filter of all messages: control characters become visible.
 _PRINTABLE = _Printable()  # the one filter of all messages: control characters become visible
 log.addFilter(_PRINTABLE)
 log.addHandler(_Console())

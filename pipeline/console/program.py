@@ -21,7 +21,6 @@ __all__ = ["errors_reported", "function_at", "program"]
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
 # The message where the system refuses a thread or process; the command ends with it.
-# The message where the system refuses a thread or process; the command ends with it.
 NO_PROCESS = "error: the system starts no further thread or process; use --workers 1, or raise `ulimit -u`"
 
 

@@ -6,9 +6,7 @@ from boresight.pipeline.console.feature import Command, Feature, Job
 
 __all__ = ["SPINE"]
 
-# Module below `boresight` with the spine's commands.
 _CONSOLE = "pipeline.console"  # module below `boresight` with the spine's commands
-# The commands of the spine, in the form of a feature, each with a line of help.
 # The commands of the spine, in the form of a feature, each with a line of help.
 SPINE = Feature(
     commands=(

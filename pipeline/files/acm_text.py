@@ -20,11 +20,9 @@ from boresight.pipeline.files.text_files import MAX_ROWS, check_number
 __all__ = ["AcmAttitudes", "is_acm", "read_acm"]
 
 MARK, VERSION = "CCSDS_ACM_VERS", "2.0"  # first keyword of a message, and its value (CCSDS 504.0-B-2)
-# Names that stand before _START and _STOP.
 BLOCKS = ("META", "ATT", "PHYS", "COV", "MAN", "AD", "USER")  # names that stand before _START and _STOP
-# Components of a row of attitude, scalar last.
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # components of a row of attitude, scalar last
-ANGLES = ("X", "Y", "Z")  # of the variances in a row  # of the variances in a row
+ANGLES = ("X", "Y", "Z")  # of the variances in a row
 
 
 @record(kw_only=True)

@@ -30,22 +30,17 @@ from boresight.pipeline.files.xml_files import xml_root
 __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 
 # Names of inertial frames that a file may state.
-# Names of inertial frames that a file may state.
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
 SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
 # Columns of 1-sigma errors about x, y, z of the head.
-# Columns of 1-sigma errors about x, y, z of the head.
 SIGMAS = tuple(f"sigma_{axis}_arcsec" for axis in "xyz")
-# Of axes, upper triangle row by row.
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")  # of axes, upper triangle row by row
-# Columns of covariances, same axes.
 COVARIANCES = tuple(f"cov_{pair}_arcsec2" for pair in PAIRS)  # columns of covariances, same axes
 LARGEST_ARCSEC = 36_000.0  # 10 degrees: not a star camera
 UNIT_LENGTH = 1e-3  # tolerated error of a quaternion's length: three decimals, as telemetry may have
-# What messages say was expected.
 EXPECTED = "an attitude message that follows CCSDS 504.0-B, or a CSV file"  # what messages say was expected
 
 

@@ -70,14 +70,12 @@ class _Names:
 
 
 # Paths of elements below the root: DIMAP V1 (PHR_Dimap_Document), then V2 (Dimap_Document).
-# Paths of elements below the root: DIMAP V1 (PHR_Dimap_Document), then V2 (Dimap_Document).
 _V1 = "Geometric_Data/Sensor_Model_Characteristics"
-_VIEWING = f"{_V1}/Sensor_Viewing_Model"  # V1: look angles psi_x, psi_y  # V1: look angles psi_x, psi_y
-_V2 = "Geometric_Data/Refined_Model"  # V2  # V2
-_CALIBRATION = f"{_V2}/Geometric_Calibration/Instrument_Calibration"  # V2: look angles  # V2: look angles
-_QUATERNIONS = f"{_V2}/Attitudes/Quaternion_List/Quaternion"  # V2: sampled attitude  # V2: sampled attitude
-_OF_STRIP = "Data_Strip/Satellite_Attitudes/Corrected_Attitudes"  # V2, data strip  # V2, data strip
-# By the tag of the root.
+_VIEWING = f"{_V1}/Sensor_Viewing_Model"  # V1: look angles psi_x, psi_y
+_V2 = "Geometric_Data/Refined_Model"  # V2
+_CALIBRATION = f"{_V2}/Geometric_Calibration/Instrument_Calibration"  # V2: look angles
+_QUATERNIONS = f"{_V2}/Attitudes/Quaternion_List/Quaternion"  # V2: sampled attitude
+_OF_STRIP = "Data_Strip/Satellite_Attitudes/Corrected_Attitudes"  # V2, data strip
 # By the tag of the root.
 _VERSIONS = {
     "PHR_Dimap_Document": _Names(
@@ -186,7 +184,6 @@ def _check_corners(root: Element, pushbroom: Pushbroom, size: tuple[int, int], f
             raise RawDataError(file, f"Vertex of COL {column:g}, ROW {row:g}", found, _CONVENTION)
 
 
-# What messages say was expected of the corners that the model computes.
 # What messages say was expected of the corners that the model computes.
 _CONVENTION = f"at most {_CORNER_M:.0f} m: the product follows a convention that is not known here"
 

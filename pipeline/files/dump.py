@@ -81,13 +81,11 @@ MOST_NAMED = 8  # strips, and items not used, in the text of a dump
 MAX_TERRAIN_PIXELS = 8192 * 8192
 StripMember = tuple[str, schema.StripRow, float]  # where in the table, row, its time in TAI seconds
 # Files of the star camera in a dump with one head, with the schema of each.
-# Files of the star camera in a dump with one head, with the schema of each.
 OF_ONE_HEAD: dict[str, Any] = {
     "star_camera": schema.StarCameraFile,
     "installation": schema.InstallationFile,
     "exposures": schema.ExposureRow,
 }
-# Fields of a place: latitude and longitude, then the ellipsoidal height.
 # Fields of a place: latitude and longitude, then the ellipsoidal height.
 PLACE = ("lat_rad", "lon_rad", "height_m")
 
@@ -149,7 +147,6 @@ class TargetHeights:
         return float(self.heights_m.min()), float(self.heights_m.max())
 
 
-# Of a dump with strips of the sky alone.
 NO_TERRAIN = TargetHeights(np.zeros((0, 3)), np.zeros(0))  # of a dump with strips of the sky alone
 
 

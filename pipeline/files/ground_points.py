@@ -20,7 +20,6 @@ from boresight.pipeline.files.text_files import read_table
 __all__ = ["NO_POINTS", "StripPoints", "SurveyedPoints", "read_points", "targets_of"]
 
 # Columns of a point, in the order of docs/dump-format.md.
-# Columns of a point, in the order of docs/dump-format.md.
 OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigma_up_m".split()
 
 
@@ -60,7 +59,6 @@ class StripPoints:
         )
 
 
-# A strip without measured points.
 # A strip without measured points.
 NO_POINTS = StripPoints(
     strip_id="",

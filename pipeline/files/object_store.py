@@ -39,7 +39,6 @@ SLOWEST_BYTES_S = 100_000
 MOST_BYTES = 2**31  # of a file that is fetched whole
 FORBIDDEN, NOT_FOUND = (401, 403), 404  # status of HTTP
 # What GDAL writes before a path, by the scheme of the address.
-# What GDAL writes before a path, by the scheme of the address.
 OF_GDAL = {"s3": "/vsis3/", "gs": "/vsigs/", "http": "/vsicurl/http://", "https": "/vsicurl/https://"}
 
 Answer = TypeVar("Answer")

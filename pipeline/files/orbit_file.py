@@ -22,14 +22,11 @@ from boresight.pipeline.files.xml_files import text_of as element_text
 __all__ = ["Ephemeris", "check_components", "check_states", "read_oem", "tai_seconds"]
 
 # REF_FRAMEs that do not rotate with the Earth.
-# REF_FRAMEs that do not rotate with the Earth.
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
 # By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
-# What messages say was expected.
 EXPECTED = "an OEM that follows CCSDS 502.0-B"  # what messages say was expected
-# Values of CCSDS_OEM_VERS that are read.
 VERSIONS = ("1.0", "2.0", "3.0")  # values of CCSDS_OEM_VERS that are read
 # Keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3: the required ones, then those that may be there.
 HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ("CLASSIFICATION", "MESSAGE_ID")
@@ -41,13 +38,10 @@ _KEYWORD = re.compile(r"([A-Z_]+)\s*=\s*(\S.*)")  # a line KEYWORD = value
 # A time, ISO 8601 with a date or a day of the year (CCSDS 301.0-B, codes A and B).
 _STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?", re.ASCII)
 _CALENDAR_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?", re.ASCII)  # nearly all
-_NUMBER = re.compile(NUMBER)  # a decimal number, whole word  # a decimal number, whole word
-# A line of an epoch with six coordinates, accelerations optional.
+_NUMBER = re.compile(NUMBER)  # a decimal number, whole word
 # A line of an epoch with six coordinates, accelerations optional.
 _STATE = re.compile(rf"\S+(?:\s+{NUMBER}){{6}}(?:(?:\s+{NUMBER}){{3}})?")
-# Names of the coordinates in errors.
 _COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")  # names of the coordinates in errors
-# The same of the optional ones; not used.
 _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones; not used
 
 

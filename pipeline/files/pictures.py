@@ -30,9 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PICTURE_MAGICS", "PNG_MAGIC", "read_picture", "read_png"]
 
-# First bytes of every PNG (PNG 3rd ed., 5.2).
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"  # first bytes of every PNG (PNG 3rd ed., 5.2)
-# Kinds of pictures by their first bytes.
 # Kinds of pictures by their first bytes.
 PICTURE_MAGICS = {
     b"\xff\xd8\xff": "JPEG",
@@ -48,11 +46,8 @@ _MODES = ("L", "LA", "I", "I;16", "I;16B", "RGB", "RGBA")  # of Pillow
 _GREY_PNG, _PALETTE_PNG = 0, 3  # colour types
 _PNG_SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 # First column, first row, column and row step of each pass of an interlaced PNG (PNG 3rd ed., 8.1).
-# First column, first row, column and row step of each pass of an interlaced PNG (PNG 3rd ed., 8.1).
 _ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
-# Between the numbers of a netpbm head: white space and comments.
 _SPACE = rb"(?:\s|#[^\n]{0,4096}\n)+"  # between the numbers of a netpbm head: white space and comments
-# Head of a netpbm file: kind, width, height, largest value.
 # Head of a netpbm file: kind, width, height, largest value.
 _NETPBM = re.compile(
     rb"P([2356])" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,9})" + _SPACE + rb"(\d{1,5})\s"

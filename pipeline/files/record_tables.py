@@ -30,7 +30,6 @@ __all__ = [
 
 _hints = cache(get_type_hints)  # evaluates every annotation
 # Arrow type of a column by the annotation of a record's field.
-# Arrow type of a column by the annotation of a record's field.
 ITEMS: dict[Any, pa.DataType] = {
     Floats: pa.float64(),
     Floats | None: pa.float64(),

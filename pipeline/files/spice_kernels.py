@@ -26,7 +26,6 @@ CK, SPK = "CK", "SPK"  # kinds of kernels: attitudes, orbit
 BINARY = {CK: b"DAF/CK  ", SPK: b"DAF/SPK "}
 OF_OLD_FILES = b"NAIF/DAF"
 RECORD = 1024  # bytes of a DAF record
-# A DAF's LOCFMT, and the sign that `struct` uses for it.
 BYTE_ORDERS = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}  # a DAF's LOCFMT, and the sign that `struct` uses for it
 MAX_BYTES = 256 * 2**20  # of a kernel; a day of attitudes at 8 Hz takes 28 MB
 OTHER_KERNELS = ("KERNELS_TO_LOAD", "PATH_SYMBOLS", "PATH_VALUES")  # keywords that name further files
@@ -43,7 +42,6 @@ class Kernels:
     spacecraft: int | None = scalar("NAIF id of the satellite in the SPK; None: the only object in it")
 
 
-# Of a dump without SPICE files.
 NO_KERNELS = Kernels(files=(), paths=(), spacecraft=None)  # of a dump without SPICE files
 
 

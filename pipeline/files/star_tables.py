@@ -25,9 +25,8 @@ from boresight.star_id.whole_catalogue import all_hipparcos
 __all__ = ["StarTable", "read_star_table", "survey_of"]
 
 # Astropy's name of a table's format by the file's suffix.
-# Astropy's name of a table's format by the file's suffix.
 FORMATS = {".csv": "ascii.csv", ".fits": "fits", ".fit": "fits", ".vot": "votable", ".xml": "votable"}
-FITS_MAGIC = b"SIMPLE  ="  # first bytes of every FITS file  # first bytes of every FITS file
+FITS_MAGIC = b"SIMPLE  ="  # first bytes of every FITS file
 # Largest file of a star catalogue, bytes.
 MAX_BYTES = 2**28
 MAS = 1e-3 * ARCSEC

@@ -16,9 +16,7 @@ from boresight.pipeline.files.content import check_regular
 __all__ = ["arrow_array", "arrow_rows", "column", "fixed", "fixed_list", "list_values", "read_parquet"]
 
 # NumPy type of an Arrow type; others are read as objects.
-# NumPy type of an Arrow type; others are read as objects.
 NUMBERS = {pa.float64(): np.float64, pa.int64(): np.int64, pa.bool_(): np.bool_}
-# What messages say was expected.
 EXPECTED = "the table that `calibrate` wrote"  # what messages say was expected
 
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["is_vacant", "make_own_folder", "remove_abandoned", "write_figure", "write_text", "write_whole"]
 
 # Name of a file that is being written: digest of the host, process, random digits.
-# Name of a file that is being written: digest of the host, process, random digits.
 _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
 _OTHER_HOST_S = 86_400.0  # after a day another machine's temporary file counts as abandoned
 

@@ -48,7 +48,6 @@ __all__ = [
 INK, MUTED, GRID, FILL = "#010203", "#040506", "#070809", "#0a0b0c"
 _X, _Y, _Z = "#0d0e0f", "#101112", "#131415"
 # Variable of the page's style sheet by its mark.
-# Variable of the page's style sheet by its mark.
 _VARIABLES = {
     INK: "var(--ink)",
     MUTED: "var(--muted)",
@@ -76,7 +75,6 @@ class Curve:
     marker: str = scalar("matplotlib marker")
 
 
-# Axes of frame c: label, colour, dash, marker.
 # Axes of frame c: label, colour, dash, marker.
 AXES = (Curve("X", _X, "-", "o"), Curve("Y", _Y, "--", "s"), Curve("Z", _Z, ":", "^"))
 

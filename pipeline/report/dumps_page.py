@@ -44,7 +44,6 @@ def write_dumps_report(result: Path) -> Path:
     return path
 
 
-# Fields of installation.json.
 COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation.json
 
 
@@ -103,5 +102,4 @@ def _drift(result: Path) -> dict[str, Any] | None:
     }
 
 
-# Fields of drift.json: test that the matrix does not drift.
 CONSTANT = ("chi2", "dof", "p_value")  # fields of drift.json: test that the matrix does not drift

@@ -37,7 +37,7 @@ __all__ = ["report_html", "template", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
-TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian  # arcsec in a radian
+TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
 def write_report(result: Path, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> Path:

@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 
 __all__ = ["AXES", "BOUND", "GREY", "INK", "OURS", "SERIES", "THIRD", "WIDTH_IN", "legend_below", "panels"]
 
-AXES = ("X", "Y", "Z")  # of frame c, as figures name them  # of frame c, as figures name them
+AXES = ("X", "Y", "Z")  # of frame c, as figures name them
 # Width of a figure of several panels, inches.
 WIDTH_IN = 7.3
 OURS, THIRD, GREY, INK = "#124a86", "#e08a5b", "#7a7a7a", "#111111"  # dark, light, middle and black in grey
 SERIES = ((OURS, "-", "o"), (THIRD, "--", "s"), (GREY, ":", "^"))  # colour, dash and marker of x, y and z
-BOUND = {"color": INK, "ls": "--", "lw": 1.0}  # how Matplotlib draws a limit  # how Matplotlib draws a limit
+BOUND = {"color": INK, "ls": "--", "lw": 1.0}  # how Matplotlib draws a limit
 
 
 def panels(

@@ -13,9 +13,7 @@ from boresight.pipeline.files.whole_file import write_whole
 __all__ = ["chromium", "print_page"]
 
 # Programs that are looked for, in this order.
-# Programs that are looked for, in this order.
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# Of Chromium: no window, and nothing asked or printed beside the page.
 # Of Chromium: no window, and nothing asked or printed beside the page.
 SWITCHES = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--no-pdf-header-footer")
 # Longest time, s, that a browser may take to print the page.

@@ -124,5 +124,4 @@ _SIGHTINGS = {  # only the plotted columns of long tables
     "exposures": "exposure_id t_s stars usable chi2 dof",
 }
 # Tables of evidence/ that every result has.
-# Tables of evidence/ that every result has.
 _EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map", "allan")

@@ -15,7 +15,6 @@ from boresight.star_id.settings import StarSettings
 __all__ = ["STATES", "StarPreview", "star_preview", "stretched_jpeg"]
 
 # What became of a detection, and the words for it.
-# What became of a detection, and the words for it.
 STATES = {
     "used": "identified and used",
     "rejected": "identified, rejected as an outlier",

@@ -13,7 +13,7 @@ from boresight.pipeline.report.saved import Number, Saved
 __all__ = ["StripStarRow", "strip_star_rows"]
 
 MOST_PRINTED = 12  # cards of used stars that a print shows
-TARGETS = "sightings/targets"  # table of a result, without suffix  # table of a result, without suffix
+TARGETS = "sightings/targets"  # table of a result, without suffix
 SHAPES = {  # of each number: column, element (-1: a plain column), form, factor, whether it is a root
     "sigmas": ("normalised", -1, ".2f", 1.0, True),
     "sample_px": ("xy_px", 0, ".3f", 1.0, False),

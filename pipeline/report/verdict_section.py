@@ -14,7 +14,6 @@ from boresight.pipeline.report.saved import Number, number_from
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 
 # What makes the error about an axis of c smaller, where that axis is the weakest.
-# What makes the error about an axis of c smaller (docs/method.md).
 REMEDIES = {
     "X": "more strips average errors of position across the track; a position with a smaller error",
     "Y": "more strips average errors of position along the track and of the clock; a better clock",

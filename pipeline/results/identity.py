@@ -19,8 +19,8 @@ from boresight.pipeline.results.writing import write_json
 
 __all__ = ["ABOUT", "About", "Identity", "identity_of_result", "result_id", "saved_about", "write_about"]
 
-ABOUT = "about.json"  # name of the file in a result's folder  # name of the file in a result's folder
-UNKNOWN = "not known"  # what a page says of a missing text  # what a page says of a missing text
+ABOUT = "about.json"  # name of the file in a result's folder
+UNKNOWN = "not known"  # what a page says of a missing text
 ID_DIGITS = 16  # hexadecimal: two results of 2^32 share one with probability 1/2
 
 Text = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")]

@@ -41,7 +41,6 @@ __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identit
 # Files in a result's folder: whose result it is, and that a run writes into it.
 MARKER, LOCK = "boresight-result.json", ".boresight-lock"
 # Files and folders of a result that may be replaced or removed; others are the user's.
-# Files and folders of a result that may be replaced or removed; others are the user's.
 OWN_FILES = (
     "installation.json run.json requirement.json about.json dumps.json".split()
     + "validation.json report.html report.pdf".split()

@@ -38,9 +38,7 @@ __all__ = [
     "read_saved_result",
 ]
 
-# Names of unknowns: mounting of a further head.
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns: mounting of a further head
-# Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 

@@ -16,7 +16,7 @@ from boresight.pipeline.results.writing import write_json
 
 __all__ = ["FILE", "Requirement", "is_met", "requirement_lines", "saved_requirement", "write_requirement"]
 
-FILE = "requirement.json"  # name of the file in a result's folder  # name of the file in a result's folder
+FILE = "requirement.json"  # name of the file in a result's folder
 
 
 @record

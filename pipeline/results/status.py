@@ -27,7 +27,6 @@ from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "status_lines"]
 
-# Records that a finished unit may hold.
 OUTCOMES = (StarSightings, MatchedTargets, StripStars, Omission)  # records that a finished unit may hold
 
 

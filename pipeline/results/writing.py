@@ -53,7 +53,6 @@ __all__ = [
 ]
 
 # Of installation.json, in their order (docs/result-format.md).
-# Of installation.json, in their order (docs/result-format.md).
 FIELDS = (
     "verdict",
     "blind_spots",

@@ -25,7 +25,6 @@ from boresight.pipeline.run.processes import Processes
 __all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program_digest"]
 
 # Import statement of a module: `from` what, which names; or `import` what.
-# Import statement of a module: `from` what, which names; or `import` what.
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
 # Packages whose versions are a part of the key of finished work: its numbers depend on them.
 DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")

@@ -36,7 +36,6 @@ __all__ = [
 ]
 
 Record = TypeVar("Record")
-# Of pydantic: no setting is infinite or NaN.
 FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite or NaN
 
 

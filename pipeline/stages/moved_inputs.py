@@ -35,7 +35,6 @@ AXES = (
 )
 Switch = Callable[[LightEffects, bool], LightEffects]
 # How each effect of light is switched, by its key in `[conventions]`.
-# How each effect of light is switched, by its key in `[conventions]`.
 EFFECTS: Mapping[str, Switch] = {
     "light_time": lambda effects, on: replace(effects, light_time=on),
     "aberration": lambda effects, on: replace(effects, aberration=on),

@@ -165,7 +165,6 @@ def _rows_reversed(found: StripStars, task: SkyTask) -> StripStars:
 
 
 # Readings of a strip that are tried where no star is identified, as messages name them.
-# Readings of a strip that are tried where no star is identified, as messages name them.
 TRIALS: Mapping[str, Changed] = {
     "with the order of columns reversed": _columns_reversed,
     "with the order of rows reversed": _rows_reversed,

@@ -68,7 +68,6 @@ __all__ = [
 MAX_CHIP_PIXELS = 4096 * 4096
 NOTHING = np.empty((0, 0), np.float32)  # in the place of a picture that is not kept
 MOST_CHIPS = 256  # of a strip in memory: 100 MB of 200 x 200 px; of more each is read thrice
-# The executor where none is given: this process.
 IN_ORDER = InOrder()  # the executor where none is given: this process
 
 

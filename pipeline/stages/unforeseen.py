@@ -10,7 +10,6 @@ import cv2
 __all__ = ["UNFORESEEN", "internal_error"]
 
 # Errors of computations that end one item with a reason, and not the run.
-# Errors of computations that end one item with a reason, and not the run.
 UNFORESEEN = (ValueError, ArithmeticError, LookupError, cv2.error)
 
 
