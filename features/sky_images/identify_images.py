@@ -82,6 +82,7 @@ class Request:
     catalogue_places: bool = False  # times in the images' headers are not used
     out: Path | None = None  # Parquet, at the end
     overlay: Path | None = None  # PNG; with several images each adds its own name
+    constellations: bool = False  # whether it shows their figures
 
 
 def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
@@ -133,7 +134,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         named.append((path, outcome))
         planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
-            _draw(image, outcome, planets, own_name(request.overlay, path, len(images)))
+            _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))
         record = _record(path, outcome, spent_ms)
         record["planets"] = [
             {"name": p.name, "xy_px": [p.x_px, p.y_px], "detected": p.detection >= 0} for p in planets
@@ -244,27 +245,17 @@ def misshapen_in(image: NDArray[Any], stars: StarList) -> Floats:
     return np.asarray(stars.misshapen_px[inside])
 
 
-def _draw(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], path: Path) -> None:
-    """The image with the named stars ringed and numbered, planets named, other detections marked, those
-    of no star's shape by crosses; a mirror image reversed."""
+def _draw(
+    image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], request: Request, path: Path
+) -> None:
+    """Write the image with what is in it named, a mirror image reversed."""
+    from boresight.features.sky_images.overlay import named_sky  # with Matplotlib's fonts 0.3 s to load
+
     if found.mirrored:
         image = image[:, ::-1]
-    low, high = np.percentile(image, (1.0, 99.7))
-    grey = np.clip((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
-    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-    radius = max(5, image.shape[1] // 200)
-    if found.stars is not None:
-        for x, y in np.rint(misshapen_in(image, found.stars)).astype(int).tolist():
-            cv2.drawMarker(picture, (x, y), (60, 60, 255), cv2.MARKER_TILTED_CROSS, radius, 1, cv2.LINE_AA)
-        for x, y in np.rint(found.stars.xy_px).astype(int).tolist():
-            cv2.circle(picture, (x, y), radius // 2, (0, 120, 255), 1, cv2.LINE_AA)
-    at_stars = zip(np.rint(found.xy_px).astype(int).tolist(), map(str, found.hip.tolist()))
-    at_planets = (((round(p.x_px), round(p.y_px)), p.name) for p in planets)
-    for (x, y), name in (*at_stars, *at_planets):
-        cv2.circle(picture, (x, y), radius, (0, 255, 0), 1, cv2.LINE_AA)
-        place = (x + radius + 2, y - 2)
-        cv2.putText(picture, name, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 0), 1, cv2.LINE_AA)
-    if not cv2.imwrite(str(path), picture):
+    no_stars = np.zeros((0, 2)) if found.stars is None else misshapen_in(image, found.stars)
+    picture = named_sky(image, found, planets, no_stars, figures=request.constellations)
+    if not cv2.imwrite(str(path), picture[:, :, ::-1]):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
 

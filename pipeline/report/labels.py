@@ -8,16 +8,17 @@ from boresight.geometry.record import Bools, Floats
 
 __all__ = ["line_boxes", "mark_boxes", "place_labels"]
 
-# Where a label may stand: sides of its mark, and how far from it, in gaps; the first that is free is taken.
+# Where a label may stand: side of its mark, and how much farther than the gap, in heights of the label; the
+# first that is free is taken.
 _SIDES = tuple(
-    (np.array(side), far)
-    for far in (1.0, 2.0)
+    (np.array(side), farther)
+    for farther in (0.0, 0.5)
     for side in ((1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1))
 )
 _DIAGONAL = 0.7  # of that distance, along x and along y, on a diagonal
 
 
-def place_labels(points: Floats, sizes: Floats, gap: float, frame: Floats, taken: Floats) -> Floats:
+def place_labels(points: Floats, sizes: Floats, gap: float | Floats, frame: Floats, taken: Floats) -> Floats:
     """Centres (N, 2) of labels, the first labels first; NaN where one finds no room.
 
     Parameters
@@ -26,17 +27,19 @@ def place_labels(points: Floats, sizes: Floats, gap: float, frame: Floats, taken
         The marks that the labels belong to, in the units of the picture.
     sizes : (N, 2) array
         Width and height of each label.
-    gap : float
-        From a mark's middle to its label.
+    gap : float or (N,) array
+        From each mark's middle to its label.
     frame : (4,) array
         The picture: smallest x and y, largest x and y.
     taken : (M, 4) array
         Boxes that no label may cover, as `frame`.
     """
     places = np.full((len(points), 2), np.nan)
+    gaps = np.broadcast_to(gap, len(points))
     for n, (point, size) in enumerate(zip(points, sizes)):
-        for side, far in _SIDES:
-            centre = point + side * (0.5 * size + far * gap * (_DIAGONAL if side.all() else 1.0))
+        for side, farther in _SIDES:
+            away = (gaps[n] + farther * size[1]) * (_DIAGONAL if side.all() else 1.0)
+            centre = point + side * (0.5 * size + away)
             box = np.concatenate([centre - 0.5 * size, centre + 0.5 * size])
             inside = (box[:2] >= frame[:2]).all() and (box[2:] <= frame[2:]).all()
             if inside and not _covers(box, taken).any():
@@ -46,8 +49,9 @@ def place_labels(points: Floats, sizes: Floats, gap: float, frame: Floats, taken
     return places
 
 
-def mark_boxes(points: Floats, half: float) -> Floats:
-    """Squares (N, 4) about points (N, 2), of the given half side."""
+def mark_boxes(points: Floats, half: float | Floats) -> Floats:
+    """Squares (N, 4) about points (N, 2), of the given half side or sides (N,)."""
+    half = np.broadcast_to(half, len(points))[:, None]
     return np.column_stack([points - half, points + half])
 
 

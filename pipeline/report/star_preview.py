@@ -12,7 +12,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["STATES", "StarPreview", "star_preview", "stretched_jpeg"]
+__all__ = ["STATES", "StarPreview", "sky_stretch", "star_preview", "stretched_jpeg"]
 
 # What became of a detection, and the words for it.
 STATES = {
@@ -82,11 +82,20 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
     small = (
         image[:h, :w].reshape(h // shrunk, shrunk, w // shrunk, shrunk).max(axis=(1, 3)).astype(np.float32)
     )
-    sky = float(np.median(small))
-    sigma = max(1.4826 * float(np.median(np.abs(small - sky))), 0.5)
-    low, high = (sky + s * sigma for s in SKY_SIGMAS)
-    grey = skimage.exposure.rescale_intensity(small, in_range=(low, high), out_range=(0.0, 1.0)) ** 0.6
-    done, encoded = cv2.imencode(".jpg", (255.0 * grey).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72])
+    done, encoded = cv2.imencode(
+        ".jpg", (255.0 * sky_stretch(small)).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72]
+    )
     if not done:
         raise OSError("the star image could not be encoded")
     return encoded.tobytes(), shrunk
+
+
+def sky_stretch(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Brightness from 0 to 1 of an image (H, W): sky and its noise dark, stars bright."""
+    sky = float(np.median(image))
+    sigma = max(1.4826 * float(np.median(np.abs(image - sky))), 0.5)
+    low, high = (sky + s * sigma for s in SKY_SIGMAS)
+    grey: NDArray[np.float32] = skimage.exposure.rescale_intensity(
+        image, in_range=(low, high), out_range=(0.0, 1.0)
+    )
+    return grey**0.6

@@ -1,0 +1,265 @@
+"""The picture of `boresight identify --overlay`: an image of the sky with what is in it named.
+
+Rings: identified stars with name and V magnitude, larger the brighter; squares: other detections; crosses:
+detections of no star's shape; diamonds: planets. Labels cover neither each other nor a mark nor a line; only
+those of bright stars rather cover marks of faint ones than be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from boresight.features.sky_images.constellation_figures import constellation_figures
+from boresight.features.sky_images.planets import Planet
+from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.spherical import unit_vectors
+from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
+from boresight.pipeline.report.star_preview import sky_stretch
+from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import FieldSolution
+from boresight.star_id.star_names import star_name
+
+__all__ = ["named_sky"]
+
+Colour = tuple[int, int, int]
+# Height of the letters over the image's longer side, and the smallest that is readable, px.
+LETTERS, SMALLEST_LETTERS_PX = 0.011, 11
+# Radius of a star's ring in letters: at magnitude 0, less for each magnitude, and the smallest.
+RING, RING_OF_MAGNITUDE, SMALLEST_RING = 1.3, 0.11, 0.5
+OTHER = 0.35  # half a mark of the other kinds, in letters; a planet's is twice that
+BRIGHTNESS = 0.75  # of the image's white, so that marks and labels stand out
+WHITE, GREY, BLUE = (255, 250, 225), (185, 192, 200), (110, 160, 255)
+BRIGHT = 4.0  # to this magnitude a star gets its label even if that covers marks of fainter ones
+SMALLER = 0.85  # letters of stars that have no name but a number
+STEPS = 65  # points along a line of a figure, which an image of a wide field shows curved
+FIGURE_GAP = 1.5  # between a star and the lines of its figure, in letters
+_SHIFT = 4  # of OpenCV's whole numbers: sixteenths of a pixel
+_TURN = np.linspace(0.0, 2.0 * np.pi, 49)
+
+
+@record
+class _Kind:
+    """A kind of mark."""
+
+    sign: str = scalar("in the key")
+    words: str = scalar("in the key")
+    colour: Colour = scalar("RGB")
+    strokes: tuple[Floats, ...] = scalar("polygons (K, 2) in halves of the mark")
+
+
+@record
+class _Marks:
+    """The marks of one kind."""
+
+    kind: _Kind = scalar("their kind")
+    xy_px: Floats = array("N, 2", "(column, row)")
+    half_px: Floats = array("N", "half a mark")
+
+
+@record
+class _Label:
+    """Words beside a point."""
+
+    words: str = scalar("the words")
+    colour: Colour = scalar("RGB")
+    xy_px: Floats = array("2", "(column, row)")
+    gap_px: float = scalar("from the point to the words")
+    letters_px: int = scalar("height of the letters")
+    bright: bool = scalar("whether it may cover marks of faint stars")
+
+
+_STAR = _Kind("○", "stars named", (90, 235, 140), (np.column_stack([np.cos(_TURN), np.sin(_TURN)]),))
+_DETECTION = _Kind(
+    "□", "other detections", (225, 140, 45), (np.array([(1, 1), (-1, 1), (-1, -1), (1, -1), (1, 1)]),)
+)
+_NO_STAR = _Kind("×", "no star", (255, 90, 90), (np.array([(-1, -1), (1, 1)]), np.array([(-1, 1), (1, -1)])))
+_PLANET = _Kind("◇", "planets", (225, 150, 255), (np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 0)]),))
+
+
+def named_sky(
+    image: NDArray[Any],
+    found: FieldSolution,
+    planets: Sequence[Planet],
+    no_stars_px: Floats,
+    *,
+    figures: bool,
+) -> NDArray[np.uint8]:
+    """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size.
+
+    `no_stars_px` (M, 2) are the detections of no star's shape. A mirror image must be reversed already.
+    `figures` draws constellations.
+    """
+    letters = max(SMALLEST_LETTERS_PX, round(LETTERS * max(image.shape)))
+    thick = max(1, round(letters / 11))
+    lines = _figure_lines(found, FIGURE_GAP * letters) if figures else {}
+    v_mag = _magnitudes(found.hip)
+    marks = _marks(found, planets, no_stars_px, v_mag, letters)
+    grey = 255.0 * BRIGHTNESS * sky_stretch(image.astype(np.float32))
+    picture = np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
+    segments = np.concatenate([np.zeros((0, 2, 2)), *lines.values()])
+    _draw(picture, segments, BLUE, thick)
+    for one in marks:
+        for stroke in one.kind.strokes:
+            at = one.xy_px[:, None] + one.half_px[:, None, None] * stroke
+            _draw(picture, at, one.kind.colour, thick)
+    taken = [mark_boxes(one.xy_px, one.half_px) for one in marks]
+    taken.append(line_boxes(segments[:, 0], segments[:, 1], float(thick)))
+    labels = _labels(found, planets, v_mag, marks[0].half_px, lines, letters)
+    return _written(picture, labels, np.vstack(taken), marks, letters)
+
+
+def _magnitudes(hip: NDArray[np.integer]) -> Floats:
+    """V (N,) of stars of the catalogue."""
+    places = hipparcos_stars().places
+    return np.asarray(places.v_mag[np.searchsorted(places.hip, hip)])
+
+
+def _marks(
+    found: FieldSolution, planets: Sequence[Planet], no_stars_px: Floats, v_mag: Floats, letters: int
+) -> tuple[_Marks, ...]:
+    """All marks, those of identified stars first."""
+    rings = letters * np.maximum(RING - RING_OF_MAGNITUDE * v_mag, SMALLEST_RING)
+    others = np.zeros((0, 2)) if found.stars is None else found.stars.xy_px
+    others = np.delete(others, found.detections, axis=0)
+    at_planets = np.array([(p.x_px, p.y_px) for p in planets]).reshape(-1, 2)
+    half = OTHER * letters
+    return (
+        _Marks(_STAR, found.xy_px, rings),
+        _Marks(_DETECTION, others, np.full(len(others), half)),
+        _Marks(_NO_STAR, no_stars_px, np.full(len(no_stars_px), half)),
+        _Marks(_PLANET, at_planets, np.full(len(at_planets), 2.0 * half)),
+    )
+
+
+def _figure_lines(found: FieldSolution, gap_px: float) -> dict[str, Floats]:
+    """Straight pieces (K, 2, 2), px, of the figures in view by name, clear of the stars by `gap_px`."""
+    places = hipparcos_stars().places
+    camera = found.camera
+    frame = np.array([camera.width_px, camera.height_px], dtype=float)
+    lines = {}
+    for name, pairs in constellation_figures().items():
+        rows = np.searchsorted(places.hip, pairs)
+        u_i = unit_vectors(places.ra_rad[rows], places.dec_rad[rows])
+        part = np.linspace(0.0, 1.0, STEPS)[None, :, None]
+        along = u_i[:, :1] * (1.0 - part) + u_i[:, 1:] * part  # (pairs, STEPS, 3): the great circle
+        xy = camera.pixels_from_directions(found.R_si.apply(along.reshape(-1, 3))).reshape(
+            *along.shape[:2], 2
+        )
+        with np.errstate(invalid="ignore"):
+            near = np.asarray(((xy > -0.5 * frame) & (xy < 1.5 * frame)).all(axis=-1))
+            for end in (xy[:, :1], xy[:, -1:]):
+                near &= ~(np.hypot(*np.moveaxis(xy - end, -1, 0)) < gap_px)
+        pieces = np.stack([xy[:, :-1], xy[:, 1:]], axis=2)[near[:, :-1] & near[:, 1:]]
+        if ((pieces > 0.0) & (pieces < frame)).all(axis=-1).any():
+            lines[name] = pieces
+    return lines
+
+
+def _labels(
+    found: FieldSolution,
+    planets: Sequence[Planet],
+    v_mag: Floats,
+    rings: Floats,
+    lines: Mapping[str, Floats],
+    letters: int,
+) -> list[_Label]:
+    """What is to be written, the most important first: planets, stars by brightness, constellations."""
+    labels = [
+        _Label(
+            p.name, _PLANET.colour, np.array([p.x_px, p.y_px]), (2.0 * OTHER + 0.2) * letters, letters, True
+        )
+        for p in planets
+    ]
+    small = max(SMALLEST_LETTERS_PX, round(SMALLER * letters))
+    for n in np.argsort(v_mag, kind="stable"):
+        name, gap = star_name(int(found.hip[n])), float(rings[n]) + 0.2 * letters
+        colour, height = (GREY, small) if name.startswith("HIP ") else (WHITE, letters)
+        words, bright = f"{name} {v_mag[n]:.1f}", bool(v_mag[n] < BRIGHT)
+        labels.append(_Label(words, colour, found.xy_px[n], gap, height, bright))
+    frame = np.array([found.camera.width_px, found.camera.height_px])
+    for name, pieces in lines.items():
+        ends = pieces.reshape(-1, 2)
+        middle = ends[((ends > 0) & (ends < frame)).all(axis=1)].mean(axis=0)
+        labels.append(_Label(name.upper(), BLUE, middle, 0.5 * letters, letters, False))
+    return labels
+
+
+def _draw(picture: NDArray[np.uint8], lines: Floats, colour: Colour, thick: int) -> None:
+    """Lines (N, K, 2) through K points each, (column, row) in px."""
+    whole = np.rint(lines * 2**_SHIFT).astype(np.int32)
+    cv2.polylines(picture, list(whole), False, colour, thick, cv2.LINE_AA, _SHIFT)
+
+
+def _written(
+    picture: NDArray[np.uint8],
+    labels: Sequence[_Label],
+    taken: Floats,
+    marks: Sequence[_Marks],
+    letters: int,
+) -> NDArray[np.uint8]:
+    """The picture with a key in its corner and the labels that find room."""
+    height, width = picture.shape[:2]
+    whole = Image.fromarray(picture)
+    pen = ImageDraw.Draw(whole)
+    edge = max(1, round(letters / 7))
+
+    def write(x: float, y: float, words: str, colour: Colour, font: ImageFont.FreeTypeFont) -> None:
+        pen.text((x, y), words, colour, font, "lm", stroke_width=edge, stroke_fill=(0, 0, 0))
+
+    font = _font(letters)
+    x, y = float(letters), height - 1.2 * letters
+    words = [f"{one.kind.sign} {len(one.xy_px)} {one.kind.words}" for one in marks]
+    ends = x + np.cumsum([(font.getlength(text) + 1.5 * letters) * (" 0 " not in text) for text in words])
+    key = np.array([[0.0, y - letters, ends[-1], height]])
+    pen.rectangle(tuple(key[0].tolist()), (0, 0, 0))
+    for one, text, end in zip(marks, words, ends.tolist()):
+        if len(one.xy_px):
+            write(x, y, text, one.kind.colour, font)
+        x = end
+    sizes = np.array(
+        [(_font(one.letters_px).getlength(one.words) + 2 * edge, 1.2 * letters) for one in labels]
+    )
+    bright = [one.xy_px for one in labels if one.bright]
+    must_not = np.vstack([key, mark_boxes(np.array(bright).reshape(-1, 2), letters)])
+    frame = np.array([0.0, 0.0, width, height])
+    centres = _centres(labels, sizes, frame, np.vstack([taken, key]), must_not)
+    for label, size, centre in zip(labels, sizes, centres):
+        if np.isfinite(centre[0]):
+            start = centre[0] - 0.5 * size[0] + edge
+            write(start, centre[1], label.words, label.colour, _font(label.letters_px))
+    return np.asarray(whole)
+
+
+def _centres(
+    labels: Sequence[_Label], sizes: Floats, frame: Floats, taken: Floats, must_not: Floats
+) -> Floats:
+    """Centres (N, 2) of labels, NaN where there is no room: clear of the boxes `taken`, or, of a bright star
+    that finds no such place, of those that it `must_not` cover.
+    """
+    at, gaps = np.array([one.xy_px for one in labels]), np.array([one.gap_px for one in labels])
+    centres = np.full((len(labels), 2), np.nan)
+    bright = np.array([one.bright for one in labels])
+    for some, obstacles in ((bright, taken), (bright, must_not), (~bright, taken)):
+        rows = np.flatnonzero(some & np.isnan(centres[:, 0]))
+        done = np.isfinite(centres[:, 0])
+        written = np.hstack([(centres - 0.5 * sizes)[done], (centres + 0.5 * sizes)[done]])
+        centres[rows] = place_labels(
+            at[rows], sizes[rows], gaps[rows], frame, np.vstack([obstacles, written])
+        )
+    return centres
+
+
+@lru_cache(maxsize=4)
+def _font(letters_px: int) -> ImageFont.FreeTypeFont:
+    """The font that Matplotlib brings along."""
+    file = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+    return ImageFont.truetype(str(file), letters_px)
