@@ -115,7 +115,7 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
         return
     nearest = np.flatnonzero(rejected)
     nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
-    for first, (then, _) in zip(nearest.tolist(), readmitted(problem, about, kept, step, nearest)):
+    for first, (then, _) in zip(nearest.tolist(), readmitted(about, kept, step, nearest)):
         more = kept | (rows == first)
         other = _largest(then, more, problem.rank)
         if then[other] > statistic[first]:
@@ -139,7 +139,7 @@ def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tup
     if _too_many(problem, kept):
         return weight, {int(j): np.zeros(0, dtype=np.int64) for j in rejected}
     step = solve_weighted(problem, about, weight)
-    for j, (statistic, variance) in zip(rejected.tolist(), readmitted(problem, about, kept, step, rejected)):
+    for j, (statistic, variance) in zip(rejected.tolist(), readmitted(about, kept, step, rejected)):
         rivals[j] = np.flatnonzero(kept & (statistic[j] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
         suspects = np.append(j, rivals[j])
         whitener = step.whitener[suspects]

@@ -16,6 +16,7 @@ from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total
 from boresight.calib.interior_parameters import InteriorModel
+from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
@@ -63,7 +64,7 @@ class Problem:
         tied = {tie.head for strip in carrying for tie in strip.ties}
         heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
         shared = find_shared([strip.seen() for strip in carrying], settings, heads, interior)
-        groups = group_strips(prepared, shared, settings)
+        groups = [condensed(group) for group in group_strips(prepared, shared, settings)]
         members = [prepared[n] for group in groups for n in group.place]
         keys = [
             (strip.strip_id, target, ccd)
@@ -136,6 +137,7 @@ class Step:
     residual_c: Floats = array("J, 2", "residuals along x and y of frame c, rad")
     whitener: Floats = array("J, 2, 2", "takes residuals in rad along the two tangent axes to `whitened`")
     measured: Floats = array("J, 2, 2", "part of the whitened noise that the image measurement makes")
+    reduced: list[_Reduced] = scalar("groups with their own unknowns eliminated, at these weights")
 
     @property
     def variance(self) -> Floats:
@@ -185,6 +187,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
         residual_c=along,
         whitener=np.concatenate([line.whitener.reshape(-1, 2, 2) for line in about.strips]),
         measured=np.concatenate([line.measured.reshape(-1, 2, 2) for line in about.strips]),
+        reduced=reduced,
     )
 
 
@@ -250,26 +253,21 @@ def squared_over(e: Floats, v: Floats) -> Floats:
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
 
 
-def readmitted(
-    problem: Problem, about: Linearised, kept: Bools, step: Step, rows: Ints
-) -> Iterator[tuple[Floats, Floats]]:
+def readmitted(about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterator[tuple[Floats, Floats]]:
     """For each of `rows` (targets that are not kept) what `squared_mahalanobis` (J,) and `Step.variance`
     (J, 2, 2) are with it in the fit.
 
     `step` is the solution of the targets kept. One more target changes it by a matrix of rank two, so that
     the change needs no new solution.
     """
-    reduced, last = [], 0
-    for group, line in zip(problem.groups, about.strips):
-        first, last = last, last + group.inside.size
-        reduced.append(_reduced(line, kept[first:last].reshape(group.inside.shape).astype(float)))
-    Z = [_by_common(line) - line.X_q @ part.back[:, :, :-1] for line, part in zip(about.strips, reduced)]
+    parts = list(zip(about.strips, step.reduced))
+    Z = [_by_common(line) - line.X_q @ part.back[:, :, :-1] for line, part in parts]
     of_all = np.concatenate([part.reshape(-1, 2, part.shape[-1]) for part in Z])
     sign = np.where(kept, -1.0, 1.0)[:, None, None]
     leverage = step.leverage
     for row in rows.tolist():
         across = of_all @ (step.solution.covariance_all @ of_all[row].T)  # (J, 2, 2)
-        own, strip = _of_strip(about.strips, reduced, row)
+        own, strip = _of_strip(parts, row)
         across[strip] += own
         gain = across @ np.linalg.inv(np.eye(2) + leverage[row])
         e = step.whitened - gain @ step.whitened[row]
@@ -279,10 +277,10 @@ def readmitted(
         yield squared_over(e, variance), variance
 
 
-def _of_strip(lines: list[LinearStrips], reduced: list[_Reduced], row: int) -> tuple[Floats, slice]:
+def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Floats, slice]:
     """Covariance (N, 2, 2), by the own unknowns of a target's strip, of that strip's N targets with it."""
     first = 0
-    for line, part in zip(lines, reduced):
+    for line, part in parts:
         S, rows, _ = line.X_q.shape
         targets = rows // 2
         if row < first + S * targets:
@@ -307,10 +305,9 @@ def respond(problem: Problem, about: Linearised, step: Step, columns: Floats) ->
         np.zeros((len(step.solution.covariance_all), columns.shape[2])),
         0,
     )
-    for group, line in zip(problem.groups, about.strips):
+    for group, line, part in zip(problem.groups, about.strips, step.reduced):
         first, last = last, last + group.inside.size
         weight = step.weight[first:last].reshape(group.inside.shape)
-        part = _reduced(line, weight)
         B = columns[first:last].reshape(len(group.place), -1, H)
         weighted = np.repeat(weight, 2, axis=1)[:, :, None] * B
         own = part.cov_q @ (np.swapaxes(line.X_q, 1, 2) @ weighted)

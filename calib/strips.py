@@ -130,6 +130,7 @@ class StripGroup:
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
+    by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
 
 
@@ -304,8 +305,10 @@ def linearise(
     by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
     h = group.ties.shape[1]
     others = X_shared.shape[2] - by_heads.shape[2]  # the alignments of heads are the last shared unknowns
+    told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
+    X_shared[:, :, others:] -= told[:, :, :-1]
     return LinearStrips(
-        r=r[:, :, 0],
+        r=r[:, :, 0] - told[:, :, -1],
         X_theta=X_theta,
         X_shared=X_shared,
         X_q=X_q,
@@ -346,11 +349,10 @@ def _group(
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
     fields = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
+    shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
     return StripGroup(
         place=place,
-        shared_s=np.stack(
-            [np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)]
-        ),
+        shared_s=shared_s,
         white_s=np.stack(white),
         targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
         camera=np.stack(camera),
@@ -359,6 +361,7 @@ def _group(
         own=np.stack(own),
         missed=np.stack(missed),
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
+        by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
     )

@@ -200,7 +200,7 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, kept = linearised(problem, BOLD, 1.0), rng.random(36) < 0.7
     step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
-    for row, (statistic, variance) in zip(rows, readmitted(problem, about, kept, step, rows), strict=True):
+    for row, (statistic, variance) in zip(rows, readmitted(about, kept, step, rows), strict=True):
         more = kept | (np.arange(36) == row)
         anew = solve_weighted(problem, about, more.astype(float))
         assert statistic == pytest.approx(squared_mahalanobis(anew), rel=1e-8)  # same formula, other rounding
