@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
-from test_tasks import MINI, arrays_of_mini
+from tasks import arrays_of
 
 import boresight as bs
 from boresight.pipeline.files.text_files import toml_tables
 
+MINI = bs.example("mini")
 ARCSEC = np.pi / 648000.0
 BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)  # star camera to the head's axes
 SIGMAS = 4.0  # about each axis; one in 16 000 of right results is beyond
@@ -62,7 +63,7 @@ def sigmas_off(result: bs.Calibration, R_cs: Rotation) -> np.ndarray:
 
 
 def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
-    given = arrays_of_mini()
+    given = arrays_of(MINI)
     given["remote_camera"] = look_tables(given["remote_camera"])
     given["exposures"] = lists_of_stars(given["exposures"])
     dump = bs.dump_from_arrays(**given)
@@ -75,7 +76,7 @@ def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
 @pytest.fixture(scope="module")
 def attitudes() -> dict:
     """Arguments of `dump_from_arrays` with attitudes about bold axes, in which the aberration is left."""
-    given = arrays_of_mini()
+    given = arrays_of(MINI)
     given["attitudes"] = solved(given, BOLD)
     given["R_cs0"] = Rotation.from_matrix(given["R_cs0"]) * BOLD.inv()
     given["aberration_removed"] = "none"
@@ -112,4 +113,4 @@ def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None
 )
 def test_wrong_levels_are_named(change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        bs.dump_from_arrays(**arrays_of_mini() | change)
+        bs.dump_from_arrays(**arrays_of(MINI) | change)

@@ -1,311 +1,81 @@
-"""Tasks that people bring, each done with the names of `import boresight as bs` alone, in five lines."""
+"""Tasks that people bring are done at first try, in few lines, from the names of the door alone."""
 
 from __future__ import annotations
 
 import ast
-import datetime
 import inspect
+import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
-import rasterio
-from astropy.time import Time
+import tasks
 from fixture_strips import strip_of_fixture
-from wrong_vectors import drawn_vectors
+from outside import run
 
 import boresight as bs
 
 MINI = bs.example("mini")
 FEW_LINES = 5
-ARCSEC = np.pi / 648000.0
-
-
-class Given(NamedTuple):
-    """What the tasks begin with."""
-
-    image: Path  # of the sky, 20 deg wide
-    pixels: np.ndarray  # the same
-    rgb: np.ndarray  # the same in three equal colours
-    stars: bs.Stars  # found in it
-    solution: bs.StarSolution  # identified with the dump's camera
-    dump: Path  # of one strip
-    result: bs.Calibration  # of the same, read back
-    out: Path
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
 
 @pytest.fixture(scope="module")
-def solved() -> tuple[np.ndarray, bs.Stars, bs.StarSolution]:
-    image = MINI / "exposures" / "e0001.png"
-    with rasterio.open(image) as file:
-        pixels = file.read(1)
-    stars = bs.find_stars(pixels)
-    solution = bs.identify(stars, camera=bs.open_dump(MINI).star_camera)
-    assert solution
-    return pixels, stars, solution
+def june(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return strip_of_fixture(tmp_path_factory.mktemp("two") / "june", 2)
+
+
+@pytest.fixture(scope="module")
+def may(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return strip_of_fixture(tmp_path_factory.mktemp("one") / "may", 1)
+
+
+@pytest.fixture(scope="module")
+def begun(may: Path, june: Path, finished: tuple[Path, Path], tmp_path_factory) -> tasks.Given:
+    return tasks.given_of(MINI, [may, june], bs.read_result(finished[1]), tmp_path_factory.mktemp("none"))
 
 
 @pytest.fixture
-def given(solved, finished: tuple[Path, Path], tmp_path: Path) -> Given:
-    pixels, stars, solution = solved
-    dump, result = finished
-    rgb = np.stack([pixels] * 3, axis=2)
-    image = MINI / "exposures" / "e0001.png"
-    return Given(image, pixels, rgb, stars, solution, dump, bs.read_result(result), tmp_path)
+def given(begun: tasks.Given, tmp_path: Path) -> tasks.Given:
+    return begun._replace(out=tmp_path)
 
 
-def find_stars_in_a_file(given: Given) -> None:
-    stars = bs.find_stars(given.image)
-    assert len(stars) > 50
-
-
-def know_how_good_each_centroid_is(given: Given) -> None:
-    table = given.stars.table()
-    assert table["sigma_px"].between(0.001, 0.5).all()
-
-
-def know_which_detections_are_no_stars(given: Given) -> None:
-    assert given.stars.misshapen_px.shape[1] == 2
-    assert "not used: " in repr(given.stars)
-
-
-def identify_an_image_with_its_field_of_view(given: Given) -> None:
-    solution = bs.identify(given.stars, fov_deg=18.6)
-    assert solution and len(solution.hip) > 50
-
-
-def identify_a_colour_image(given: Given) -> None:
-    solution = bs.identify(given.rgb, camera=given.solution.camera)
-    assert solution and np.array_equal(solution.hip, given.solution.hip)
-
-
-def identify_with_a_datetime(given: Given) -> None:
-    when = datetime.datetime(2024, 11, 20, 3, 40, 1, 600000, tzinfo=datetime.UTC)
-    solution = bs.identify(given.stars, camera=given.solution.camera, time=when)
-    assert solution and (solution.R_si * given.solution.R_si.inv()).magnitude() < 25 * ARCSEC
-
-
-def identify_with_an_astropy_time_and_a_site(given: Given) -> None:
-    when = Time("2024-11-20T03:40:01.6", scale="utc")
-    assert (
-        bs.identify(given.stars, camera=given.solution.camera, time=when, site=(48.1, 11.6, 500)) is not None
-    )
-
-
-def learn_why_an_image_is_not_identified(given: Given) -> None:
-    noise = np.random.default_rng(1).normal(100.0, 5.0, (64, 64))
-    unknown = bs.identify(noise, fov_deg=20)
-    assert not unknown and "stars" in unknown.reason
-
-
-def right_ascension_and_declination_of_a_pixel(given: Given) -> None:
-    sky = given.solution.pixel_to_sky([(511.5, 383.5), (0.0, 0.0)])
-    assert abs(sky[0].ra.deg - given.solution.ra_deg) < 1e-6
-
-
-def world_coordinates_for_other_software(given: Given) -> None:
-    wcs = given.solution.wcs()
-    ra, dec = wcs.all_pix2world(100.0, 50.0, 0)
-    assert given.solution.pixel_to_sky((100.0, 50.0)).separation(wcs.pixel_to_world(100.0, 50.0)).arcsec < 1.0
-    assert np.isfinite([ra, dec]).all()
-
-
-def table_of_identified_stars_with_coordinates(given: Given) -> None:
-    table = given.solution.table()
-    assert {"hip", "ra_deg", "dec_deg", "residual_x_px"} <= set(table.columns)
-
-
-def calibrate_a_star_camera(given: Given) -> None:
-    images = (MINI / "exposures" / f"e{n:04d}.png" for n in (1, 15))
-    found = bs.calibrate_star_camera(images, fov_deg=18.6)
-    assert found and found.rms_px < 0.2
-
-
-def find_a_template_in_a_picture(given: Given) -> None:
-    ground = 100.0 * np.random.default_rng(1).normal(size=(25, 25)).repeat(8, 0).repeat(8, 1)
-    match = bs.match_template(ground[60:124, 50:114], ground, start_px=(84, 88))
-    assert isinstance(match, bs.Match | bs.NotMatched)
-
-
-def measure_the_targets_of_a_strip(given: Given) -> None:
-    matches = bs.match_targets(given.dump, strips="s01")
-    assert len(matches) == 12
-
-
-def look_into_a_dump(given: Given) -> None:
-    dump = bs.open_dump(given.dump)
-    assert len(repr(dump).splitlines()) <= 25 and len(dump.strips) == 1
-
-
-def calibrate_a_dump_into_a_folder(given: Given) -> None:
-    result = bs.read_result(given.result)  # what `calibrate(dump, out=folder)` returns
-    assert result.verdict == "consistent" and result.folder is not None
-
-
-def use_some_strips_only(given: Given) -> None:
-    result = bs.calibrate(MINI, strips=["s02"])
-    assert result.targets["strip_id"].unique().tolist() == ["s02"]
-    assert "2 strips (not asked for)" in repr(result)
-
-
-def read_the_verdict_and_its_checks(given: Given) -> None:
-    assert given.result.verdict == "consistent"
-    assert given.result.checks["holds"].all()
-
-
-def know_what_the_data_cannot_show(given: Given) -> None:
-    spots = given.result.blind_spots
-    assert "clock of the rows" in set(spots["cause"])
-
-
-def residuals_of_targets_and_stars(given: Given) -> None:
-    targets, stars = given.result.residuals(), given.result.residuals("stars")
-    assert len(targets) == 12 and len(stars) > 1000
-    assert 1.0 < stars.loc[stars["kept"], "statistic"].median() < 1.8  # chi-square, 2 dof: 1.39
-
-
-def list_what_was_not_used(given: Given) -> None:
-    assert {"kind", "name", "reason"} <= set(given.result.not_used.columns)
-    assert "not used: " in repr(given.result)
-
-
-def write_the_report(given: Given) -> None:
-    page = given.result.report(given.out / "report.html")
-    text = page.read_text()
-    assert 'id="targets"' in text and text.rstrip().endswith("</html>")
-
-
-def export_to_spice(given: Given) -> None:
-    files = given.result.export("spice", given.out / "kernels", dump=given.dump)
-    assert "FRAME" in files[0].read_text()
-
-
-def latitude_and_longitude_of_pixels(given: Given) -> None:
-    places = given.result.geolocate("s01", 1, 1000.0, np.arange(10.0, 500.0, 50.0), dump=given.dump)
-    assert len(places) == 10 and np.isfinite(places).all(axis=None)
-
-
-def compare_with_a_simulated_truth(given: Given) -> None:
-    found = bs.validate(given.result, MINI)
-    assert found.nees < 16.3 and len(repr(found).splitlines()) <= 25
-
-
-def calibrate_vectors_with_a_matrix(given: Given) -> None:
-    u_s, v_stars, sigma_s, w_c, v_targets, sigma_c, R_cs0 = drawn_vectors(np.random.default_rng(3))
-    found = bs.calibrate_vectors(u_s, v_stars, sigma_s, w_c, v_targets, sigma_c, R_cs0.as_matrix())
-    assert found.verdict == "consistent"
-
-
-def forecast_a_campaign_from_values(given: Given) -> None:
-    plan = bs.forecast({"strips": {"count": 12}, "targets": {"sigma_px": 0.2}})
-    assert len(plan.table) > 0 and len(repr(plan).splitlines()) <= 25
-
-
-TASKS = [
-    find_stars_in_a_file,
-    know_how_good_each_centroid_is,
-    know_which_detections_are_no_stars,
-    identify_an_image_with_its_field_of_view,
-    identify_a_colour_image,
-    identify_with_a_datetime,
-    identify_with_an_astropy_time_and_a_site,
-    learn_why_an_image_is_not_identified,
-    right_ascension_and_declination_of_a_pixel,
-    world_coordinates_for_other_software,
-    table_of_identified_stars_with_coordinates,
-    calibrate_a_star_camera,
-    find_a_template_in_a_picture,
-    measure_the_targets_of_a_strip,
-    look_into_a_dump,
-    calibrate_a_dump_into_a_folder,
-    use_some_strips_only,
-    read_the_verdict_and_its_checks,
-    know_what_the_data_cannot_show,
-    residuals_of_targets_and_stars,
-    list_what_was_not_used,
-    write_the_report,
-    export_to_spice,
-    latitude_and_longitude_of_pixels,
-    compare_with_a_simulated_truth,
-    calibrate_vectors_with_a_matrix,
-    forecast_a_campaign_from_values,
-]
-
-
-@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.__name__)
-def test_a_task_is_done_at_first_try(task: Callable[[Given], None], given: Given) -> None:
+@pytest.mark.parametrize("task", tasks.TASKS, ids=lambda task: task.__name__)
+def test_a_task_is_done_at_first_try(task: Callable[[tasks.Given], None], given: tasks.Given) -> None:
     task(given)
 
 
-def test_a_task_takes_few_lines() -> None:
-    for task in TASKS:
-        body = ast.parse(inspect.getsource(task)).body[0].body  # type: ignore[attr-defined]
-        assert len(body) <= FEW_LINES, task.__name__
-
-
-def test_dumps_of_one_mission_are_calibrated_jointly(tmp_path: Path) -> None:
-    dumps = [strip_of_fixture(tmp_path / name, number) for number, name in ((1, "may"), (2, "june"))]
-    joint = bs.calibrate(dumps)
-    assert joint.dof > 30
-    assert set(joint.residuals("stars")["dump"]) == {"may", "june"}
-    assert set(joint.targets["strip_id"]) == {"may/s01", "june/s02"}
-    assert joint.geolocate("s02", 0, 10.0, 20.0, dump=dumps[1])["lat_deg"].notna().all()
-    with pytest.raises(ValueError, match="out=FOLDER"):
-        joint.report(tmp_path / "report.html")
-
-
-def arrays_of_mini() -> dict[str, object]:
-    """Arguments of `dump_from_arrays` from the files of one strip of the example."""
-
-    def read(file: str) -> tuple[np.ndarray, list[float], str]:
-        with rasterio.open(MINI / file) as one:
-            return one.read(1), list(one.transform)[:6], str(one.crs)
-
-    dump = bs.open_dump(MINI)
-    exposures = pd.read_csv(MINI / "exposures.csv").iloc[:14].rename(columns={"utc_mid": "time"})
-    strips = pd.read_csv(MINI / "strips.csv").iloc[:4].rename(columns={"utc_first_row": "time"})
-    targets = pd.read_csv(MINI / "targets.csv").iloc[:12]
-    chips = [read(file) for file in targets["chip"]]
-    states = [line.split() for line in (MINI / "orbit.oem").read_text().splitlines() if line[:2] == "20"]
-    axes = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
-    return {
-        "star_camera": dump.star_camera,
-        "remote_camera": dump.line_camera,
-        "R_cs0": dump.R_cs0.as_matrix(),
-        "sigma_R_cs0_rad": 3e-3,
-        "orbit": [
-            {"time": Time(t, scale="utc"), **{axis: 1e3 * float(x) for axis, x in zip(axes, numbers)}}
-            for t, *numbers in states
-        ],
-        "exposures": exposures.assign(image=[read(file)[0] for file in exposures["file"]]),
-        "strips": strips.assign(image=[lambda file=file: read(file)[0] for file in strips["file"]]),
-        "targets": targets.assign(
-            chip=[one[0] for one in chips],
-            chip_affine=[one[1] for one in chips],
-            chip_crs=[one[2] for one in chips],
-        ),
-        "errors": {
-            "position_m": 2.0,
-            "clock_s": 1e-4,
-            "vibration_arcsec": 0.1,
-            "look_distortion_px": 0.03,
-            "look_distortion_length_px": 125.0,
-        },
-        "terrain": read("terrain/dem.tif"),
-        "terrain_height_kind": "egm96",
+def test_a_task_takes_few_lines_of_public_names() -> None:
+    for task in tasks.TASKS:
+        tree = ast.parse(inspect.getsource(task)).body[0]
+        assert isinstance(tree, ast.FunctionDef) and len(tree.body) <= FEW_LINES, task.__name__
+    tree = ast.parse(inspect.getsource(tasks))
+    imported = [one.module or "" for one in ast.walk(tree) if isinstance(one, ast.ImportFrom)]
+    used = {
+        one.attr
+        for one in ast.walk(tree)
+        if isinstance(one, ast.Attribute) and isinstance(one.value, ast.Name) and one.value.id == "bs"
     }
+    assert not [name for name in imported if name.startswith("boresight")]
+    assert used <= set(bs.__all__)
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_arrays_in_memory_give_the_matrix_of_the_files(finished: tuple[Path, Path]) -> None:
-    made = bs.dump_from_arrays(**arrays_of_mini())  # type: ignore[arg-type]
-    found = bs.calibrate(made)
-    of_files = bs.read_result(finished[1])
-    np.testing.assert_allclose(found.theta, of_files.theta, rtol=0, atol=1e-4 * ARCSEC)  # rounding of texts
-    np.testing.assert_allclose(found.cov_theta, of_files.cov_theta, rtol=1e-6)
+def test_all_tasks_are_done_with_the_wheel_outside_the_repository(
+    installed: Path, may: Path, june: Path, tmp_path: Path
+) -> None:
+    for module in (Path(tasks.__file__), Path(inspect.getfile(tasks.drawn_vectors))):
+        shutil.copy(module, tmp_path)
+    (tmp_path / "out").mkdir()
+    done = run(installed, "tasks.py", MINI, may, june, tmp_path / "out", cwd=tmp_path).split()
+    assert done[0].startswith(str(installed.parents[1]))  # where boresight is
+    assert done[1:] == [task.__name__ for task in tasks.TASKS]
+
+
+def test_a_joint_result_without_a_folder_has_no_report(may: Path, june: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="out=FOLDER"):
+        bs.calibrate([may, june]).report(tmp_path / "report.html")
 
 
 @pytest.mark.parametrize(
