@@ -8,7 +8,7 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,23 @@ from boresight.accepted import (
     new_folder_of,
     number_of,
     rotation_of,
+    shown,
     utc_of,
     wrong,
 )
 from boresight.array_stars import attitude_keys, write_attitudes, write_exposures
-from boresight.array_tables import Table, bits_of, cell_of, image_of, rows_of, stored, write_tiff
+from boresight.array_tables import (
+    Table,
+    bits_of,
+    cell_of,
+    cells_of,
+    image_of,
+    label_of,
+    pixels_of,
+    rows_of,
+    stored,
+    write_tiff,
+)
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -164,6 +176,9 @@ def dump_from_arrays(
     sigma = _three(sigma_R_cs0_rad)
     if not isinstance(errors, Mapping):
         raise wrong("errors", errors, "a mapping of 1-sigma errors")
+    for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
+        if bits is not None:
+            count_of(bits, key, 8, 16)
     if orbit_frame not in FRAMES:
         raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     if targets is None and points is None and not _has_sky(strips):
@@ -189,9 +204,7 @@ def dump_from_arrays(
         _write_targets(folder, rows_of(targets, "targets"))
     if points is not None:
         files["points"] = "points.csv"
-        rows = [
-            [cell_of(row, key, "points", n) for key in MEASURED] for n, row in _numbered(points, "points")
-        ]
+        rows = [cells_of(row, MEASURED, "points", n) for n, row in enumerate(rows_of(points, "points"))]
         write_csv(folder / "points.csv", MEASURED, rows)
     head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
@@ -221,10 +234,6 @@ def _three(sigma: ArrayLike) -> list[float]:
     return [float(value) for value in np.broadcast_to(values, 3)]
 
 
-def _numbered(table: Table, name: str) -> Iterable[tuple[int, Mapping[str, Any]]]:
-    return enumerate(rows_of(table, name))
-
-
 def _has_sky(strips: Table) -> bool:
     return not isinstance(strips, pd.DataFrame) or bool((strips.get("kind", pd.Series()) == "sky").any())
 
@@ -245,8 +254,8 @@ def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int |
             write_tiff(folder / file, stored(pixels, stated or 8))
         instant = utc_of(cell_of(row, "time", "strips", n), f"{at}, time")
         period = number_of(cell_of(row, "row_period_s", "strips", n), f"{at}, row_period_s")
-        name, kind = str(cell_of(row, "id", "strips", n)), str(row.get("kind", "ground"))
-        lines.append([name, ccd, file, instant, repr(period), count, kind])
+        name, kind = label_of(cell_of(row, "id", "strips", n), f"{at}, id"), row.get("kind", "ground")
+        lines.append([name, ccd, file, instant, repr(period), count, label_of(kind, f"{at}, kind")])
     columns = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines", "kind"]
     write_csv(folder / "strips.csv", columns, lines)
     return bits_of(stated, types, "remote_bits")
@@ -256,17 +265,12 @@ def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     lines = []
     for n, row in enumerate(rows):
         at, file = f"targets, row {n}", f"chips/{n + 1:05d}.tif"
-        given = cell_of(row, "chip", "targets", n)
-        pixels = np.asarray(given() if isinstance(given, Callable) else given)  # type: ignore[arg-type]
-        if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or not pixels.size:
-            raise wrong(f"{at}, chip", pixels, "grey values (rows, columns)")
+        pixels = pixels_of(cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)")
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = pixels.astype(np.float32)
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
         write_tiff(folder / file, pixels, **_georeference(affine, crs, at))
-        lines.append(
-            [cell_of(row, "id", "targets", n), *(cell_of(row, k, "targets", n) for k in PLACE), file]
-        )
+        lines.append([*cells_of(row, ["id", *PLACE], "targets", n), file])
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], lines)
 
 
@@ -277,7 +281,8 @@ def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
     try:
         return {"transform": Affine(*numbers.tolist()), "crs": CRS.from_user_input(crs)}
     except Exception as error:  # of PROJ and GDAL
-        raise wrong(f"{at}, crs", crs, f'a reference system such as "EPSG:32648" ({error})') from error
+        expected = f'a reference system such as "EPSG:32648" ({shown(str(error))})'
+        raise wrong(f"{at}, crs", crs, expected) from error
 
 
 def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,10 +13,22 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import NotGeoreferencedWarning
 
-from boresight.accepted import count_of, listed, wrong
+from boresight.accepted import count_of, listed, number_of, shown, wrong
 
-__all__ = ["Table", "bits_of", "cell_of", "image_of", "rows_of", "stored", "write_tiff"]
+__all__ = [
+    "Table",
+    "bits_of",
+    "cell_of",
+    "cells_of",
+    "image_of",
+    "label_of",
+    "pixels_of",
+    "rows_of",
+    "stored",
+    "write_tiff",
+]
 
+TEXTS = ("id", "strip", "height_kind")  # columns of targets and measured points that are no numbers
 Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
 
 
@@ -42,17 +54,48 @@ def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
     return row[key]
 
 
+def cells_of(row: Mapping[str, Any], keys: Sequence[str], name: str, n: int) -> list[str | float]:
+    """The cells of some columns, checked: `TEXTS`, a CCD's number, or finite numbers."""
+
+    def checked(key: str) -> str | float:
+        value, at = cell_of(row, key, name, n), f"{name}, row {n}, {key}"
+        if key in TEXTS:
+            return label_of(value, at)
+        return count_of(value, at) if key == "ccd" else number_of(value, at)
+
+    return [checked(key) for key in keys]
+
+
+def label_of(value: Any, name: str) -> str:
+    """A name, or the whole number that stands for one."""
+    if isinstance(value, bool) or not isinstance(value, str | int | np.integer):
+        raise wrong(name, value, "a text")
+    return str(value)
+
+
 def image_of(value: Any, name: str) -> NDArray[Any]:
     """An image (H, W) of integers, computed now where it is a function."""
-    pixels = np.asarray(value() if isinstance(value, Callable) else value)  # type: ignore[arg-type]
-    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16) or not pixels.size:
-        raise wrong(name, pixels, "raw counts (rows, columns) of type uint8 or uint16")
+    expected = "raw counts (rows, columns) of type uint8 or uint16"
+    pixels = pixels_of(value, name, expected)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise wrong(name, pixels, expected)
+    return pixels
+
+
+def pixels_of(value: Any, name: str, expected: str) -> NDArray[Any]:
+    """Grey values (H, W), computed now where they are a function."""
+    try:
+        pixels = np.asarray(value() if isinstance(value, Callable) else value)  # type: ignore[arg-type]
+    except Exception as error:  # of a function, or of a foreign class that pretends to be an array
+        raise wrong(name, value, f"{expected} ({shown(error)})") from error
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or not pixels.size:
+        raise wrong(name, pixels, expected)
     return pixels
 
 
 def bits_of(stated: int | None, types: set[Any], name: str) -> int:
     if stated is not None:
-        return count_of(stated, name, 8, 16)
+        return stated
     if types - {np.dtype(np.uint8)}:
         raise wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
     return 8 if types else 0

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
+from tasks import arrays_of
 from wrong_vectors import drawn_vectors
 
 import boresight as bs
@@ -117,6 +118,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         "targets": [table],
         "errors": {},
     }
+    cells = arrays_with(dump)
     small = bs.StarCamera(focal_m=1e-3, pixel_m=1e-5, width_px=48, height_px=40, principal_px=(23.5, 19.5))
     places = {"strip": "s01", "ccd": 1, "dump": dump}
     doors = [
@@ -133,6 +135,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("calibrate", bs.calibrate, {"dump": [nowhere, nowhere]}),
         Door("calibrate_vectors", bs.calibrate_vectors, vectors, share=3.0),
         Door("dump_from_arrays", bs.dump_from_arrays, arrays, share=2.0),
+        Door("cells of dump_from_arrays", cells, {}, share=3.0),
         Door("open_dump", bs.open_dump, {"root": nowhere}),
         Door("read_result", bs.read_result, {"folder": nowhere}),
         Door("validate", bs.validate, {"result": nowhere, "dump": nowhere}),
@@ -159,6 +162,41 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
     functions = {name for name in bs.__all__ if inspect.isfunction(getattr(bs, name))}
     assert functions <= tested, functions - tested
     return doors
+
+
+def arrays_with(dump: Path) -> Callable[..., bs.Dump]:
+    """A function of cells, each of them right where it is not given, that makes a dump of arrays."""
+    opened, whole = bs.open_dump(dump), arrays_of(dump)
+    orbit, exposures = whole["orbit"][:60], whole["exposures"].iloc[:2]
+    strip = whole["strips"].iloc[0].to_dict() | {"image": np.zeros((64, 512), np.uint8)}
+    target = whole["targets"].iloc[0].to_dict() | {"chip": np.eye(20)}
+    kept = ("remote_camera", "R_cs0", "sigma_R_cs0_rad", "errors")
+    given = {key: whole[key] for key in kept} | {"orbit": orbit}
+    t_s = opened.epoch.seconds_from_utc(exposures["time"].tolist())
+    R_is = (opened.R_cs0.inv() * opened.orbit.R_oi(t_s)).inv()
+    head = {"aberration_removed": "none", "line_of_sight_s": (0.0, 0.0, 1.0), "attitude_frame": "GCRF"}
+    sigmas = dict.fromkeys(("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec"), 5.0)
+    attitudes = [
+        {"time": time, **dict(zip(("qx", "qy", "qz", "qw"), q)), **sigmas}
+        for time, q in zip(exposures["time"], R_is.as_quat())
+    ]
+
+    def made(**cells: Any) -> bs.Dump:
+        def row(of: dict[str, Any]) -> dict[str, Any]:
+            return of | {key: cells[key] for key in of if key in cells}
+
+        return bs.dump_from_arrays(
+            **given,
+            **row(head),
+            attitudes=[row(attitudes[0]), *attitudes[1:]],
+            strips=[row(strip)],
+            targets=[row(target)],
+        )
+
+    names = [name for of in (head, attitudes[0], strip, target) for name in of]
+    parameters = [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY) for name in dict.fromkeys(names)]
+    made.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return made
 
 
 def stars_found_with(

@@ -87,6 +87,13 @@ def test_a_joint_result_without_a_folder_has_no_report(may: Path, june: Path, tm
         ("exposures", [], "exposures: found no rows, expected at least one"),
         ("sigma_R_cs0_rad", -1.0, "sigma_R_cs0_rad: found -1.0"),
         ("targets", None, "targets, points: found neither"),
+        ("star_bits", "8", "star_bits: found '8', expected a whole number from 8 to 16"),
+        ("remote_bits", [12], "remote_bits: found .12., expected a whole number from 8 to 16"),
+        (
+            "exposures",
+            [{"time": "2024-11-20T03:40:00", "exposure_s": 0.1, "image": lambda: 1 / 0}],
+            r"exposures, row 0, image: found .*\(ZeroDivisionError\('division by zero'\)\)",
+        ),
     ],
 )
 def test_wrong_arrays_are_named(name: str, value: object, message: str) -> None:
