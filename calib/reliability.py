@@ -71,7 +71,7 @@ MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched 
 MOST_ROUNDS = 8  # of such a search
 EQUAL = 1.0  # difference of evidence by which two causes explain the same
 MOST_RIVALS = 3  # that a finding names
-NOT_LINEAR = 0.01  # of the evidence of a cause that refutes: less may be what its linear form leaves
+NOT_LINEAR = 0.01  # of the evidence of a cause: less may be what its linear form leaves
 AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
 
 
@@ -343,8 +343,9 @@ def _causes(
         if not gain:
             break
         most = max(gain.values())
+        left = NOT_LINEAR * most  # by which two linear forms of the same large error may differ
         best = min(
-            h for h in gain if most - gain[h] < EQUAL
+            h for h in gain if most - gain[h] < EQUAL + left
         )  # the first of the table, of those that explain as much
         p_value = float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2))
         if p_value * (n - len(chosen)) > limits.probability_found:
@@ -352,7 +353,7 @@ def _causes(
         strongest = strongest or most
         if findings and findings[0].refutes and most < NOT_LINEAR * strongest:
             break
-        rivals = sorted(h for h in gain if most - gain[h] < AMBIGUOUS)
+        rivals = sorted(h for h in gain if most - gain[h] < AMBIGUOUS + left)
         chosen.append(best)
         findings.append(_finding(one, best, trials, rivals, p_value * (n - len(chosen) + 1), before, limits))
         before = trials[best]
