@@ -248,3 +248,15 @@ def test_the_same_points_under_other_ids_count_once(told, right):
     assert again.estimate.cov_theta.tolist() == right.estimate.cov_theta.tolist()
     (finding,) = [one for one in again.verdict.findings if one.is_fault]
     assert (finding.cause, finding.file) == ("given twice", "points.csv")
+
+
+def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(made_once, tmp_path):
+    """In two scans to and fro, a clock of both by 60 ms turns the matrix as one of a single scan by 120 ms."""
+    scans = made_once("two-scans", lambda folder: fault_dumps.sound_dump("scans", 2, folder)) / "scans-2"
+    fault_dumps.linked(scans, tmp_path / "dump")
+    edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], 0.06)), tmp_path / "dump")
+    found = calibrate_dump(open_dump(tmp_path / "dump"))
+    first = found.verdict.findings[0]
+    assert (first.cause, first.item) == ("clock of the rows", "all strips")
+    assert first.value == pytest.approx(-60.0, abs=5.0 * first.sigma)  # ms
+    assert "or strip sky01; or strip sky02; or clock of the exposures" in first.text
