@@ -53,6 +53,7 @@ class Cause(StrEnum):
     NOT_COVERED = "not covered by orbit or star exposures"
     NO_TARGET = "no target matched"
     NOT_A_SKY_STRIP = "not a strip of the sky"
+    OTHER_SMEAR = "not the images that its TDI stages make"
     NOT_CALIBRATED = "no result"
     MARKED_INVALID = "marked invalid"
     REPEATED = "given twice"

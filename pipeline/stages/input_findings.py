@@ -16,6 +16,7 @@ from boresight.gct_match.records import Reason, Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Cause, Omission
@@ -40,6 +41,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
     return [
         *given_twice(omissions),
         *outside_chips(omissions),
+        *_smeared(dump, omissions),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
         *_heights(dump, {name: target for name, target in every.items() if name not in without}),
     ]
@@ -111,6 +113,24 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
             field="lat_deg, lon_deg",
             targets=tuple(one.name for one in those if "/" in one.name),
         )
+
+
+def _smeared(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding]:
+    """Strips of the sky whose stars are not those of the stated TDI stages. By half of the stages a row's
+    time differs from a label at their start or end: then the matrix is refuted.
+    """
+    camera = dump.line_camera
+    label_matters = isinstance(camera, LineCamera) and camera.time_of_row != "middle"
+    for one in omissions:
+        if one.cause == Cause.OTHER_SMEAR:
+            yield Finding(
+                cause="TDI stages",
+                item=f"strip {one.name}",
+                text=f"{one.reason}.",
+                file="remote_camera.toml",
+                field="tdi_stages, time_of_row",
+                refutes=label_matters,
+            )
 
 
 def _assumed_noise(head: Head) -> Finding:

@@ -34,6 +34,7 @@ from boresight.pipeline.files.dump import Strip
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
+from boresight.star_id.strip_stars.fit import LEAST_GAIN
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.strip_stars.strip_names import (
     Directions,
@@ -42,6 +43,7 @@ from boresight.star_id.strip_stars.strip_names import (
     name_stars,
     vote_for_rotation,
 )
+from boresight.star_id.strip_stars.trace import Motion
 
 __all__ = [
     "NAME_UNSURE",
@@ -59,6 +61,8 @@ __all__ = [
 NAME_UNSURE = "name unsure"
 _NODES = 33  # lines at which the motion of the image points is given
 NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors (set by hand)
+_OF_STAGES = "check tdi_stages and time_of_row in remote_camera.toml"
+_LEAST_SMEAR = 1.0  # rows from which TDI stages give a star another shape than the optics do
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
 # Margin around a strip's field, rad, within which catalogue stars are looked up: more than aberration and
 # refraction.
@@ -131,6 +135,8 @@ def find_sky_stars(task: SkyTask) -> StripStars | Omission:
     motion = strip_motion(task, task.R_cs0)
     if reason := _impossible(task, motion):
         return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
+    if too_long := _too_long(task, motion.usual):
+        return too_long
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
     try:
         found = find_strip_stars(task.strip.images, motion, task.settings, saturation)
@@ -139,6 +145,10 @@ def find_sky_stars(task: SkyTask) -> StripStars | Omission:
     if not len(found.ccd):
         pixels = sum(lines * samples for lines, samples in task.strip.images.shapes.values())
         return task.item.because(f"no star in its {pixels:.3g} pixels", Cause.NOT_IDENTIFIED)
+    smear = float(motion.usual.smear_rows.max())
+    if smear > _LEAST_SMEAR and found.gain_e_per_dn < 1.1 * LEAST_GAIN:
+        reason = f"{task.stages} stages would smear its stars over {smear:.0f} rows; they are not"
+        return task.item.because(f"{reason}: {_OF_STAGES}", Cause.OTHER_SMEAR)
     return found
 
 
@@ -283,13 +293,21 @@ def _impossible(task: SkyTask, motion: StripMotion) -> str:
     slowest = float(np.abs(usual.rate).min())
     if slowest < _SLOWEST:
         return f"its stars move {slowest:.3f} pixels a row along the stages, {_SLOWEST} are needed"
-    if (smear := float(usual.smear_rows.max())) > task.settings.max_smear_rows:
-        against = ", against the motion of the charge" if usual.rate[0] < 0.0 else ""
-        return (
-            f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
-            f"{task.stages} stages{against}; scan with the stages at a pixel a row, or with fewer of them"
-        )
     return ""
+
+
+def _too_long(task: SkyTask, usual: Motion) -> Omission | None:
+    """A strip whose stars the TDI stages smear too far to be found."""
+    if (smear := float(usual.smear_rows.max())) <= task.settings.max_smear_rows:
+        return None
+    if usual.rate[0] < 0.0:
+        reason = f"{task.stages} stages smear its stars over {smear:.0f} rows against the charge"
+        return task.item.because(f"{reason}: {_OF_STAGES}", Cause.OTHER_SMEAR)
+    reason = (
+        f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
+        f"{task.stages} stages; scan with the stages at a pixel a row, or with fewer of them"
+    )
+    return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
 
 
 def _directions(

@@ -19,7 +19,7 @@ from boresight.star_id.finding.window_fit import by_parameter, newton_step, star
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images
 
-__all__ = ["TraceFits", "fit_traces", "gain_from_windows", "width_of"]
+__all__ = ["LEAST_GAIN", "TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
 # Most Newton steps of a star's place, flux and sky (set by hand).
 _STEPS = 12
@@ -36,8 +36,10 @@ _LEAST_SHOWN = 0.67
 # Widths of the optics that are searched, px: narrower ones are hidden by the pixel, wider ones out of
 # focus.
 _WIDTHS_PX = (0.2, 2.0)
-# Gains that are searched, electrons per DN: of any detector; beyond, photons add nothing.
-_GAINS = (0.1, 1e4)
+# Least gain that is searched, electrons per DN: less has no detector, and what seems to be its noise is an
+# image that is not of the model.
+LEAST_GAIN = 0.1
+_GAINS = (LEAST_GAIN, 1e4)  # beyond, photons add nothing
 # Number of these, in factors of 1.2: a strip's stars tell the gain to 0.2 at best.
 _GAIN_STEPS = 61
 # Largest loss of log likelihood, times 2, that one star may have against its own best gain: 3 sigma

@@ -250,13 +250,30 @@ def test_the_same_points_under_other_ids_count_once(told, right):
     assert (finding.cause, finding.file) == ("given twice", "points.csv")
 
 
-def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(made_once, tmp_path):
-    """In two scans to and fro, a clock of both by 60 ms turns the matrix as one of a single scan by 120 ms."""
-    scans = made_once("two-scans", lambda folder: fault_dumps.sound_dump("scans", 2, folder)) / "scans-2"
-    fault_dumps.linked(scans, tmp_path / "dump")
-    edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], 0.06)), tmp_path / "dump")
-    found = calibrate_dump(open_dump(tmp_path / "dump"))
+@pytest.fixture
+def two_scans(made_once, tmp_path) -> Path:
+    """Two scans of the sky, to and fro, as a dump of which tables may be rewritten."""
+    sound = made_once("two-scans", lambda folder: fault_dumps.sound_dump("scans", 2, folder)) / "scans-2"
+    fault_dumps.linked(sound, tmp_path / "scans")
+    return tmp_path / "scans"
+
+
+def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(two_scans):
+    """In scans to and fro, a clock of both by 60 ms turns the matrix as one of a single scan by 120 ms."""
+    edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], 0.06)), two_scans)
+    found = calibrate_dump(open_dump(two_scans))
     first = found.verdict.findings[0]
     assert (first.cause, first.item) == ("clock of the rows", "all strips")
     assert first.value == pytest.approx(-60.0, abs=5.0 * first.sigma)  # ms
     assert "or strip sky01; or strip sky02; or clock of the exposures" in first.text
+
+
+@pytest.mark.parametrize(("stages", "label", "refutes"), [(4, "start", True), (128, "middle", False)])
+def test_stages_that_would_smear_a_scan_against_the_charge_are_told(two_scans, stages, label, refutes):
+    """The images have one stage; a label at the start of four would date rows two periods wrong."""
+    change(two_scans / "remote_camera.toml", "tdi_stages = 1\n", f"tdi_stages = {stages}\n")
+    change(two_scans / "remote_camera.toml", 'time_of_row = "middle"', f'time_of_row = "{label}"')
+    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+    assert (told.cause, told.item, told.refutes) == ("TDI stages", "strip sky02", refutes)
+    assert f"{stages} stages" in told.text and "check tdi_stages and time_of_row" in told.text
+    assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
