@@ -301,7 +301,7 @@ def _too_long(task: SkyTask, usual: Motion) -> Omission | None:
     if (smear := float(usual.smear_rows.max())) <= task.settings.max_smear_rows:
         return None
     if usual.rate[0] < 0.0:
-        reason = f"{task.stages} stages smear its stars over {smear:.0f} rows against the charge"
+        reason = f"its stars move against the motion of the charge, {smear:.0f} rows in {task.stages} stages"
         return task.item.because(f"{reason}: {_OF_STAGES}", Cause.OTHER_SMEAR)
     reason = (
         f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
