@@ -25,7 +25,7 @@ from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import make_own_folder
 from boresight.pipeline.report.dumps_page import write_dumps_report
-from boresight.pipeline.report.evidence import write_evidence
+from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.no_result import write_no_result
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.strip_overview import overview, overview_tasks
@@ -203,6 +203,7 @@ def _jointly_calibrated(
     _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
     text = "\n".join([text, *_required(out)])
     if request.report:
+        write_joint_evidence(out, joint)
         _draw_dumps(out)
     verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
     return RunOutcome(text, frozenset(verdict.outcome for verdict in verdicts), _is_met(out))

@@ -1,6 +1,7 @@
 """Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables.
 
-    context.json          mission, dates, cameras, counts, noise scales, iterations, accuracy, footprints
+    context.json          mission, dates, cameras, counts, noise scales, iterations, accuracy, footprints,
+                          uncertainty budget; of several dumps jointly the last alone
     allan.parquet         Allan deviation of attitudes that star cameras deliver
     inputs.parquet        every file of the dump that was read: bytes and SHA-256
     convergence.parquet   theta and its 1-sigma after each further strip
@@ -17,7 +18,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -34,10 +35,12 @@ from boresight.calib.budget import uncertainty_budget
 from boresight.calib.finding import Finding
 from boresight.calib.information import solve_total
 from boresight.calib.noise_spectrum import allan_deviation
+from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
+from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
@@ -47,6 +50,7 @@ from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
+from boresight.pipeline.report.budget_table import CONTEXT
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
@@ -60,12 +64,13 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.head_records import attitude_signal
+from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.plan_forecast import improvements
 from boresight.pipeline.stages.sky_strip import as_matched
 from boresight.pipeline.stages.star_pictures import star_pictures
 
-__all__ = ["write_evidence"]
+__all__ = ["write_evidence", "write_joint_evidence"]
 
 Array = NDArray[np.float64]
 
@@ -112,8 +117,15 @@ def write_evidence(
         )
     context = _context(dump, calibration) | accuracy
     context |= {"findings": [plain(one) for one in found], "scenes": [scene_json(scene) for scene in scenes]}
-    write_json(folder / "context.json", context)
+    write_json(result / CONTEXT, context)
     return found
+
+
+def write_joint_evidence(result: Path, joint: JointCalibration) -> None:
+    """Write `RESULT/evidence/context.json` of several dumps jointly: the uncertainty budget alone."""
+    make_own_folder(result / "evidence")
+    budget = _budget(joint.strips, joint.estimate.R_cs, joint.settings)
+    write_json(result / CONTEXT, {"budget": budget})
 
 
 def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
@@ -184,15 +196,21 @@ def _accuracy(dump: Dump, calibration: DumpCalibration, ground: pa.Table) -> dic
             calibration.settings.sigma_position_m,
             calibration.settings.sigma_clock_s * speed_m_s,
         ),
-        "budget": [
-            {"source": one.source, "covariance_rad2": one.covariance.tolist()}
-            for one in uncertainty_budget(calibration.strips, estimate.R_cs, calibration.settings)
-        ],
+        "budget": _budget(calibration.strips, estimate.R_cs, calibration.settings),
         "improvements": [
             {"change": one.change, "sigma_rad": (estimate.sigma_theta * one.sigma_ratio).tolist()}
             for one in found
         ],
     }
+
+
+def _budget(
+    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+) -> list[dict[str, Any]]:
+    return [
+        {"source": one.source, "covariance_rad2": one.covariance.tolist()}
+        for one in uncertainty_budget(strips, R_cs, settings)
+    ]
 
 
 def _over_ground(dump: Dump, calibration: DumpCalibration) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from markupsafe import Markup
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
@@ -79,7 +80,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
         shapes=SHAPES,
         accuracy=_by_strip(saved, saved.context["accuracy"], saved.context_number),
         checked=_checked(saved),
-        budget=_budget(saved),
+        budget=budget_rows(saved.context, saved.installation),
         predicted={
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
@@ -175,18 +176,6 @@ def _iterations(saved: Saved) -> list[dict[str, Any]]:
         }
         for n in range(len(saved.context["iterations"]))
     ]
-
-
-def _budget(saved: Saved) -> list[dict[str, Any]]:
-    """What each source of error contributes to the variances, of a result that knows it."""
-    total = [saved.installation["covariance_rad2"][i][i] for i in range(3)]
-    rows = []
-    for n, one in enumerate(saved.context.get("budget", ())):
-        key = f"budget.{n}.covariance_rad2"
-        share = [100.0 * one["covariance_rad2"][i][i] / total[i] for i in range(3)]
-        percent = [saved.context_number(f"{key}.{i}.{i}", ".1f", scale=100.0 / total[i]) for i in range(3)]
-        rows.append({"source": one["source"], "percent": percent, "width": [f"{x:.1f}" for x in share]})
-    return rows
 
 
 def _checked(saved: Saved) -> dict[str, Any] | None:

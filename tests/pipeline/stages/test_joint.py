@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import app
 from fixture_strips import stopped_run, strip_of_fixture
+from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -173,6 +174,28 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     assert "no sign that the mounting has moved" in ran("drift", joint, "--out", tmp_path)
     alone = json.loads((tmp_path / "drift.json").read_text())
     assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
+
+
+def test_the_page_shows_the_budget_of_the_joint_covariance(joint: Path) -> None:
+    budget = json.loads((joint / "evidence" / "context.json").read_text())["budget"]
+    total = np.diag(matrix(joint)["covariance_rad2"])
+    parts = {one["source"]: 100.0 * np.diag(one["covariance_rad2"]) / total for one in budget}
+    # A share is a derivative by a step of a thousandth of a variance, which leaves out as much of it.
+    assert sum(parts.values()) == approx(100.0, abs=0.1)  # %
+    page = (joint / "report.html").read_text()
+    rows = dict(
+        re.findall(r'<tr><th scope="row">([^<]+)</th>(<td><data [^>]*"evidence/context.json.*?)</tr>', page)
+    )
+    assert list(rows) == list(parts)  # the largest first
+    for source, row in rows.items():
+        assert [float(shown) for shown in re.findall(r">(-?[\d.]+)</data>", row)] == approx(
+            parts[source], abs=0.05
+        )
+    alone = json.loads((joint / NAMES[0] / "evidence" / "context.json").read_text())["budget"]
+    # Three dumps average what differs from dump to dump, and share what the camera does to all of them alike.
+    own = {one["source"]: np.diag(one["covariance_rad2"])[2] for one in alone}
+    share = own["distortion over the field"] / matrix(joint / NAMES[0])["covariance_rad2"][2][2]
+    assert parts["distortion over the field"][2] > 100.0 * share
 
 
 def test_a_required_accuracy_is_that_of_the_joint_matrix(joint: Path, tmp_path: Path) -> None:
