@@ -263,6 +263,7 @@ def _measured_one(
         expected_px=xy_px,
         residual_px=found_px - xy_px,
         template=template.image,
+        place_px=xy_px - template.origin_px,
     )
 
 

@@ -185,6 +185,7 @@ class TargetMatch(TemplateMatch):
     expected_px: Floats = array("2", "(sample, line) predicted with the rotation that was searched for")
     residual_px: Floats = array("2", "xy_px minus the position predicted with the common rotation")
     template: Image = array("H, W", "chip as the strip should show it, on the strip's pixel grid")
+    place_px: Floats = array("2", "(column, row) of the surveyed point in `template` and `found`")
 
 
 @record(kw_only=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import struct
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy.special import chdtrc
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.ground_map import OUT_OF_VIEW, REJECTED, UNMATCHED, USED
 from boresight.pipeline.report.marks import strip_style
@@ -16,6 +18,7 @@ from boresight.pipeline.report.saved import Number, Saved
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [
+    "Aims",
     "ExposureCard",
     "Pictures",
     "TargetCard",
@@ -30,6 +33,15 @@ GROUND, TARGETS = "evidence/ground", "sightings/targets"  # tables of a result, 
 
 
 @record(kw_only=True)
+class Aims:
+    """Cross-hairs of one picture, (column, row) in its pixels, from its upper left corner."""
+
+    size: tuple[int, int] = scalar("width and height of the picture, px")
+    matched: tuple[float, float] | None = scalar("where the target was found")
+    predicted: tuple[float, float] | None = scalar("where it was predicted for the search")
+
+
+@record(kw_only=True)
 class Pictures:
     """Pictures of one card as data URIs."""
 
@@ -39,6 +51,8 @@ class Pictures:
     surface: str = scalar("correlation around that place; empty: of a star")
     low: Number = scalar("lowest correlation of the surface; of a star the counts shown black")
     high: Number = scalar("highest correlation of the surface; of a star the counts shown white")
+    aims: Mapping[str, Aims] = scalar("cross-hairs by picture; none of a star")
+    off: tuple[Number, ...] = scalar("sample and line found minus predicted; empty: not found")
 
 
 @record(kw_only=True)
@@ -181,6 +195,7 @@ def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
     row = getattr(saved, table).slice(n, 1).to_pylist()[0]
     if not row["template_png"]:  # measured elsewhere
         return None
+    off = [saved.cell(f"evidence/{table}", f"off_{axis}_px", n, "+.2f") for axis in "xy"]
     return Pictures(
         template=data_uri("image/png", row["template_png"]),
         found=data_uri("image/png", row["found_png"]),
@@ -188,7 +203,38 @@ def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
         surface=data_uri("image/png", row["surface_png"]),
         low=saved.cell(f"evidence/{table}", "surface_low", n, "+.2f"),
         high=saved.cell(f"evidence/{table}", "surface_high", n, "+.2f"),
+        aims=_aims(row),
+        off=tuple(off) if np.isfinite(off[0].exact) else (),
     )
+
+
+def _aims(row: Mapping[str, Any]) -> dict[str, Aims]:
+    """Cross-hairs of chip, strip and correlation of a row of evidence/matches or evidence/unmatched."""
+    place, off, peak = (np.array([row[f"{name}_x{px}"], row[f"{name}_y{px}"]]) for name, px in PLACES)
+    at = {"found": (place, place - off), "surface": (peak + off, peak)}
+    if np.isfinite(off).all():
+        at["template"] = place, np.full(2, np.nan)
+    else:  # what is shown is the predicted place
+        at |= {"template": (off, place), "found": (off, place)}
+    return {
+        name: Aims(size=_size(row[f"{name}_png"]), matched=_corner(matched), predicted=_corner(predicted))
+        for name, (matched, predicted) in at.items()
+    }
+
+
+PLACES = ("place", ""), ("off", "_px"), ("surface", "")
+
+
+def _corner(at: Floats) -> tuple[float, float] | None:
+    """A place from the corner of the first pixel instead of its middle; None for NaN."""
+    x, y = (round(float(value) + 0.5, 2) for value in at)
+    return (x, y) if np.isfinite(x) else None
+
+
+def _size(png: bytes) -> tuple[int, int]:
+    """Width and height that a PNG states, px."""
+    width, height = struct.unpack(">II", png[16:24])
+    return width, height
 
 
 def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:

@@ -110,8 +110,12 @@ def _numbers(saved: Saved, row: int) -> dict[str, Number]:
 def _pictures(saved: Saved, n: int) -> Pictures:
     row = saved.matches.slice(n, 1).to_pylist()[0]
     return Pictures(
-        **{name: data_uri("image/png", row[f"{name}_png"]) for name in ("template", "found", "difference")},
+        template=data_uri("image/png", row["template_png"]),
+        found=data_uri("image/png", row["found_png"]),
+        difference=data_uri("image/png", row["difference_png"]),
         surface="",
+        aims={},
+        off=(),
         low=saved.cell("evidence/matches", "surface_low", n, ".0f"),
         high=saved.cell("evidence/matches", "surface_high", n, ".0f"),
     )

@@ -16,7 +16,7 @@ from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.record_tables import ITEMS
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.report.ground_map import UNMATCHED, MapScene, StripOnGround
-from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
+from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
 from boresight.pipeline.stages.strip import read_chip
 
 __all__ = ["unmatched_pictures"]
@@ -74,4 +74,9 @@ def _pictures(one: StripOnGround, row: dict[str, Any], surface: Surface) -> Matc
     design = np.column_stack([expected.ravel(), np.ones(expected.size)])
     gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
     residual = (found - (gain * expected + offset)).astype(np.float32)
-    return match_pictures(expected, found, residual, surface_px)
+    places = Places(
+        in_chip=xy_px - (x0, y0),
+        in_surface=np.array([x0 - left, y0 - top], dtype=float),
+        off_px=np.full(2, np.nan),
+    )
+    return match_pictures(expected, found, residual, surface_px, places)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
+__all__ = ["NO_PICTURES", "MatchPictures", "Places", "match_pictures", "trace_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
 # Side of the part of a correlation surface that is kept for the report, px.
@@ -25,17 +25,40 @@ class MatchPictures:
     surface_png: bytes = scalar("correlation surface of the search around that position; empty: of a star")
     surface_low: float = scalar("correlation shown black; of a star the counts that its strip shows black")
     surface_high: float = scalar("correlation shown white; of a star counts")
+    place_x: float = scalar(
+        "column of the target's point in chip and strip, px; NaN: of a star", default=np.nan
+    )
+    place_y: float = scalar("its row", default=np.nan)
+    off_x_px: float = scalar(
+        "its sample found minus that predicted for the search; NaN: not found", default=np.nan
+    )
+    off_y_px: float = scalar("the same of the line", default=np.nan)
+    surface_x: float = scalar("column of the predicted place in the surface", default=np.nan)
+    surface_y: float = scalar("its row", default=np.nan)
 
 
 NO_PICTURES = MatchPictures(b"", b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
 
 
-def match_pictures(template: NDArray, found: NDArray, residual: NDArray, surface: NDArray) -> MatchPictures:
+@record(kw_only=True)
+class Places:
+    """Where the target's point is in the pictures of one match, (column, row) in their pixels."""
+
+    in_chip: Floats = array("2", "in template and strip; of a target that was not found the predicted place")
+    in_surface: Floats = array("2", "the predicted place in the correlation surface")
+    off_px: Floats = array("2", "place found minus place predicted, px of the strip; NaN: not found")
+
+
+def match_pictures(
+    template: NDArray, found: NDArray, residual: NDArray, surface: NDArray, places: Places
+) -> MatchPictures:
     """Pictures of a template (H, W), the strip at its place, a fit's residual and the correlation surface.
 
     Template and strip are stretched alike (1 % of the pixels black, 1 % white). The difference spans as
     many grey values of the strip from black to white as the strip's own picture.
     """
+    in_chip = places.in_chip - _cut(template, MOST_PX)
+    in_surface = places.in_surface - _cut(surface, SURFACE_PX)
     surface = _middle(surface, SURFACE_PX)
     finite = surface[np.isfinite(surface)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -49,6 +72,7 @@ def match_pictures(template: NDArray, found: NDArray, residual: NDArray, surface
         _png(surface, low, high),
         low,
         high,
+        *(float(one) for at in (in_chip, places.off_px, in_surface) for one in at),
     )
 
 
@@ -80,9 +104,14 @@ def _stretch(image: NDArray) -> tuple[float, float]:
 
 
 def _middle(image: NDArray, most: int) -> NDArray:
-    h, w = image.shape
-    top, left = max((h - most) // 2, 0), max((w - most) // 2, 0)
+    left, top = _cut(image, most)
     return np.asarray(image[top : top + most, left : left + most], dtype=np.float64)
+
+
+def _cut(image: NDArray, most: int) -> tuple[int, int]:
+    """Columns and rows that `_middle` cuts off before the first one that it keeps."""
+    h, w = image.shape
+    return max((w - most) // 2, 0), max((h - most) // 2, 0)
 
 
 def _png(image: NDArray, low: float, high: float) -> bytes:

@@ -40,7 +40,7 @@ from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.coordinate_slips import contradiction
-from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
+from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, Places, match_pictures
 
 __all__ = [
     "Contradicting",
@@ -150,7 +150,9 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
     pictures: dict[tuple[str, int], MatchPictures] = {}
 
     def keep(match: TargetMatch) -> TargetMatch:
-        shown = match_pictures(match.template, match.found, match.residual, match.surface)
+        middle = 0.5 * (np.array(match.surface.shape[::-1]) - 1.0)  # the search goes as far to all sides
+        places = Places(in_chip=match.place_px, in_surface=middle, off_px=match.xy_px - match.expected_px)
+        shown = match_pictures(match.template, match.found, match.residual, match.surface, places)
         pictures[match.target_id, match.ccd] = shown
         return replace(match, template=NOTHING, found=NOTHING, residual=NOTHING, surface=NOTHING)
 

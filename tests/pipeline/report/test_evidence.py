@@ -25,6 +25,7 @@ from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.stages.match_pictures import Places, match_pictures
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings
 
@@ -96,6 +97,31 @@ def test_pictures_of_a_match_show_the_same_place(finished):
         inner = (slice(8, -8), slice(8, -8))
         assert np.corrcoef(template[inner].ravel(), found[inner].ravel())[0, 1] > 0.8
         assert -1.0 <= row["surface_low"] < row["surface_high"] <= 1.001
+        peak = np.unravel_index(surface.argmax(), surface.shape)[::-1]  # whole px
+        at = [row["surface_x"] + row["off_x_px"], row["surface_y"] + row["off_y_px"]]
+        assert np.abs(np.subtract(peak, at)).max() < 1.0  # half a pixel of the peak, and the fit's own change
+        middle = 0.5 * (np.array(template.shape[::-1]) - 1.0)
+        assert np.abs(middle - (row["place_x"], row["place_y"])).max() < 1.0  # of chips inside their strip
+
+
+def test_places_are_those_of_pictures_cut_about_their_middle():
+    rng = np.random.default_rng(3)
+    chip, surface = rng.normal(size=(230, 201)), rng.normal(size=(121, 131))
+    chip[70, 130], surface[40, 30] = 50.0, 50.0  # brightest
+    places = Places(
+        in_chip=np.array([130.0, 70.0]), in_surface=np.array([28.0, 43.0]), off_px=np.array([2.0, -3.0])
+    )
+    made = match_pictures(chip, chip, chip, surface, places)
+    shown, peaks = (
+        cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED).astype(float)
+        for png in (made.difference_png, made.surface_png)
+    )
+    assert shown.shape == (160, 160) and peaks.shape == (96, 96)
+    for picture, x, y in (
+        (shown, made.place_x, made.place_y),
+        (peaks, made.surface_x + made.off_x_px, made.surface_y + made.off_y_px),
+    ):
+        assert picture[round(y), round(x)] == picture.max() == 255.0
 
 
 def test_spread_of_cross_angles_is_the_predicted_one():

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command_line import app
@@ -18,7 +19,7 @@ from pytest import approx
 from typer.testing import CliRunner
 
 from boresight.pipeline.report.page import report_html
-from boresight.pipeline.report.saved import read_saved
+from boresight.pipeline.report.saved import Saved, read_saved
 
 SECTIONS = {
     "map",
@@ -265,6 +266,26 @@ def test_of_too_many_targets_the_worst_have_pictures_and_all_have_a_card(finishe
     shown = {n for n, _ in page.all("img")}
     (card,) = [n for n in cards if f"{worst}, strip" in page.texts[n]]
     assert shown & set(page.children[card])
+
+
+def test_cards_have_a_cross_hair_where_a_target_was_found_and_one_where_it_was_predicted(finished):
+    saved = read_saved(finished[1])
+    targets = len(saved.targets)
+    # In chip, strip and correlation; in the chip the predicted place is that of the target as well.
+    assert cross_hairs(saved) == (3 * targets, 2 * targets, targets)
+    nowhere, table = pa.array(np.full(targets, np.nan)), saved.matches
+    for name in ("off_x_px", "off_y_px"):
+        table = table.set_column(table.schema.get_field_index(name), name, nowhere)
+    # As of targets that were not found: all pictures show the predicted place.
+    assert cross_hairs(replace(saved, matches=table)) == (0, 3 * targets, 0)
+
+
+def cross_hairs(saved: Saved) -> tuple[int, int, int]:
+    """Cross-hairs of places found and of places predicted, and sentences that tell the distance."""
+    page = Page(report_html(saved))
+    kinds = [attributes.get("class") for _, attributes in page.all("path")]
+    told = sum(page.texts[n].startswith("+ found, × predicted") for n, _ in page.all("p"))
+    return kinds.count("matched"), kinds.count("predicted"), told
 
 
 def test_required_accuracy_is_kept_and_compared_with_each_axis(finished, tmp_path):

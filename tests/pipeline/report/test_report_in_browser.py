@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import csv
 import importlib.util
+import io
 import itertools
 import json
 import re
@@ -15,6 +16,7 @@ import tempfile
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ import pytest
 import rasterio
 from command_line import app
 from fixture_strips import stopped_run, strip_of_fixture
+from PIL import Image
 from tornado.websocket import websocket_connect
 from typer.testing import CliRunner
 
@@ -271,6 +274,25 @@ BARS = """(() => {
 })()"""
 
 
+@pytest.mark.parametrize("signed", [True, False])
+def test_a_print_leaves_matrix_and_budget_to_the_sheets_that_are_signed_where_there_are_any(
+    address, tmp_path, signed
+):
+    style = (files("boresight.pipeline.report") / "templates" / "style.css").read_text()
+    sheets = "<div class=signed>sheets</div>" if signed else ""
+    parts = "<section id=matrix>R</section><div id=budget>%</div><svg class=plot><text>1</text></svg>"
+    page = tmp_path / "page.html"
+    page.write_text(f"<!DOCTYPE html><style>{style}</style><main>{sheets}{parts}</main>")
+
+    async def look() -> list[bool]:
+        browser = await opened(address)
+        await browser.go(page, 794, "light", "print")
+        ids = "['matrix', 'budget'].map((id) => document.getElementById(id).offsetHeight > 0)"
+        return list(await browser.value(ids))
+
+    assert asyncio.run(look()) == [not signed] * 2
+
+
 @pytest.mark.parametrize(
     ("width", "media"), [(400, "screen"), (1280, "screen"), (2560, "screen"), (794, "print")]
 )
@@ -300,6 +322,7 @@ def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(addres
         await settled(browser)
         seen["card"] = await browser.value(f"{panel}.hidden ? '' : {panel}.innerText")
         seen["pictures"] = await browser.value(f"{panel}.querySelectorAll('img').length")
+        seen["aims"] = await browser.value(AIMS % panel)
         await browser.value(f"{panel}.querySelector('[data-to=map]').click()")
         await settled(browser)
         seen["view"] = await browser.value("document.querySelector('#map-sheet').getAttribute('viewBox')")
@@ -330,6 +353,31 @@ def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(addres
     assert 0 < x < width and 0 < y < height and 0 < top < inner
     assert seen["dots"] == 6 and seen["back"] == f"#{link}" and seen["closed"]
     assert other["target_id"] in seen["unmatched"] and other["reason"] in seen["unmatched"]
+    mine = [("target_id", "=", one["target_id"])]
+    (row,) = pq.read_table(faulty / "evidence/matches.parquet", filters=mine).to_pylist()
+    size = Image.open(io.BytesIO(row["surface_png"])).size
+    brightest = np.asarray(Image.open(io.BytesIO(row["surface_png"]))).argmax()
+    peak = np.array([brightest % size[0], brightest // size[0]]) + 0.5  # from the corner
+    matched, predicted = (
+        np.array(seen["aims"]["correlation"][kind]) * size for kind in ("matched", "predicted")
+    )
+    # A whole pixel about the brightest one, and less than a tenth by the rounding of the screen's pixels.
+    assert np.abs(matched - peak).max() < 1.1
+    assert np.abs(matched - predicted - (row["off_x_px"], row["off_y_px"])).max() < 0.1
+    assert set(seen["aims"]["chip, as expected"]) == {"matched"} and "difference" not in seen["aims"]
+
+
+# Middles of the cross-hairs of a card, in parts of its pictures' width and height, by picture and kind.
+AIMS = """(() => {
+  const found = {};
+  for (const figure of %s.querySelectorAll("figure"))
+    for (const path of figure.querySelectorAll(".aims path:not(.rim)")) {
+      const [p, f] = [path, figure.querySelector("img")].map((e) => e.getBoundingClientRect());
+      const at = [((p.left + p.right) / 2 - f.left) / f.width, ((p.top + p.bottom) / 2 - f.top) / f.height];
+      (found[figure.querySelector("figcaption").textContent] ??= {})[path.getAttribute("class")] = at;
+    }
+  return found;
+})()"""
 
 
 PLACE = """(() => {
