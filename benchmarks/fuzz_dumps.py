@@ -107,7 +107,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             wanted = unclear(options.again) if options.again else set(range(options.mutations))
             fuzz(Path(folder), FIXTURES / options.dump, options, wanted)
-    summarise([json.loads(line) for file in files for line in file.read_text().splitlines()])
+    lines = [json.loads(line) for file in files for line in file.read_text().splitlines()]
+    summarise(lines, options.dump)
     sys.exit(exit_status())
 
 
@@ -288,9 +289,9 @@ def rotation_in_space(found: DumpCalibration, sound: DumpCalibration) -> float:
     return float(np.sqrt(rotation @ np.linalg.solve(sound.estimate.cov_theta, rotation)))
 
 
-def summarise(lines: list[dict[str, Any]]) -> None:
+def summarise(lines: list[dict[str, Any]], dump: str) -> None:
     """Counts, what was slow or wrong, and the errors of the input that the data do not reveal."""
-    head("One number of fixtures/mini changed at a time, calibrated from pixels")
+    head(f"One number of fixtures/{dump} changed at a time, calibrated from pixels")
     count = Counter(line["outcome"] for line in lines)
     print(f"{len(lines)} mutations: " + ", ".join(f"{n} {kind}" for kind, n in count.most_common()))
     seconds = sorted(line["seconds"] for line in lines)
