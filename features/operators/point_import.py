@@ -15,6 +15,7 @@ import rasterio
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
+from boresight.geometry.constants import WGS84
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_regular
@@ -27,6 +28,20 @@ __all__ = ["MeasuredPoints", "PointErrors", "points_csv", "read_measured_points"
 # Image coordinates of these formats begin at the corner of the first pixel, ours in its middle: half a
 # pixel, px.
 CORNER = 0.5
+DATUM = "# WKT:"  # what ASP writes before the datum of its points
+# Numbers of a point in ASP's order, without the image's name.
+ASP_NUMBERS = (
+    "latitude",
+    "longitude",
+    "height",
+    "sigma 1",
+    "sigma 2",
+    "sigma 3",
+    "x",
+    "y",
+    "sigma x",
+    "sigma y",
+)
 # Most points of a file.
 MOST_POINTS = 500_000
 
@@ -93,13 +108,21 @@ def _points(
     )
 
 
-def _to_degrees(crs: CRS | str | None, file: str) -> Transformer:
+def _to_degrees(crs: str | None, file: str) -> Transformer:
+    known = _crs(crs or "EPSG:4326", file, "CRS")
     try:
-        return Transformer.from_crs(CRS.from_user_input(crs or "EPSG:4326"), "EPSG:4326", always_xy=True)
-    except (CRSError, ProjError, TypeError) as error:
+        return Transformer.from_crs(known, "EPSG:4326", always_xy=True)
+    except ProjError as error:
         raise RawDataError(
-            file, "CRS", str(crs)[:80], "a coordinate reference system that PROJ knows"
+            file, "CRS", known.name[:80], "a system with a transformation to WGS 84"
         ) from error
+
+
+def _crs(text: str, file: str, field: str) -> CRS:
+    try:
+        return CRS.from_user_input(text)
+    except (CRSError, ProjError, TypeError) as error:
+        raise RawDataError(file, field, text[:80], "a coordinate reference system that PROJ knows") from error
 
 
 def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> MeasuredPoints:
@@ -108,7 +131,8 @@ def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> Meas
     lines = read_text(path, file).splitlines()
     head = next((line for line in lines if line.startswith("#CRS:")), None)
     to_degrees = _to_degrees(None if head is None else head.removeprefix("#CRS:").strip(), file)
-    table = csv.DictReader(line for line in lines if line.strip() and not line.startswith("#"))
+    numbered = [one for one in enumerate(lines, start=1) if one[1].strip() and not one[1].startswith("#")]
+    table = csv.DictReader(line for _, line in numbered)
     columns = {"x": ("sourceX", "pixelX"), "y": ("sourceY", "pixelY"), "X": ("mapX",), "Y": ("mapY",)}
     rows, disabled = [], 0
     try:
@@ -116,12 +140,12 @@ def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> Meas
             if (row.get("enable") or "1").strip() == "0":
                 disabled += 1
                 continue
-            number = {}
+            where, number = f"line {numbered[table.line_num - 1][0]}", {}
             for key, names in columns.items():
                 cell = next((row[name] for name in names if row.get(name) is not None), None)
                 if cell is None:
-                    raise RawDataError(file, f"point {n}", f"no {names[0]}", f"columns {', '.join(names)}")
-                number[key] = check_number(cell, file, f"point {n}, {names[0]}")
+                    raise RawDataError(file, where, f"no {names[0]}", f"a column {' or '.join(names)}")
+                number[key] = check_number(cell, file, f"{where}, {names[0]}")
             lon, lat = to_degrees.transform(number["X"], number["Y"])
             place = (number["x"] - CORNER, -number["y"] - CORNER, lat, lon, errors.height_m)
             rows.append((f"p{n:05d}", place))
@@ -136,7 +160,9 @@ def _asp(path: Path, file: str, errors: PointErrors, image: str | None) -> Measu
     """
     names, numbers = [], []
     images: set[str] = set()
-    for line, cells in _words(read_text(path, file)):
+    text = read_text(path, file)
+    _check_datum(text, file)
+    for line, cells in _words(text):
         if len(cells) < 12 or (len(cells) - 7) % 5:
             raise RawDataError(file, line, f"{len(cells)} words", "7 of the point, then 5 for each image")
         for at in range(7, len(cells), 5):
@@ -145,7 +171,7 @@ def _asp(path: Path, file: str, errors: PointErrors, image: str | None) -> Measu
                 continue
             words = (*cells[1:7], *cells[at + 1 : at + 5])
             names.append(f"p{cells[0]}")
-            numbers.append([check_number(word, file, line) for word in words])
+            numbers.append([check_number(*pair) for pair in _fields(words, file, line)])
     if len(images) > 1 and image is None:
         raise RawDataError(file, "images", ", ".join(sorted(images)[:4]), "the option --image, to choose one")
     values = np.array(numbers, dtype=float).reshape(len(names), 10)
@@ -156,6 +182,24 @@ def _asp(path: Path, file: str, errors: PointErrors, image: str | None) -> Measu
         lat_lon_height=values[:, :3],
         sigma_m=values[:, 3:6],
     )
+
+
+def _fields(words: Sequence[str], file: str, line: str) -> Iterator[tuple[str, str, str]]:
+    """Each number of a point and an image as `check_number` takes it."""
+    return ((word, file, f"{line}, {name}") for name, word in zip(ASP_NUMBERS, words))
+
+
+def _check_datum(text: str, file: str) -> None:
+    """`RawDataError` where a file's "# WKT:" is not of latitudes and longitudes on WGS 84."""
+    for n, line in enumerate(text.splitlines(), start=1):
+        if not line.startswith(DATUM):
+            continue
+        wkt = line.removeprefix(DATUM).strip()
+        crs = _crs(wkt, file, f"line {n}, # WKT")
+        axis_m = crs.ellipsoid.semi_major_metre if crs.ellipsoid else 0.0
+        if not crs.is_geographic or abs(axis_m - WGS84.semi_major_m) > 1.0:
+            expected = "latitudes and longitudes on WGS 84"
+            raise RawDataError(file, f"line {n}, # WKT", f"{crs.name[:64]}, {crs.type_name}", expected)
 
 
 def _words(text: str) -> Iterator[tuple[str, list[str]]]:

@@ -21,6 +21,7 @@ __all__ = ["AcmAttitudes", "is_acm", "read_acm"]
 
 MARK, VERSION = "CCSDS_ACM_VERS", "2.0"  # first keyword of a message, and its value (CCSDS 504.0-B-2)
 BLOCKS = ("META", "ATT", "PHYS", "COV", "MAN", "AD", "USER")  # names that stand before _START and _STOP
+SENSOR = ("SENSOR_START", "SENSOR_STOP")  # edges of the sensors inside AD
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # components of a row of attitude, scalar last
 ANGLES = ("X", "Y", "Z")  # of the variances in a row
 
@@ -108,7 +109,7 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
             block.rows.append((number, line.split()))
             if len(block.rows) > MAX_ROWS:
                 raise RawDataError(file, f"line {number}", f"more than {MAX_ROWS} lines", "fewer")
-        elif block.name != "MAN":
+        elif block.name != "MAN" and not (block.name == "AD" and line in SENSOR):
             raise RawDataError(file, f"line {number}", line, "KEYWORD = value, or a block")
     if block.name:
         raise RawDataError(file, "end of the file", f"inside {block.name}", "META, and ATT_STOP of attitudes")

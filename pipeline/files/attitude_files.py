@@ -23,7 +23,7 @@ from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
-from boresight.pipeline.files.orbit_file import tai_seconds
+from boresight.pipeline.files.orbit_file import SAME_FRAME, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
 
@@ -31,7 +31,6 @@ __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", 
 
 # Names of inertial frames that a file may state.
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
-SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
@@ -41,6 +40,9 @@ PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")  # of axes, upper triangle row by r
 COVARIANCES = tuple(f"cov_{pair}_arcsec2" for pair in PAIRS)  # columns of covariances, same axes
 LARGEST_ARCSEC = 36_000.0  # 10 degrees: not a star camera
 UNIT_LENGTH = 1e-3  # tolerated error of a quaternion's length: three decimals, as telemetry may have
+MESSAGES = (
+    "CCSDS_AEM_VERS or CCSDS_ACM_VERS = ..., an AEM in XML, or a CSV file"  # likewise, of its first line
+)
 EXPECTED = "an attitude message that follows CCSDS 504.0-B, or a CSV file"  # what messages say was expected
 
 
@@ -87,8 +89,12 @@ def read_attitudes(
     RawDataError
         With file, line or field, found and expected.
     """
-    start = read_message(path, file).lstrip()
+    text = read_message(path, file)
+    start = text.lstrip()
     message = is_acm(start) or start.startswith(("CCSDS_AEM_VERS", "<"))
+    if start.startswith("CCSDS_") and not message:
+        line = 1 + text[: len(text) - len(start)].count("\n")
+        raise RawDataError(file, f"line {line}", start.splitlines()[0][:64], MESSAGES)
     for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
             raise RawDataError(
@@ -97,9 +103,9 @@ def read_attitudes(
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
     if is_acm(start):
-        rows = _from_acm(read_acm(start, file), file, epoch)
+        rows = _from_acm(read_acm(text, file), file, epoch)
     elif frame is None:
-        segments = _xml_segments(start, file) if start.startswith("<") else _kvn_segments(start, file)
+        segments = _xml_segments(start, file) if start.startswith("<") else _kvn_segments(text, file)
         rows = _from_message(list(segments), file, epoch)
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
@@ -215,7 +221,7 @@ def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
 def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
     if not segments:
         raise RawDataError(file, "segments", "none", EXPECTED)
-    parts = [_segment(meta, states, file, epoch) for meta, states in segments]
+    parts = [_segment(*one, file, epoch) for one in segments]
     return replace(
         parts[0],
         t_s=np.concatenate([part.t_s for part in parts]),
@@ -224,27 +230,28 @@ def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeR
 
 
 State = tuple[str, list[float]]  # time; Q1, Q2, Q3, QC
-Segment = tuple[dict[str, str], list[State]]  # metadata, states
+Segment = tuple[str, dict[str, str], list[State]]  # name in errors, metadata, states
 
 
 def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in KVN form."""
     meta: dict[str, str] = {}
+    fields: dict[str, str] = {}  # keywords as errors name them
     states: list[State] = []
-    part = "header"
+    where, part = "", "header"
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if not line or line.startswith("COMMENT"):
             continue
         if line in ("META_START", "META_STOP", "DATA_START", "DATA_STOP"):
             if line == "META_START":
-                meta, states = {}, []
+                meta, fields, states, where = {}, {}, [], f"META_START of line {number}, "
             if line == "DATA_START":
-                _check_metadata(meta, file)
+                _check_metadata(meta, file, where, fields)
             if line == "DATA_STOP":
                 if part != "DATA_START":
                     raise RawDataError(file, f"line {number}", line, "DATA_START before it")
-                yield meta, states
+                yield where, meta, states
             part = line
         elif part == "DATA_START":
             states.append(_state(line.split(), meta, file, f"line {number}"))
@@ -254,19 +261,22 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
             key, equals, value = line.partition("=")
             if not equals:
                 raise RawDataError(file, f"line {number}", line, "KEYWORD = value")
-            meta[key.strip()] = value.strip()
+            meta[key.strip()], fields[key.strip()] = value.strip(), f"line {number}, {key.strip()}"
     if part not in ("DATA_STOP", "header"):
         raise RawDataError(file, "end of the file", f"after {part}", "DATA_STOP")
 
 
-def _check_metadata(meta: dict[str, str], file: str) -> None:
-    """`RawDataError` where a keyword is missing, or the attitudes are no quaternions."""
+def _check_metadata(meta: dict[str, str], file: str, where: str, fields: Mapping[str, str]) -> None:
+    """`RawDataError` where a keyword is missing, or the attitudes are no quaternions; it names a keyword of
+    `fields` by them, and another as one `where` it is not.
+    """
     for key in ("REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"):
         if key not in meta:
-            raise RawDataError(file, key, "nothing", "this keyword")
+            raise RawDataError(file, where + key, "nothing", "this keyword")
     if not (kind := meta["ATTITUDE_TYPE"].upper()).startswith("QUATERNION"):
         expected = "QUATERNION, with or without rates; other types are not read"
-        raise RawDataError(file, "ATTITUDE_TYPE", kind, expected)
+        raise RawDataError(file, fields.get("ATTITUDE_TYPE", f"{where}ATTITUDE_TYPE"), kind, expected)
+    check_time_system(meta["TIME_SYSTEM"], file, fields.get("TIME_SYSTEM", f"{where}TIME_SYSTEM"))
 
 
 def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> State:
@@ -286,42 +296,48 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
     message = next(named, None)
     if message is None:
         raise RawDataError(file, "root element", root.tag, "aem; an ACM is read as keyword = value")
-    for segment in message.iter("segment"):
+    every = list(message.iter("segment"))
+    for n, segment in enumerate(every, start=1):
+        inside = f"segment {n}, " if len(every) > 1 else ""
         meta: dict[str, str] = {}
         for element in segment.iterfind("metadata//*"):
             if not len(element):
                 meta.setdefault(element.tag, (element.text or "").strip())
-        _check_metadata(meta, file)
+        _check_metadata(meta, file, inside, {})
         states: list[State] = []
         for element in segment.iter("attitudeState"):
-            where = f"state {len(states) + 1}"
+            where = f"{inside}state {len(states) + 1}"
             cells = {one.tag: (one.text or "").strip() for one in element.iter()}
             if missing := [key for key in ("EPOCH", *QUATERNION) if key not in cells]:
                 raise RawDataError(file, where, f"no {missing[0]}", EXPECTED)
             q = [check_number(cells[name], file, f"{where}, {name}") for name in QUATERNION]
             states.append((cells["EPOCH"], q))
-        yield meta, states
+        yield inside, meta, states
 
 
-def _segment(meta: dict[str, str], states: list[State], file: str, epoch: Epoch) -> AttitudeRows:
+def _segment(where: str, meta: dict[str, str], states: list[State], file: str, epoch: Epoch) -> AttitudeRows:
     """One segment of a message, whose quaternions relate an inertial frame and the head."""
     since, t_s = epoch, np.array([], dtype=float)
     if states:
         since, t_s = tai_seconds([time for time, _ in states], meta["TIME_SYSTEM"], file)
     q = np.array([components for _, components in states], dtype=float).reshape(-1, 4)
-    return _from_quaternions(meta, t_s + float(since.tai_s - epoch.tai_s), q, file)
+    return _from_quaternions(meta, t_s + float(since.tai_s - epoch.tai_s), q, file, where)
 
 
-def _from_quaternions(meta: Mapping[str, str], t_s: Floats, q: Floats, file: str) -> AttitudeRows:
-    """Attitudes at t_s (N,) of quaternions (N, 4) that relate REF_FRAME_A and REF_FRAME_B of `meta`."""
+def _from_quaternions(
+    meta: Mapping[str, str], t_s: Floats, q: Floats, file: str, where: str = ""
+) -> AttitudeRows:
+    """Attitudes at t_s (N,) of quaternions (N, 4) that relate REF_FRAME_A and REF_FRAME_B of `meta`, which is
+    `where` in the file.
+    """
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
     frames = [SAME_FRAME.get(frame, frame) for frame in frames]
     inertial = [frame for frame in INERTIAL if frame in frames]
     if len(inertial) != 1 or frames[0] == frames[1]:
         expected = f"one of {', '.join(INERTIAL)}, and the head"
-        raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
+        raise RawDataError(file, f"{where}REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
-        raise RawDataError(file, "ATTITUDE_DIR", direction, "A2B or B2A")
+        raise RawDataError(file, f"{where}ATTITUDE_DIR", direction, "A2B or B2A")
     R_ab = _rotations(q, file)  # components in B to components in A
     from_b_to_a = direction == "A2B"
     head_is_b = frames[0] in INERTIAL

@@ -118,8 +118,14 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
     names = _VERSIONS.get(root.tag)
     if names is None or (root.tag == "Dimap_Document" and root.find(_V2) is None):
         expected = f"PHR_Dimap_Document (DIMAP V1), or Dimap_Document with {_V2} (DIMAP V2: not SPOT 1 to 5)"
-        mission = " ".join(root.findtext(f".//{name}", "") for name in ("MISSION", "MISSION_INDEX")).strip()
-        raise RawDataError(file, "root element", f"{root.tag} {mission[:32]}".strip(), expected)
+        names_of = ("METADATA_PROFILE", "METADATA_SUBPROFILE", "MISSION", "MISSION_INDEX")
+        what = " ".join(filter(None, (root.findtext(f".//{name}", "").strip()[:32] for name in names_of)))
+        if root.tag == "Dimap_Document":
+            found = " ".join(filter(None, ("Dimap_Document", what, f"without {_V2}")))
+            raise RawDataError(
+                file, "root element", found, f"{expected}; a file of RPC has no rigorous model"
+            )
+        raise RawDataError(file, "root element", root.tag[:64], expected)
     width, height = (
         whole_of(root, f"{names.raster}/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
     )

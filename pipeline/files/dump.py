@@ -42,7 +42,7 @@ from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dat
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.files.orbit_file import Ephemeris, read_oem
+from boresight.pipeline.files.orbit_file import Ephemeris, read_segments, segment_over
 from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.repeated_exposures import exposures_once
 from boresight.pipeline.files.repeated_points import points_once
@@ -318,13 +318,15 @@ def open_dump(
     }
     line_camera, remote = read_remote_camera(root, paths["remote_camera"], head.files.remote_camera)
     kernels = _kernels(root, head)
-    ephemeris = _read_orbit(paths["orbit"], head.files.orbit, kernels)
+    segments = _read_orbit(paths["orbit"], head.files.orbit, kernels)
     own = head.files.earth_orientation
     table = bundled_table() if own is None else read_earth_orientation(paths["earth_orientation"], own)
-    orbit = orbit_of(ephemeris, head.files.orbit, table, allow_stale_eop=allow_stale_eop)
     every, omitted = _strips(
-        root, paths["strips"], head.files.strips, ephemeris.epoch, remote, head.files.remote_camera
+        root, paths["strips"], head.files.strips, segments[0].epoch, remote, head.files.remote_camera
     )
+    of_strips = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
+    ephemeris, orbit_file = _segment(segments, of_strips, head.files.orbit)
+    orbit = orbit_of(ephemeris, orbit_file, table, allow_stale_eop=allow_stale_eop)
     ground, sky = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
     if sky_alone:
         paths = {key: path for key, path in paths.items() if key not in ("targets", "points")}
@@ -335,9 +337,8 @@ def open_dump(
     surveyed = targets_of(rows)
     every_head = open_heads(root, head, ephemeris.epoch, kernels)
     heads, exposures_twice = exposures_once(every_head)
-    of_strips = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
-    covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, head.files.orbit, of_strips)
-    check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, head.files.orbit, of_strips)
+    covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, orbit_file, of_strips)
+    check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, orbit_file, of_strips)
     check_exposure_dates(ephemeris.epoch, *_exposure_times(heads, head), of_strips)
     during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
     for one in heads:
@@ -410,13 +411,14 @@ def dump_faults(root: Path) -> list[RawDataError]:
         read_remote_camera, root, read["remote_camera"], head.files.remote_camera
     )
     kernels = tried(_kernels, root, head) or NO_KERNELS
-    ephemeris = read.get("orbit") and tried(_read_orbit, read["orbit"], head.files.orbit, kernels)
-    epoch = ephemeris.epoch if ephemeris else Epoch.from_utc("2000-01-01T12:00:00Z")
-    if ephemeris:
+    segments = read.get("orbit") and tried(_read_orbit, read["orbit"], head.files.orbit, kernels)
+    epoch = segments[0].epoch if segments else Epoch.from_utc("2000-01-01T12:00:00Z")
+    if segments:
         own = head.files.earth_orientation
         table = tried(read_earth_orientation, read.get("earth_orientation"), own) if own else bundled_table()
         if table is not None:
-            tried(orbit_of, ephemeris, head.files.orbit, table, allow_stale_eop=False)
+            for one in segments if len(segments) == 1 else ():
+                tried(orbit_of, one, head.files.orbit, table, allow_stale_eop=False)
     if remote and "strips" in read:
         of_camera = (epoch, remote[1], head.files.remote_camera)
         tried(_strips, root, read["strips"], head.files.strips, *of_camera)
@@ -442,9 +444,19 @@ def _kernels(root: Path, head: schema.DumpFile) -> Kernels:
     return Kernels(files=tuple(head.spice.kernels), paths=tuple(paths), spacecraft=head.spice.spacecraft)
 
 
-def _read_orbit(path: Path, file: str, kernels: Kernels) -> Ephemeris:
-    """The orbit of an SPK or of an OEM, by the first bytes of the file."""
-    return read_spk(path, file, kernels) if is_kernel(path, file, SPK) else read_oem(path, file)
+def _read_orbit(path: Path, file: str, kernels: Kernels) -> tuple[Ephemeris, ...]:
+    """The orbit of an SPK, or the segments of an OEM, by the first bytes of the file."""
+    return (read_spk(path, file, kernels),) if is_kernel(path, file, SPK) else read_segments(path, file)
+
+
+def _segment(
+    segments: tuple[Ephemeris, ...], strips: list[tuple[float, float]], file: str
+) -> tuple[Ephemeris, str]:
+    """The segment that covers most strips, and its name in errors: CCSDS 502.0-B forbids interpolation over
+    the end of a segment.
+    """
+    n = segment_over(segments, strips)
+    return segments[n], file if len(segments) == 1 else f"{file} (segment {n + 1} of {len(segments)})"
 
 
 @lru_cache(maxsize=1)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,14 +21,26 @@ from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_messa
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
 
-__all__ = ["Ephemeris", "check_components", "check_states", "read_oem", "tai_seconds"]
+__all__ = [
+    "SAME_FRAME",
+    "Ephemeris",
+    "check_components",
+    "check_states",
+    "check_time_system",
+    "read_oem",
+    "read_segments",
+    "segment_over",
+    "tai_seconds",
+]
 
 # REF_FRAMEs that do not rotate with the Earth.
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
+SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2
 # By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 EXPECTED = "an OEM that follows CCSDS 502.0-B"  # what messages say was expected
+MAX_SEGMENTS = 10_000  # of a message: far more than an operator's has
 VERSIONS = ("1.0", "2.0", "3.0")  # values of CCSDS_OEM_VERS that are read
 # Keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3: the required ones, then those that may be there.
 HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ("CLASSIFICATION", "MESSAGE_ID")
@@ -47,9 +61,11 @@ _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones
 
 @record(kw_only=True)
 class Ephemeris:
-    """States of the one segment of an OEM."""
+    """States of one segment of an OEM."""
 
-    epoch: Epoch = scalar("zero of `t_s`: the whole TAI second at or before the first state")
+    epoch: Epoch = scalar(
+        "zero of `t_s`: the whole TAI second at or before the first state of the first segment"
+    )
     t_s: Floats = array("N", "TAI seconds since `epoch`, strictly increasing")
     positions_m: Floats = array("N, 3", "m, axes of `frame`")
     velocities_m_s: Floats = array("N, 3", "m/s, axes of `frame`")
@@ -67,53 +83,102 @@ def read_oem(path: Path, file: str) -> Ephemeris:
     States in EME2000 are rotated to GCRF; comments, accelerations and covariances are not used. Raises
     `RawDataError`.
     """
+    segments = read_segments(path, file)
+    if len(segments) != 1:
+        raise RawDataError(file, "segments", str(len(segments)), "one segment")
+    return segments[0]
+
+
+def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
+    """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`."""
     text = read_message(path, file)
-    if text.lstrip().startswith("<"):
-        return _ephemeris(*_of_xml(text, file), file)
-    return _ephemeris(*_of_lines(text, file), file)
+    read = (_of_xml if text.lstrip().startswith("<") else _of_lines)(text, file)
+    names = [f"{file} (segment {n} of {len(read)})" for n in range(1, len(read) + 1)]
+    parts = [_ephemeris(*one, name) for one, name in zip(read, names if len(read) > 1 else [file])]
+    epoch = parts[0].epoch
+    return tuple(
+        replace(one, epoch=epoch, t_s=one.t_s + float(one.epoch.tai_s - epoch.tai_s)) for one in parts
+    )
 
 
-def _ephemeris(meta: dict[str, str], times: list[str], values: Floats, file: str) -> Ephemeris:
+def segment_over(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> int:
+    """Index of the segment that covers most `spans`, TAI seconds since the epoch; of equals the first."""
+    covered = [
+        sum(bool(one.t_s[0] <= begin and end <= one.t_s[-1]) for begin, end in spans) for one in segments
+    ]
+    return int(np.argmax(covered))
+
+
+@dataclass(frozen=True, slots=True)
+class _Keywords:
+    """Values by keyword, and how errors name the keyword: "line 9, REF_FRAME", in XML "REF_FRAME"."""
+
+    values: dict[str, str]
+    fields: dict[str, str]
+
+    def error(self, key: str, found: str, expected: str, file: str) -> RawDataError:
+        return RawDataError(file, self.fields.get(key, key), found, expected)
+
+
+Part = tuple[_Keywords, list[str], Floats]  # metadata of a segment, times, values (N, 6)
+
+
+def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> Ephemeris:
     """The checked states, SI units, in GCRF or ITRF, of values (N, 6) in km and km/s."""
     check_components(values, file)
     if not times:
-        raise RawDataError(file, "states", "0", "at least 8")
-    epoch, t_s = tai_seconds(times, meta["TIME_SYSTEM"], file)
-    _, (first, last) = tai_seconds([meta["START_TIME"], meta["STOP_TIME"]], meta["TIME_SYSTEM"], file)
+        raise RawDataError(file, "states", "0", "at least 2")
+    scale, start, stop = (meta.values[key] for key in ("TIME_SYSTEM", "START_TIME", "STOP_TIME"))
+    check_time_system(scale, file, meta.fields["TIME_SYSTEM"])
+    epoch, t_s = tai_seconds(times, scale, file)
+    _, (first, last) = tai_seconds([start, stop], scale, file)
     if not first <= last:
-        raise RawDataError(
-            file, "STOP_TIME", meta["STOP_TIME"], f"a time after START_TIME, {meta['START_TIME']}"
-        )
+        raise meta.error("STOP_TIME", stop, f"a time after START_TIME, {start}", file)
     frame, R = _frame(meta, file)
+    method, degree = _method(meta, file), _degree(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
-    check_states(t_s, positions, velocities, file)
+    check_states(t_s, positions, velocities, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
         positions_m=positions,
         velocities_m_s=velocities,
         frame=frame,
-        method=_method(meta, file),
-        interpolation_degree=_degree(meta, file),
+        method=method,
+        interpolation_degree=degree,
         first_time=times[0],
         last_time=times[-1],
-        time_system=meta["TIME_SYSTEM"],
+        time_system=scale,
     )
 
 
-def _of_lines(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
-    """Metadata, times and values (N, 6) of the keyword = value form."""
-    if not text.startswith("CCSDS_OEM_VERS"):
-        raise RawDataError(file, "line 1", "another text", "CCSDS_OEM_VERS = ..., or an OEM in XML")
-    every = [given.strip() for given in text.splitlines()]
-    numbers = [n for n, line in enumerate(every, start=1) if line and not line.startswith("COMMENT")]
-    lines = [every[n - 1] for n in numbers]
-    if (segments := lines.count("META_START")) != 1 or lines.count("META_STOP") != 1:
-        raise RawDataError(file, "META_START", f"{segments} segments", "one segment")
-    begin, end = lines.index("META_START"), lines.index("META_STOP")
-    pairs = [_pair(number, line, file) for number, line in zip(numbers, lines[:end]) if line != "META_START"]
-    _keywords(pairs[:begin], HEADER, file)
-    meta = _keywords(pairs[begin:], METADATA, file)
+def _of_lines(text: str, file: str) -> list[Part]:
+    """Metadata, times and values (N, 6) of each segment of the keyword = value form."""
+    rows = [(number, given.strip()) for number, given in enumerate(text.splitlines(), start=1)]
+    rows = [(number, line) for number, line in rows if line and not line.startswith("COMMENT")]
+    if not rows or not rows[0][1].startswith("CCSDS_OEM_VERS"):
+        number, line = rows[0] if rows else (1, "nothing")
+        raise RawDataError(file, f"line {number}", line[:64], "CCSDS_OEM_VERS = ..., or an OEM in XML")
+    begins = [n for n, (_, line) in enumerate(rows) if line == "META_START"]
+    if not begins:
+        raise RawDataError(file, "META_START", "nothing", EXPECTED)
+    _keywords([_pair(number, line, file) for number, line in rows[: begins[0]]], HEADER, file)
+    return [_of_block(rows[begin:end], file) for begin, end in zip(begins, [*begins[1:], len(rows)])]
+
+
+def _of_block(rows: list[tuple[int, str]], file: str) -> Part:
+    """The part of a segment's lines, with their numbers, from META_START on."""
+    numbers, lines = [number for number, _ in rows], [line for _, line in rows]
+    if lines.count("META_STOP") != 1:
+        found = f"{lines.count('META_STOP')} META_STOP"
+        raise RawDataError(file, f"line {numbers[0]}, META_START", found, "one META_STOP after it")
+    end = lines.index("META_STOP")
+    meta = _keywords(
+        [_pair(number, line, file) for number, line in rows[1:end]],
+        METADATA,
+        file,
+        f"META_START of line {numbers[0]}, ",
+    )
     last = len(lines)
     if "COVARIANCE_START" in lines[end:]:
         if lines[-1] != "COVARIANCE_STOP":
@@ -145,54 +210,71 @@ def _wrong_state(number: int, line: str, file: str) -> RawDataError:
     return RawDataError(file, f"line {number}", f"{len(words)} words: {line}", expected)
 
 
-def _of_xml(text: str, file: str) -> tuple[dict[str, str], list[str], Floats]:
-    """Metadata, times and values (N, 6) of the XML form."""
-    root = xml_root(text, file)  # well-formed, without DTD
+def _of_xml(text: str, file: str) -> list[Part]:
+    """Metadata, times and values (N, 6) of each segment of the XML form, alone or the one OEM of an NDM."""
+    root = xml_root(text.lstrip(), file)  # well-formed, without DTD
+    if root.tag == "ndm" and len(root.findall("oem")) == 1:
+        (root,) = root.findall("oem")
     if root.tag != "oem":
-        raise RawDataError(file, "root element", root.tag[:64], "oem")
+        inside = f" of {', '.join(sorted({one.tag for one in root}))}"[:64] if root.tag == "ndm" else ""
+        raise RawDataError(file, "root element", root.tag[:64] + inside, "oem, or ndm with one oem")
+    header = [("", one.tag, one.text or "") for one in root.iterfind("header/*")]
+    _keywords([("", "CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
     (body,) = elements_of(root, "body", file, 1, 1)
-    (segment,) = elements_of(body, "segment", file, 1, 1)
-    header = [(one.tag, one.text or "") for one in root.iterfind("header/*")]
-    _keywords([("CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
-    meta = _keywords([(one.tag, one.text or "") for one in segment.iterfind("metadata/*")], METADATA, file)
-    states = segment.findall("data/stateVector")
-    values = [
-        [numbers_of(state, name, file, 1, f"state {n + 1}, ")[0] for name in _COORDINATES]
-        for n, state in enumerate(states)
+    segments = elements_of(body, "segment", file, 1, MAX_SEGMENTS)
+    several = len(segments) > 1
+    return [
+        _of_segment(one, file, f"segment {n}, " if several else "") for n, one in enumerate(segments, start=1)
     ]
+
+
+def _of_segment(segment: Element, file: str, inside: str) -> Part:
+    pairs = [(inside, one.tag, one.text or "") for one in segment.iterfind("metadata/*")]
+    meta = _keywords(pairs, METADATA, file, inside)
+    states = [(f"{inside}state {n}, ", one) for n, one in enumerate(segment.findall("data/stateVector"), 1)]
+    values = [[numbers_of(one, name, file, 1, where)[0] for name in _COORDINATES] for where, one in states]
     times = [
-        _calendar(element_text(one, "EPOCH", file), file, f"state {n + 1}") for n, one in enumerate(states)
+        _calendar(element_text(one, "EPOCH", file, where), file, where.removesuffix(", "))
+        for where, one in states
     ]
     return meta, times, np.array(values).reshape(-1, 6)
 
 
-def _pair(number: int, line: str, file: str) -> tuple[str, str]:
+def _pair(number: int, line: str, file: str) -> tuple[str, str, str]:
+    """What errors put before the keyword of a line, the keyword and its value."""
     if (match := _KEYWORD.fullmatch(line)) is None:
         raise RawDataError(file, f"line {number}", line, "KEYWORD = value")
-    return match[1], match[2]
+    return f"line {number}, ", match[1], match[2]
 
 
 def _keywords(
-    pairs: Iterable[tuple[str, str]], known: tuple[tuple[str, ...], tuple[str, ...]], file: str
-) -> dict[str, str]:
-    """Values by keyword; `RawDataError` for an unknown, a repeated, an empty and a missing one."""
+    pairs: Iterable[tuple[str, str, str]],
+    known: tuple[tuple[str, ...], tuple[str, ...]],
+    file: str,
+    inside: str = "",
+) -> _Keywords:
+    """Values by keyword; `RawDataError` for an unknown, a repeated, an empty and a missing one, which it says
+    to be missing `inside` ("segment 2, ").
+    """
     values: dict[str, str] = {}
-    for key, value in pairs:
+    fields: dict[str, str] = {}
+    for where, key, value in pairs:
         if key == "COMMENT":
             continue
         if key not in known[0] + known[1]:
-            raise RawDataError(file, key, "an unknown keyword", EXPECTED)
+            raise RawDataError(file, where + key, "an unknown keyword", EXPECTED)
         if key in values:
-            raise RawDataError(file, key, "a second time", "each keyword once")
-        values[key] = value.strip()
+            raise RawDataError(file, where + key, "a second time", "each keyword once")
+        values[key], fields[key] = value.strip(), where + key
         if ("TIME" in key and key != "TIME_SYSTEM") or key.endswith(("DATE", "EPOCH")):
-            values[key] = _calendar(values[key], file, key)
+            values[key] = _calendar(values[key], file, fields[key])
+    meta = _Keywords(values, fields)
     for key in known[0]:
         if not values.get(key):
-            raise RawDataError(file, key, "nothing", EXPECTED)
+            raise RawDataError(file, fields.get(key, inside + key), "nothing", EXPECTED)
     if (version := values.get("CCSDS_OEM_VERS", VERSIONS[0])) not in VERSIONS:
-        raise RawDataError(file, "CCSDS_OEM_VERS", version, ", ".join(VERSIONS))
-    return values
+        raise meta.error("CCSDS_OEM_VERS", version, ", ".join(VERSIONS), file)
+    return meta
 
 
 def _calendar(stamp: str, file: str, field: str) -> str:
@@ -209,34 +291,35 @@ def _calendar(stamp: str, file: str, field: str) -> str:
         raise RawDataError(file, field, stamp, "a day of that year") from error
 
 
-def _frame(meta: dict[str, str], file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
+def _frame(meta: _Keywords, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
     """The frame that the states are kept in, and the rotation to it from that of the file."""
-    if (centre := meta["CENTER_NAME"].upper()) != "EARTH":
-        raise RawDataError(file, "CENTER_NAME", centre, "EARTH")
-    frame = meta["REF_FRAME"].upper()
+    if (centre := meta.values["CENTER_NAME"].upper()) != "EARTH":
+        raise meta.error("CENTER_NAME", centre, "EARTH", file)
+    frame = meta.values["REF_FRAME"].upper()
     for inertial in INERTIAL:
-        if frame == inertial:
+        if SAME_FRAME.get(frame, frame) == inertial:
             return "GCRF", rotation_to_gcrs(inertial)
     if frame.startswith("ITRF"):
         return "ITRF", Rotation.identity()
-    raise RawDataError(file, "REF_FRAME", frame, "GCRF, ICRF, EME2000 or ITRF (with or without a year)")
+    expected = "GCRF, ICRF, EME2000 or ITRF (with or without a year)"
+    raise meta.error("REF_FRAME", frame, expected, file)
 
 
-def _method(meta: dict[str, str], file: str) -> Literal["lagrange", "hermite"]:
-    method = meta.get("INTERPOLATION", "LAGRANGE").upper()
+def _method(meta: _Keywords, file: str) -> Literal["lagrange", "hermite"]:
+    method = meta.values.get("INTERPOLATION", "LAGRANGE").upper()
     if method == "LAGRANGE":
         return "lagrange"
     if method == "HERMITE":
         return "hermite"
-    raise RawDataError(file, "INTERPOLATION", method, "LAGRANGE or HERMITE")
+    raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
 
 
-def _degree(meta: dict[str, str], file: str) -> int:
-    if "INTERPOLATION" not in meta:
+def _degree(meta: _Keywords, file: str) -> int:
+    if "INTERPOLATION" not in meta.values:
         return 7
-    degree = meta.get("INTERPOLATION_DEGREE", "nothing")
+    degree = meta.values.get("INTERPOLATION_DEGREE", "nothing")
     if not re.fullmatch(r"[0-9]{1,2}", degree) or not 1 <= int(degree) <= 15:
-        raise RawDataError(file, "INTERPOLATION_DEGREE", degree, "1 to 15")
+        raise meta.error("INTERPOLATION_DEGREE", degree, "1 to 15", file)
     return int(degree)
 
 
@@ -247,9 +330,8 @@ def tai_seconds(
 
     `RawDataError` for another time system and for times that do not exist, which it names by `field`.
     """
+    check_time_system(time_system, file)
     scale = time_system.upper()
-    if scale != "UTC" and scale not in AHEAD_OF_GPS_S:
-        raise RawDataError(file, "TIME_SYSTEM", time_system, "UTC, TAI, TT or GPS")
     try:
         if scale == "UTC":
             epoch = Epoch.from_utc(times[0])
@@ -261,6 +343,12 @@ def tai_seconds(
         raise RawDataError(file, field, str(error), "times that exist") from error
 
 
+def check_time_system(time_system: str, file: str, field: str = "TIME_SYSTEM") -> None:
+    """`RawDataError`, which names `field`, for a time system that is not read."""
+    if time_system.upper() not in ("UTC", *AHEAD_OF_GPS_S):
+        raise RawDataError(file, field, time_system, "UTC, TAI, TT or GPS")
+
+
 def check_components(values: Floats, file: str) -> None:
     """`RawDataError` for a state of (N, 6), km and km/s, that no orbit has."""
     for name, numbers in (("position", values[:, :3]), ("velocity", values[:, 3:])):
@@ -269,12 +357,12 @@ def check_components(values: Floats, file: str) -> None:
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
 
 
-def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str) -> None:
-    """`RawDataError` for fewer than 8 states, times (N,) that do not increase, and positions (N, 3), m, of no
-    orbit.
+def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, least: int = 8) -> None:
+    """`RawDataError` for fewer than `least` states, for times (N,) that do not increase, and for positions
+    (N, 3), m, of no orbit.
     """
-    if len(t_s) < 8:
-        raise RawDataError(file, "states", str(len(t_s)), "at least 8")
+    if len(t_s) < max(least, 2):
+        raise RawDataError(file, "states", str(len(t_s)), f"at least {max(least, 2)}")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):
         found = f"{t_s[bad[0] + 1]:.6f} s after {t_s[bad[0]]:.6f} s"
         raise RawDataError(file, f"state {bad[0] + 2}, time", found, "strictly increasing times")

@@ -6,6 +6,7 @@ their namespaces.
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -15,17 +16,28 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.text_files import NUMBER, read_text
+from boresight.pipeline.files.content import limited_content
+from boresight.pipeline.files.text_files import MAX_TEXT_BYTES, NUMBER, utf8_text
 
 __all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_root"]
 
+# The declaration of an XML file that names its encoding.
+_ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
+
 
 def read_xml(path: Path, file: str) -> Element:
-    """The root element of an XML file; `RawDataError` for anything else, and for a DTD."""
-    return xml_root(read_text(path, file), file)
+    """The root element of an XML file; `RawDataError` for anything else, and for a DTD.
+
+    It is in UTF-8, in UTF-16 with a byte-order mark, or in the encoding that its first line states.
+    """
+    raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
+    stated = _ENCODING.match(raw)
+    is_other = stated is not None and stated[1].upper() not in (b"UTF-8", b"UTF8")
+    is_other |= raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return xml_root(raw if is_other else utf8_text(raw, file), file)
 
 
-def xml_root(text: str, file: str) -> Element:
+def xml_root(text: str | bytes, file: str) -> Element:
     """The root element of XML text; `RawDataError` for anything else, and for a DTD."""
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
@@ -33,7 +45,7 @@ def xml_root(text: str, file: str) -> Element:
         raise RawDataError(
             file, "XML", type(error).__name__, "XML without DTD, entities or references"
         ) from error
-    except (ParseError, ValueError) as error:
+    except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding of no known name
         raise RawDataError(file, "XML", str(error), "well-formed XML") from error
     assert isinstance(root, Element)
     for element in root.iter():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 from rasterio.control import GroundControlPoint
 
 from boresight.features.operators.point_import import (
@@ -22,6 +22,12 @@ from boresight.pipeline.files.ground_points import read_points
 ERRORS = PointErrors(sigma_px=0.3, sigma_m=(1.0, 2.0, 3.0), height_m=None)
 LAT_LON = [[32.7, -16.95], [32.71, -16.9]]
 XY = [[120.25, 3000.5], [2047.0, 17.0]]  # (0, 0) is the centre of the first pixel
+
+ASP_POINT = "1 32 -16 5 1 1 1 i.tif 1 2 1 1\n"
+MOON = (
+    'GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["R",0],UNIT["degree",0.0174532925199433]]'
+)
+UTM = CRS.from_epsg(32628).to_wkt("WKT1_GDAL")
 
 
 def check(found: MeasuredPoints) -> None:
@@ -46,7 +52,7 @@ def test_qgis_points_count_from_the_corner_with_rows_upwards(tmp_path: Path) -> 
 
 def test_points_of_asp_have_their_own_errors_and_images(tmp_path: Path) -> None:
     path = tmp_path / "a.gcp"
-    lines = ["# WKT: whatever"]
+    lines = ["# id lat lon height"]
     for n, ((lat, lon), (x, y)) in enumerate(zip(LAT_LON, XY)):
         lines.append(f"{n} {lat!r} {lon!r} 55.5 1 2 3 left.tif {x} {y} 0.5 0.25 right.tif 1 2 1 1")
     path.write_text("\n".join(lines) + "\n")
@@ -72,6 +78,12 @@ def test_ground_control_points_of_a_geotiff_count_from_the_corner(tmp_path: Path
     assert found.lat_lon_height[:, 2].tolist() == [55.5, 55.5]
 
 
+def test_datum_that_asp_writes_is_no_point_and_must_be_that_of_the_earth(tmp_path: Path) -> None:
+    path = tmp_path / "a.gcp"
+    path.write_text(f"# WKT: {CRS.from_epsg(4326).to_wkt('WKT1_GDAL')}\n{ASP_POINT}")
+    assert read_measured_points(path, ERRORS).lat_lon_height.tolist() == [[32.0, -16.0, 5.0]]
+
+
 def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
     path = tmp_path / "a.gcp"
     path.write_text(
@@ -91,9 +103,22 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
     ("name", "text", "complaint"),
     [
         ("a.gcp", "1 2 3\n", "line 1: found 3 words"),
-        ("a.gcp", "1 32 -16 x 1 1 1 i.tif 1 2 1 1\n", "line 1: found x"),
+        ("a.gcp", "1 32 -16 x 1 1 1 i.tif 1 2 1 1\n", "line 1, height: found x"),
         ("a.gcp", "# nothing\n", "points: found none"),
-        ("a.points", "mapX,mapY\n1,2\n", "found no sourceX"),
+        ("a.points", "mapX,mapY\n1,2\n", "line 2: found no sourceX, expected a column sourceX or pixelX"),
+        (
+            "a.points",
+            "#CRS: EPSG:4326\n\nmapX,mapY,pixelX,pixelY\n1,2,3,4\n1,2,3,b\n",
+            "line 5, sourceY: found b",
+        ),
+        ("a.points", "#CRS: LOCAL\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS: found LOCAL"),
+        ("a.gcp", f"# WKT: {MOON}\n{ASP_POINT}", "line 1, # WKT: found Moon, .*, expected .* on WGS 84"),
+        (
+            "a.gcp",
+            f"# WKT: {UTM}\n{ASP_POINT}",
+            "line 1, # WKT: found WGS 84 / UTM.*, expected .* on WGS 84",
+        ),
+        ("a.gcp", f"# WKT: GEO[\n{ASP_POINT}", "line 1, # WKT: found GEO.*that PROJ knows"),
         ("a.points", "#CRS: nonsense\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS: found nonsense"),
         ("a.tif", "not a tiff", "a GeoTIFF with ground control points"),
         ("a.xyz", "", "ending: found .xyz"),

@@ -90,7 +90,7 @@ def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Pat
         "star_camera.toml: bitdepth": 1,
         "star_camera.toml: focal_length_mm": 1,
         "installation.toml: sigma_rad": 2,
-        "orbit.oem: REF_FRAME": 1,
+        "orbit.oem: line 9, REF_FRAME": 1,
         "exposures.csv: line": 2,
         "targets.csv: line": 2,
         "strips.csv: file": 1,

@@ -203,3 +203,16 @@ def test_mutated_messages_are_read_or_refused(tmp_path: Path) -> None:
         except RawDataError:
             refused += 1
     assert 500 < refused < 2000
+
+
+def test_sensors_inside_attitude_determination_are_not_read(tmp_path: Path) -> None:
+    # As in figures G-7 and G-9 of CCSDS 504.0-B-2.
+    sensors = "".join(f"SENSOR_START\nSENSOR_NUMBER = {n}\nSENSOR_USED = AST\nSENSOR_STOP\n" for n in (1, 2))
+    text = MESSAGE.replace("AD_STOP\n", f"{sensors}AD_STOP\n")
+    (tmp_path / "a.acm").write_text(MESSAGE)
+    (tmp_path / "b.acm").write_text("\n" + text)
+    one, other = (read_attitudes(tmp_path / n, n, EPOCH, None, None) for n in ("a.acm", "b.acm"))
+    assert np.array_equal(one.R_si.as_quat(), other.R_si.as_quat())
+    (tmp_path / "b.acm").write_text(MESSAGE.replace("RATE_TYPE = ANGVEL\n", f"RATE_TYPE = ANGVEL\n{sensors}"))
+    with pytest.raises(RawDataError, match="line 22: found SENSOR_START"):
+        read_attitudes(tmp_path / "b.acm", "b.acm", EPOCH, None, None)

@@ -198,12 +198,21 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
     [
         (
             kvn(OK | {"REF_FRAME_A": "TEME"}, [f"{t} {Q}" for t in TIMES], "2.0"),
-            "REF_FRAME_A and REF_FRAME_B",
+            r"META_START of line \d+, REF_FRAME_A and REF_FRAME_B: found TEME and ST_1",
         ),
+        (
+            kvn(OK | {"TIME_SYSTEM": "TDB"}, [f"{t} {Q}" for t in TIMES], "2.0"),
+            r"line \d+, TIME_SYSTEM: found TDB, expected UTC, TAI, TT or GPS",
+        ),
+        (
+            kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("REF_FRAME_A = GCRF\n", ""),
+            r"META_START of line \d+, REF_FRAME_A: found nothing",
+        ),
+        ("\nCCSDS_APM_VERS = 2.0\nX\n", "line 2: found CCSDS_APM_VERS = 2.0, expected CCSDS_AEM_VERS or"),
         *(
             (
                 kvn(OK | {"ATTITUDE_TYPE": kind}, [f"{TIMES[0]} 1 2 3"], "2.0"),
-                f"ATTITUDE_TYPE: found {kind}, expected QUATERNION",
+                rf"line \d+, ATTITUDE_TYPE: found {kind}, expected QUATERNION",
             )
             for kind in ("SPIN", "SPIN/NUTATION", "EULER_ANGLE", "EULER ANGLE/RATE")
         ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from boresight.pipeline.errors import RawDataError
@@ -26,6 +27,24 @@ def test_a_wrong_time_system_is_named_where_it_explains_the_dates(handmade: Path
     orbit = handmade / "orbit.oem"
     orbit.write_text(orbit.read_text().replace("TIME_SYSTEM = UTC", f"TIME_SYSTEM = {scale}"))
     with pytest.raises(RawDataError, match=f"with TIME_SYSTEM UTC, not {scale}, it would cover every strip"):
+        open_dump(handmade)
+
+
+def test_orbit_is_the_segment_over_the_strips(handmade: Path) -> None:
+    whole = open_dump(handmade).orbit
+    orbit = handmade / "orbit.oem"
+    text = orbit.read_text()
+    head, meta = text.index("META_START"), text.index("META_STOP\n") + len("META_STOP\n")
+    # A segment of the day before, and one of the strips.
+    orbit.write_text(text.replace("2024-11-20T03", "2024-11-19T03") + text[head:meta] + text[meta:])
+    of_second = open_dump(handmade).orbit
+    t_s = float(of_second.epoch.tai_s - whole.epoch.tai_s) + of_second.t_s
+    assert np.abs(t_s - whole.t_s).max() < 1e-9  # s
+    assert np.array_equal(of_second.positions_m, whole.positions_m)
+    orbit.write_text(orbit.read_text().replace("2024-11-20T03", "2024-11-21T03"))
+    with pytest.raises(
+        RawDataError, match=r"orbit.oem \(segment 1 of 2\): time of the states: found 2024-11-19"
+    ):
         open_dump(handmade)
 
 

@@ -236,3 +236,28 @@ def test_spot_5_is_refused_by_its_name(tmp_path):
     (tmp_path / "spot.xml").write_text(f"<Dimap_Document>{mission}</Dimap_Document>")
     with pytest.raises(RawDataError, match="Dimap_Document SPOT 5"):
         read_dimap(tmp_path / "spot.xml", bundled_earth_orientation(), OFF)
+
+
+def test_file_of_rpc_is_refused_by_what_it_is(tmp_path):
+    head = "<METADATA_PROFILE>PHR_SENSOR</METADATA_PROFILE><METADATA_SUBPROFILE>RPC</METADATA_SUBPROFILE>"
+    (tmp_path / "RPC.XML").write_text(
+        f"<Dimap_Document><Metadata_Identification>{head}</Metadata_Identification></Dimap_Document>"
+    )
+    with pytest.raises(
+        RawDataError, match=r"found Dimap_Document PHR_SENSOR RPC without Geometric_Data/Refined"
+    ):
+        read_dimap(tmp_path / "RPC.XML", bundled_earth_orientation(), OFF)
+
+
+@pytest.mark.parametrize("encoding", ["ISO-8859-1", "iso-8859-15", "UTF-16"])
+def test_encoding_is_the_one_that_the_first_line_states(tmp_path, encoding):
+    text = dimap_text()
+    body = text[text.index("?>") + 2 :] if text.startswith("<?xml") else text
+    body = body.replace("<PHR_Dimap_Document>", "<PHR_Dimap_Document><PRODUCER>d\u00e9p\u00f4t</PRODUCER>", 1)
+    assert "d\u00e9p" in body
+    (tmp_path / "a.xml").write_text(text)
+    (tmp_path / "b.xml").write_bytes(f'<?xml version="1.0" encoding="{encoding}"?>{body}'.encode(encoding))
+    assert np.array_equal(places(tmp_path / "a.xml"), places(tmp_path / "b.xml"))
+    (tmp_path / "b.xml").write_bytes(b'<?xml version="1.0" encoding="none-such"?><a/>')
+    with pytest.raises(RawDataError, match="XML: found unknown encoding: none-such"):
+        places(tmp_path / "b.xml")

@@ -16,7 +16,7 @@ from handmade import OEM_HEAD
 from oem import OrbitEphemerisMessage
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.orbit_file import read_oem, read_segments, segment_over
 from boresight.pipeline.files.text_files import read_message
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
@@ -99,15 +99,39 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
     [
         ("2016-12-31T23:59:31.000 ", "2016-13-31T23:59:31.000 ", "times that exist"),
         ("2016-12-31T23:59:31.000 ", "2016-12-31T23:59:30.000 ", "strictly increasing"),
-        ("REF_FRAME = GCRF\n", "", "REF_FRAME: found nothing"),
-        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nREF_FRAME = ICRF\n", "REF_FRAME: found a second time"),
-        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR = red\n", "COLOUR: found an unknown keyword"),
+        ("REF_FRAME = GCRF\n", "", "META_START of line 5, REF_FRAME: found nothing"),
+        (
+            "REF_FRAME = GCRF\n",
+            "REF_FRAME = GCRF\nREF_FRAME = ICRF\n",
+            "line 10, REF_FRAME: found a second time",
+        ),
+        (
+            "REF_FRAME = GCRF\n",
+            "REF_FRAME = GCRF\nCOLOUR = red\n",
+            "line 10, COLOUR: found an unknown keyword",
+        ),
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR\n", "found COLOUR, expected KEYWORD = value"),
         ("CCSDS_OEM_VERS = 2.0", "CCSDS_OEM_VERS = 3.5", "expected 1.0, 2.0, 3.0"),
-        ("META_START", "META_START\nMETA_STOP\nMETA_START", "2 segments"),
+        (
+            "META_START",
+            "META_START\nMETA_STOP\nMETA_START",
+            "META_START of line 5, OBJECT_NAME: found nothing",
+        ),
+        ("META_STOP\n", "", "line 5, META_START: found 0 META_STOP"),
+        ("META_START\n", "", "META_START: found nothing"),
+        ("EARTH", "MARS", "line 8, CENTER_NAME: found MARS, expected EARTH"),
+        (
+            "CCSDS_OEM_VERS = 2.0",
+            "CCSDS_OPM_VERS = 2.0",
+            "line 1: found CCSDS_OPM_VERS = 2.0, expected CCSDS_OEM",
+        ),
         ("2016-12-31T23:59:31.000 ", "2016-367T23:59:31.000 ", "a day of that year"),
         (" 0.0 ", " 0.0 1.0 ", "line 15: found 8 words.*six numbers"),
-        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1", "UTC, TAI, TT or GPS"),
+        (
+            "TIME_SYSTEM = UTC",
+            "TIME_SYSTEM = UT1",
+            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT or GPS",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(old: str, new: str, says: str, tmp_path: Path) -> None:
@@ -183,6 +207,85 @@ def test_third_version_with_its_own_keywords_is_read_in_both_forms(tmp_path: Pat
     assert np.array_equal(read_oem(tmp_path / "third.xml", "third.xml").positions_m, plain.positions_m)
     with pytest.raises(RawDataError, match=r"CCSDS_OEM_VERS: found 4\.0, expected 1\.0, 2\.0, 3\.0"):
         read_oem(written(tmp_path, text.replace(head, "CCSDS_OEM_VERS = 4.0\n")), "orbit.oem")
+
+
+def two_segments(text: str, later: str = "2017-01-01T00:00:31.000") -> str:
+    """A message of one segment as one of two, of which the second begins anew at `later`."""
+    head, meta = text.index("META_START"), text.index("META_STOP\n") + len("META_STOP\n")
+    states = text[meta:].split("\n")
+    first = next(n for n, line in enumerate(states) if line.startswith(later))
+    of_second = text[head:meta].replace("2016-12-31T", "2017-01-01T")  # no time in two segments
+    return "\n".join([text[:meta], *states[:first], "", of_second, *states[first:]])
+
+
+def test_segments_are_those_of_the_library_with_one_epoch(tmp_path: Path) -> None:
+    path = written(tmp_path, two_segments(text_of(120)))
+    assert [len(list(one.states)) for one in OrbitEphemerisMessage.open(path).segments] == [61, 59]
+    whole = read_oem(written(tmp_path, text_of(120)), "orbit.oem")
+    path = written(tmp_path, two_segments(text_of(120)))
+    OrbitEphemerisMessage.open(path).save_as(tmp_path / "orbit.xml", file_format="xml")
+    for name in ("orbit.oem", "orbit.xml"):
+        one, other = read_segments(tmp_path / name, name)
+        assert one.epoch == other.epoch == whole.epoch
+        # Dates of a segment are seconds since its own whole second first: rounding of 1e-10 s.
+        assert np.allclose(np.concatenate([one.t_s, other.t_s]), whole.t_s, rtol=0, atol=1e-9)
+        assert np.array_equal(np.concatenate([one.positions_m, other.positions_m]), whole.positions_m)
+        with pytest.raises(RawDataError, match="segments: found 2, expected one segment"):
+            read_oem(tmp_path / name, name)
+
+
+def test_segment_over_most_spans_is_the_one(tmp_path: Path) -> None:
+    segments = read_segments(written(tmp_path, two_segments(text_of(120))), "orbit.oem")
+    at = [float(one.t_s[0]) for one in segments]
+    of_second = [(at[1] + 1.0, at[1] + 2.0), (at[1] + 3.0, at[1] + 4.0)]
+    assert segment_over(segments, []) == segment_over(segments, [(at[0] + 1.0, at[0] + 2.0)]) == 0
+    assert segment_over(segments, [(at[0], at[0] + 1.0), *of_second]) == 1
+    assert segment_over(segments, [(at[1] - 0.5, at[1] + 0.5)]) == 0  # in neither
+
+
+def test_what_is_wrong_in_a_segment_is_named_by_its_number(tmp_path: Path) -> None:
+    text = two_segments(text_of(66))
+    with pytest.raises(
+        RawDataError, match=r"orbit.oem \(segment 2 of 2\): states: found 5, expected at least 8"
+    ):
+        read_segments(written(tmp_path, text), "orbit.oem")
+
+
+def test_as_many_states_are_enough_as_the_interpolation_needs(tmp_path: Path) -> None:
+    for method, degree, enough in (("LAGRANGE", 5, 6), ("HERMITE", 5, 3), ("LAGRANGE", 1, 2)):
+        asked = f"INTERPOLATION = {method}\nINTERPOLATION_DEGREE = {degree}\nMETA_STOP"
+        few, less = (text_of(n).replace("META_STOP", asked) for n in (enough, enough - 1))
+        assert len(read_oem(written(tmp_path, few), "orbit.oem").t_s) == enough
+        with pytest.raises(RawDataError, match=f"states: found {enough - 1}, expected at least {enough}"):
+            read_oem(written(tmp_path, less), "orbit.oem")
+
+
+def test_j2000_is_eme2000(tmp_path: Path) -> None:
+    one, other = (
+        read_oem(written(tmp_path, text_of(10).replace("= GCRF", f"= {name}")), "orbit.oem")
+        for name in ("EME2000", "J2000")
+    )
+    assert np.array_equal(one.positions_m, other.positions_m)
+
+
+def test_empty_lines_may_stand_before_the_message_and_count(tmp_path: Path) -> None:
+    assert len(read_oem(written(tmp_path, "\n \n" + text_of(10)), "orbit.oem").t_s) == 10
+    with pytest.raises(RawDataError, match="line 10, CENTER_NAME: found MARS"):
+        read_oem(written(tmp_path, "\n \n" + text_of(10).replace("EARTH", "MARS")), "orbit.oem")
+
+
+def test_the_one_orbit_in_a_combined_message_is_read(tmp_path: Path) -> None:
+    OrbitEphemerisMessage.open(written(tmp_path, text_of(10))).save_as(tmp_path / "a.xml", file_format="xml")
+    declaration, _, message = (tmp_path / "a.xml").read_text().partition("<oem")
+    path = tmp_path / "ndm.xml"
+    path.write_text(f"\n{declaration}<ndm><COMMENT>two</COMMENT><omm/><oem{message}</ndm>")
+    plain = read_oem(tmp_path / "a.xml", "a.xml")
+    assert np.array_equal(read_oem(path, "ndm.xml").positions_m, plain.positions_m)
+    path.write_text(f"{declaration}<ndm><omm/><opm/></ndm>")
+    with pytest.raises(
+        RawDataError, match="root element: found ndm of omm, opm, expected oem, or ndm with one"
+    ):
+        read_oem(path, "ndm.xml")
 
 
 def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:

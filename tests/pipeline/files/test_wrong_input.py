@@ -73,9 +73,9 @@ WRONG = {
     "no such CCD": (change("strips.csv", "s1,1", "s1,2"), "strips.csv", "line 3, ccd", "2", "0 to 1"),
     "hostile id": (change("exposures.csv", "0002,", "../x,"), "exposures.csv", "line 4, id", r"\.\./x", "letters, digits"),  # noqa: E501
     "not UTF-8": (not_utf8, "targets.csv", "byte 11", "0xff", "UTF-8"),
-    "not an OEM": (change("orbit.oem", "CCSDS_OEM_VERS", "OEM"), "orbit.oem", "line 1", "another text", "CCSDS_OEM_VERS"),  # noqa: E501
-    "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
-    "orbit in another frame": (change("orbit.oem", "GCRF", "TEME"), "orbit.oem", "REF_FRAME", "TEME", "GCRF"),
+    "not an OEM": (change("orbit.oem", "CCSDS_OEM_VERS", "OEM"), "orbit.oem", "line 1", "OEM = 2.0", "CCSDS_OEM_VERS"),  # noqa: E501
+    "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "line 8, CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
+    "orbit in another frame": (change("orbit.oem", "GCRF", "TEME"), "orbit.oem", "line 9, REF_FRAME", "TEME", "GCRF"),  # noqa: E501
     "orbit in metres": (change("orbit.oem", "6908.000000000 0", "6908000.000 0"), "orbit.oem", "state 1, position", "6908000", "unit km"),  # noqa: E501
     "NaN in the orbit": (change("orbit.oem", "6908.000000000 0", "nan 0"), "orbit.oem", "line 15, X", "nan", "finite"),  # noqa: E501
 }  # fmt: skip
