@@ -82,10 +82,10 @@ class StarCamera:
 
     @property
     def field_radius_rad(self) -> float:
-        """Angle from the optical axis to the farthest corner of the detector."""
+        """Angle from the axis to the farthest corner of the detector; pi/2 where that has no direction."""
         x, y = float(self.width_px) - 0.5, float(self.height_px) - 0.5
         corners = np.array([[-0.5, -0.5], [x, -0.5], [-0.5, y], [x, y]])
-        return float(np.arccos(self.directions_from_pixels(corners)[:, 2].min()))
+        return float(np.arccos(np.nan_to_num(self.directions_from_pixels(corners)[:, 2]).min()))
 
     @property
     def fov_x_rad(self) -> float:

@@ -22,8 +22,9 @@ from boresight.star_id.camera_fit import (
     fit_camera,
     visible_derivatives,
 )
-from boresight.star_id.field import FieldSolution, solve_stars
+from boresight.star_id.field import FieldSolution, solve_list, solve_stars
 from boresight.star_id.finding.star_list import StarList
+from boresight.star_id.fisheye import FISHEYE_RAD
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_model import LensModel, choose_lens, unmodelled_px
@@ -182,7 +183,7 @@ def calibrate_camera(
         if names == before:  # the camera would be the same
             break
         used = _reliable(frames, identified, camera, index, settings)
-        start = _with_identified_focal(camera, identified)
+        start = camera if known else _with_identified_focal(camera, identified)
         rotations = Rotation.concatenate([solution.R_si for _, solution in identified])
         try:
             rough = None if known else fit_camera(used, start, rotations)
@@ -221,16 +222,19 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
 def _identify_frames(
     frames: Sequence[SkyFrame], camera: StarCamera, index: StarIndex, settings: StarSettings, *, known: bool
 ) -> tuple[list[tuple[int, FieldSolution]], list[tuple[str, str]]]:
-    identified, refused = [], []
+    identified, refused, size = [], [], (camera.width_px, camera.height_px)
     for k, frame in enumerate(frames):
-        solution = solve_stars(
-            frame.stars.xy_px,
-            (camera.width_px, camera.height_px),
-            index,
-            settings,
-            camera=camera if known else None,
-            fov_x_rad=None if known else camera.fov_x_rad,
-        )
+        if not known and camera.fov_x_rad >= FISHEYE_RAD:
+            solution = solve_list(frame.stars, size, index, settings, fov_x_rad=camera.fov_x_rad)
+        else:
+            solution = solve_stars(
+                frame.stars.xy_px,
+                size,
+                index,
+                settings,
+                camera=camera if known else None,
+                fov_x_rad=None if known else camera.fov_x_rad,
+            )
         if isinstance(solution, NotIdentified):
             refused.append((frame.frame_id, solution.reason))
         else:
@@ -309,7 +313,11 @@ def _calibration(
 
 
 def _with_identified_focal(camera: StarCamera, identified: list[tuple[int, FieldSolution]]) -> StarCamera:
-    """The camera with the median focal length of the identifications."""
+    """The camera with the median focal length of the identifications; of fisheyes that of the one with most
+    stars, with its distortion."""
+    if camera.fov_x_rad >= FISHEYE_RAD:
+        most = max((one for _, one in identified), key=lambda one: one.matches).camera
+        return replace(most, pixel_m=camera.pixel_m, focal_m=most.focal_m * camera.pixel_m / most.pixel_m)
     scale = np.median([s.camera.focal_m / s.camera.pixel_m for _, s in identified]) / (
         camera.focal_m / camera.pixel_m
     )

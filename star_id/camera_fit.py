@@ -183,9 +183,10 @@ def smooth_derivatives(camera: StarCamera, xy_px: Floats, degree: int) -> Floats
 
 
 def detector_grid(camera: StarCamera) -> Floats:
-    """Pixels (63, 2) of a regular grid over the detector."""
+    """Pixels (63, 2) of a regular grid over the detector, of a fisheye those with a direction."""
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 9), np.linspace(0, camera.height_px - 1, 7))
-    return np.column_stack([x.ravel(), y.ravel()])
+    xy = np.column_stack([x.ravel(), y.ravel()])
+    return xy[np.isfinite(camera.directions_from_pixels(xy)[:, 2])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

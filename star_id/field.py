@@ -10,6 +10,7 @@ centroid covariances, attitude and distortion are then fitted again with each st
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -25,6 +26,15 @@ from boresight.star_id.centroids import Centroids
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
+from boresight.star_id.fisheye import (
+    FISHEYE_RAD,
+    MIDDLE_TOLERANCE,
+    WIDEST_RAD,
+    is_fisheye,
+    middle_field,
+    middle_of,
+    wide_lenses,
+)
 from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
 from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify_stars
@@ -92,6 +102,11 @@ _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True,
 _LARGEST_SQUARE = 18.4
 # Ratio of identified stars above which a fisheye is taken instead of a tangent lens (set by hand).
 _CLEARLY_MORE = 1.1
+# Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
+# fisheye's image (set by hand).
+_EXTENDED_PX = 0.5
+# Ratio of identified stars above which kinds of fisheyes are compared by their residuals (set by hand).
+_NEARLY_AS_MANY = 0.98
 
 
 @record(kw_only=True)
@@ -251,6 +266,8 @@ def solve_list(
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
     if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
         attempts = (*attempts, (False, _PASSES, "equidistant"))
+    if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
+        return _of_fisheye(stars, size, index, settings, fov_x_rad, observer)
     tried, reasons, best = 0, [], None
     for mirrored, passes, projection in attempts:
         if best is not None and projection == "tangent":
@@ -298,14 +315,64 @@ def _of_likelier_projection(
     solution = _fitted(stars, found, start, index, settings, observer)
     if solution is None:
         return best
+    return _likeliest([best, replace(solution, mirrored=best.mirrored)], best, stars)
+
+
+def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: StarList) -> FieldSolution:
+    """The one of several lenses that leaves the smallest residuals of the stars of `best`."""
     W = np.linalg.inv(stars.cov_px[best.detections])
 
     def misfit(lens: FieldSolution) -> float:
         residual = best.xy_px - lens.camera.pixels_from_directions(lens.R_si.apply(best.u_i))
         square = np.einsum("mi,mij,mj->m", residual, W, residual)
-        return float(np.fmin(square, _LARGEST_SQUARE).sum())
+        return float(np.fmin(np.nan_to_num(square, nan=np.inf), _LARGEST_SQUARE).sum())
 
-    return min(best, replace(solution, mirrored=best.mirrored), key=misfit)
+    return min(lenses, key=misfit)
+
+
+def _of_fisheye(
+    stars: StarList,
+    size: tuple[int, int],
+    index: StarIndex,
+    settings: StarSettings,
+    fov_x_rad: float,
+    observer: Observer | None,
+) -> FieldSolution | NotIdentified:
+    """Solution by the middle of the image, and from there outwards with each kind of lens (`fisheye`)."""
+    if fov_x_rad > WIDEST_RAD:
+        widest = f"fields of view are at most {np.degrees(WIDEST_RAD):.0f} deg along columns"
+        reason = f"{widest}: a camera here has no directions 90 deg from its axis; crop the image"
+        return NotIdentified(reason, len(stars.snr))
+    wide, tried, reasons = replace(settings, fov_tolerance=MIDDLE_TOLERANCE), 0, []
+    for mirrored in (False, True):
+        seen = stars.mirrored(size[0]) if mirrored else stars
+        middle = middle_of(seen.xy_px, size, fov_x_rad)
+        answer = _identified(
+            middle.xy_px,
+            middle.size,
+            index,
+            wide,
+            None,
+            middle.fov_rad,
+            passes=_PASSES,
+            tried=tried,
+            projection="equidistant",
+        )
+        if isinstance(answer, NotIdentified):
+            tried = answer.proposals
+            reasons.append(replace(answer, reason=f"in the middle of the image {answer.reason}"))
+            continue
+        named = replace(answer[0], detections=middle.rows[answer[0].detections])
+        whole = nominal_camera(size, fov_x_rad, "equidistant")
+        kinds = wide_lenses(replace(whole, focal_m=answer[1].focal_m, pixel_m=answer[1].pixel_m))
+        fits = (_fitted(seen, named, kind, index, settings, observer, expected=kind) for kind in kinds)
+        lenses = [replace(fit, mirrored=mirrored) for fit in fits if fit is not None]
+        if lenses:
+            best = max(lenses, key=lambda lens: lens.matches)
+            alike = [lens for lens in lenses if lens.matches >= _NEARLY_AS_MANY * best.matches]
+            return _likeliest(alike, best, seen)
+        reasons.append(_without_lens(named))
+    return max(reasons, key=lambda answer: answer.best_log_odds)
 
 
 def _without_lens(found: Identification) -> NotIdentified:
@@ -363,14 +430,15 @@ def _fitted(
     index: StarIndex,
     settings: StarSettings,
     observer: Observer | None,
+    expected: StarCamera | None = None,
 ) -> FieldSolution | None:
     """Solution with attitude, lens and matches in turn: the brightest stars fit the lens, the lens tells
     which detections are further stars, until they no longer change; None where they become too few."""
     detections, rows = found.detections[:_STARS_TO_START], found.stars[:_STARS_TO_START]
     camera, R_si = start, found.R_si
-    expected = _expected_stars(start, R_si, len(stars.xy_px), index)
-    u_i, years = star_directions(index, expected, observer), settings.epoch_error_years * (observer is None)
-    moved = proper_motion_covariance(index, expected, start, R_si, years)
+    shown = _expected_stars(start, R_si, len(stars.xy_px), index)
+    u_i, years = star_directions(index, shown, observer), settings.epoch_error_years * (observer is None)
+    moved = proper_motion_covariance(index, shown, start, R_si, years)
     for _ in range(_MATCHINGS):
         reliable = _if_enough(
             select_for_calibration(stars.centroids, detections, rows, start, index, settings)
@@ -380,7 +448,7 @@ def _fitted(
             cov = cov + proper_motion_covariance(index, rows[reliable], start, R_si, years)
         try:
             fit = fit_attitude_and_lens(
-                camera, R_si, xy, cov, star_directions(index, rows[reliable], observer)
+                camera, R_si, xy, cov, star_directions(index, rows[reliable], observer), expected
             )
         except np.linalg.LinAlgError:  # a lens of another projection
             return None
@@ -391,7 +459,7 @@ def _fitted(
         match = match_field(stars.xy_px, stars.cov_px, predicted[seen], cov[seen] + moved[seen], area_px)
         if len(match.stars) < _LEAST_RELIABLE:
             return None
-        before, rows, detections = rows, expected[seen[match.stars]], match.detections
+        before, rows, detections = rows, shown[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break
     unknown_scale = np.hypot(ABERRATION_SCALE if years else 0.0, stars.psf.scale_sigma)
@@ -465,13 +533,17 @@ def _identified(
     if camera is not None:
         plane, field = tangent_coordinates(camera, xy_px), field_of_camera(camera, settings)
         seen = None
-        if not math.isfinite(plane.sum()):  # beyond a turning point there is no direction
+        if is_fisheye(camera):
+            field, seen = middle_field(field, plane, camera.focal_m / camera.pixel_m)
+            plane = plane[seen]
+        elif not math.isfinite(plane.sum()):  # beyond a turning point there is no direction
             seen = np.flatnonzero(np.isfinite(plane).all(axis=1))
             plane = plane[seen]
         found = identify_stars(plane, field, index, settings, tried=tried)
         if isinstance(found, NotIdentified):
             return found
-        return found if seen is None else replace(found, detections=seen[found.detections]), camera
+        found = found if seen is None else replace(found, detections=seen[found.detections])
+        return (_extended(found, xy_px, camera, index, settings) if is_fisheye(camera) else found), camera
     best, likeliest = -np.inf, None
     fields = _fields_to_try(fov_x_rad, settings)
     for stages in passes:
@@ -499,6 +571,22 @@ def _identified(
         tried,
         best,
     )
+
+
+def _extended(
+    found: Identification, xy_px: Floats, camera: StarCamera, index: StarIndex, settings: StarSettings
+) -> Identification:
+    """The identification of the middle of an image, with the stars of the whole image by a known camera."""
+    rows = _expected_stars(camera, found.R_si, len(xy_px), index)
+    predicted = camera.pixels_from_directions(found.R_si.apply(index.u_i[rows]))
+    off = np.hypot(*(predicted - 0.5 * (np.array([camera.width_px, camera.height_px]) - 1.0)).T)
+    error2 = _EXTENDED_PX**2 + (settings.camera_error * off) ** 2
+    same = np.broadcast_to(_EXTENDED_PX**2 * np.eye(2), (len(xy_px), 2, 2))
+    area_px = camera.width_px * camera.height_px
+    match = match_field(xy_px, same, predicted, error2[:, None, None] * np.eye(2), area_px)
+    if len(match.stars) < len(found.stars):
+        return found
+    return replace(found, detections=match.detections, stars=rows[match.stars])
 
 
 def nominal_camera(size: tuple[int, int], fov_x_rad: float, projection: Projection = "tangent") -> StarCamera:

@@ -57,21 +57,27 @@ class LensFit:
 
 
 def fit_attitude_and_lens(
-    camera: StarCamera, R_si: Rotation, xy_px: Floats, cov_px: Floats, u_i: Floats
+    camera: StarCamera,
+    R_si: Rotation,
+    xy_px: Floats,
+    cov_px: Floats,
+    u_i: Floats,
+    expected: StarCamera | None = None,
 ) -> LensFit:
     """Attitude and camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3), GCRS.
 
-    `camera` and `R_si` are approximate. All seven camera parameters are fitted. One image does not separate
-    them: a shifted detector looks like a rotated and decentred one. So a Gaussian prior regularises them
-    (`_prior_sigmas`), and the covariance is that of the well-determined direction of the image's centre. What
-    the camera model cannot explain is a position error of each star (`_common_variance`; without it the few
-    brightest stars would determine the distortion), a stretch and a smooth distortion (`lens_misfit`).
+    `camera` and `R_si` are approximate; `expected` is the lens that the prior is about; else one without
+    distortion. All seven camera parameters are fitted. One image does not separate them: a shifted detector
+    looks like a rotated and decentred one. So a Gaussian prior regularises them (`_prior_sigmas`), and the
+    covariance is that of the well-determined direction of the image's centre. What the camera model cannot
+    explain is a position error of each star (`common_variance`; without it the few brightest stars would
+    determine the distortion), a stretch and a smooth distortion (`lens_misfit`).
     """
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
-    ideal = replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera)
     residual = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / 1.386  # median of chi2 with two degrees of freedom

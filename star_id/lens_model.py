@@ -50,6 +50,9 @@ _SEEN = 4.0
 # Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
 # all: exceeded by one good star in 3000, exp(-16 / 2).
 _OUTLIER_CHI2 = 16.0
+# Ratio of stars without gross errors from which they are those of the other projection: Brown's loses the
+# edges of fisheyes (set by hand).
+_CLEARLY_MORE = 1.1
 # Most rounds of rejecting outliers and fitting again (set by hand).
 _REJECTIONS = 4
 # Fewest pairs of stars near one another that show a distortion left over.
@@ -100,7 +103,9 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
     fits = [*_each(lambda base: _good_stars(stars, base, rotations), (brown, fisheye))]
     if not fits:
         raise np.linalg.LinAlgError("neither projection can be fitted")
-    plain, good = fits[0]
+    plain, good = max(fits, key=lambda fit: fit[1].sum())
+    if good.sum() < _CLEARLY_MORE * fits[0][1].sum():
+        plain, good = fits[0]
     inner = replace(
         stars,
         xy_px=stars.xy_px[good],

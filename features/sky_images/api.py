@@ -59,7 +59,7 @@ __all__ = [
     "image_pixels",
 ]
 
-NARROWEST_DEG, WIDEST_DEG = 0.5, 90.0  # fields of view that are searched
+NARROWEST_DEG, WIDEST_DEG = 0.5, 175.0  # fields of view that are searched
 SMALLEST_PX, MOST_COUNTS = 32, 65535  # side of an image, and its counts
 MOST_NUMBERS = 30  # in a picture
 # Largest difference, px, of a TAN-SIP header from the camera for the header to be given; wide fisheye
@@ -423,8 +423,8 @@ def identify(
     camera : StarCamera, optional
         The calibrated camera. Without it the lens is fitted to this image.
     fov_deg : float, optional
-        Width of the field of view, deg, good to 10 %. Without camera and field of view, 5 to 60 deg are
-        searched.
+        Width of the field of view, deg, good to 10 %; to be stated of fisheyes. Without camera and field of
+        view, 5 to 60 deg are searched.
     time : str, datetime, datetime64 or astropy Time, optional
         Middle of the exposure, UTC, such as "2026-03-01T12:00:00": the Earth's aberration is then removed.
         A datetime without time zone is UTC.
@@ -441,7 +441,7 @@ def identify(
     Raises
     ------
     ValueError
-        If camera and fov_deg are both given, or a site without time, fov_deg is not between 0.5 and 90, or
+        If camera and fov_deg are both given, or a site without time, fov_deg is not between 0.5 and 175, or
         an argument is not as described.
     RawDataError
         If a file cannot be read or the time is not covered by the Earth-orientation tables.

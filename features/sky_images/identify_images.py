@@ -37,6 +37,7 @@ from boresight.star_id.field import (
     solve_list,
 )
 from boresight.star_id.finding.star_list import StarList, list_stars
+from boresight.star_id.fisheye import FISHEYE_RAD, WIDEST_RAD, is_fisheye
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
 from boresight.star_id.observer import Observer
@@ -46,6 +47,7 @@ from boresight.star_id.sight import explained
 __all__ = [
     "Line",
     "Request",
+    "check_field",
     "departure",
     "identify_images",
     "misshapen_in",
@@ -55,6 +57,8 @@ __all__ = [
     "sky_index",
 ]
 
+# Least rms displacement, px, by which a given camera is said not to fit: twice what a calibration may leave.
+TOLD_PX = 0.02
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
 
@@ -88,8 +92,7 @@ class Request:
 def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
     """One line per image; the stars go to `request.out` at the end. `RawDataError` for wrong options."""
     camera = read_camera(request.camera_file)
-    if request.fov_deg is not None and not 0.5 < request.fov_deg < 90.0:
-        raise RawDataError("--fov", "value", f"{request.fov_deg}", "between 0.5 and 90 degrees")
+    check_field(request.fov_deg)
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
     observers = {} if request.catalogue_places else _observers(images, request.known)
@@ -273,9 +276,16 @@ def _facts(record: dict[str, Any], found: FieldSolution) -> str:
     )
 
 
+def check_field(fov_deg: float | None) -> None:
+    """`RawDataError` for a stated field of view that no camera here has."""
+    if fov_deg is not None and not 0.5 < fov_deg <= np.degrees(WIDEST_RAD):
+        expected = "between 0.5 and 175 degrees: 90 from the axis a camera has no directions; crop the image"
+        raise RawDataError("--fov", "value", f"{fov_deg}", expected)
+
+
 def departure(found: FieldSolution) -> str:
     """A sentence, where the stars show that a camera is not as it was given; else empty."""
-    if not found.misfit_px or found.fov_x_sigma_rad:
+    if found.misfit_px < TOLD_PX or found.fov_x_sigma_rad:
         return ""
     return (
         f"NOT THE CAMERA GIVEN: stars are displaced by {found.misfit_px:.2g} px rms (another focal length or"
@@ -285,12 +295,16 @@ def departure(found: FieldSolution) -> str:
 
 def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
     """Catalogue triangles for what is known of the camera."""
+    if camera is not None and is_fisheye(camera):
+        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
     if camera is not None:
         return _built(equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m))
     if fov_deg is None:
         return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
     spread = 1.0 + 2.0 * settings.fov_tolerance
     fov = float(np.radians(fov_deg))
+    if fov >= FISHEYE_RAD:  # its middle is identified
+        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
     return _built((0.5 * fov / spread, 1.2 * fov * spread))  # the area may be that of a tall or a wide image
 
 

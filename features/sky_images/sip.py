@@ -53,10 +53,12 @@ def tan_sip(
     """TAN-SIP header, polynomials of `order`, of an image taken by `camera` with attitude `R_si`.
 
     `sky_of` takes observed directions (N, 3) to those of the catalogue; `mirrored`: camera and attitude are
-    those of the image with its columns reversed.
+    those of the image with its columns reversed. Where a part of the detector has no direction (corners
+    behind a fisheye), the misfit is infinite.
     """
     x, y = np.meshgrid(np.linspace(0, camera.width_px - 1, 41), np.linspace(0, camera.height_px - 1, 31))
-    xy = np.column_stack([x.ravel(), y.ravel()])
+    every = np.column_stack([x.ravel(), y.ravel()])
+    xy = every[np.isfinite(camera.directions_from_pixels(every)[:, 2])]
     to_sky = R_si.inv()
     sky_i = sky_of(to_sky.apply(camera.directions_from_pixels(xy)))
     axis_s = R_si.apply(sky_of(to_sky.apply(np.array([[0.0, 0.0, 1.0]]))))[0]
@@ -71,7 +73,7 @@ def tan_sip(
     scaled = offset / unit
     A = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q for p, q in powers], axis=1)
     fit = np.linalg.lstsq(A, ideal - offset, rcond=None)[0]
-    misfit = float(np.abs(A @ fit - (ideal - offset)).max())
+    misfit = float(np.abs(A @ fit - (ideal - offset)).max()) if len(xy) == len(every) else np.inf
     a, b = np.zeros((order + 1, order + 1)), np.zeros((order + 1, order + 1))
     for (p, q), (dx, dy) in zip(powers, fit):
         a[p, q], b[p, q] = dx / unit ** (p + q), dy / unit ** (p + q)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
 from boresight.features.sky_images.identify_images import (
     EPOCH_ERROR_YEARS,
+    check_field,
     read_camera,
     read_sky_image,
     sky_index,
@@ -69,6 +70,7 @@ def calibrate_from_images(
     `sources` are image files and dumps (their exposures). An unreadable image is reported and not used;
     `RawDataError` for a drift of images without time.
     """
+    check_field(request.fov_deg)
     given = read_camera(request.camera_file)
     sky = open_sky_images(sources, request.known)
     camera = given or (sky.camera if request.fov_deg is None else None)
@@ -197,10 +199,11 @@ def _lines(result: CameraCalibration, span_s: float) -> list[str]:
 
 def _map_error(result: CameraCalibration) -> dict[str, float]:
     """What the error of the pixel map exceeds nowhere on the detector, with 95 %, px along one axis: in the
-    middle, in a corner, and the largest."""
-    width, height = result.camera.width_px, result.camera.height_px
-    places = np.array([[0.5 * (width - 1), 0.5 * (height - 1)], [0.0, 0.0]])
-    error = result.map_error_px(np.vstack([places, detector_grid(result.camera)]))
+    middle, in a corner (of a fisheye the place nearest to one that has a direction), and the largest."""
+    grid = detector_grid(result.camera)
+    middle = 0.5 * np.array([result.camera.width_px - 1, result.camera.height_px - 1])
+    corner = grid[((grid - middle) ** 2).sum(axis=1).argmax()]
+    error = result.map_error_px(np.vstack([middle, corner, grid]))
     return {"middle": float(error[0]), "corner": float(error[1]), "largest": float(error.max())}
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from astropy.io import fits
 from astropy.wcs import WCS
 
 from boresight.features.sky_images.sip import TanSip, tan_sip
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.star_id.field import FieldSolution
 
@@ -18,8 +20,12 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
     """Write world coordinates of an image as a FITS header, and its identified stars as a table.
 
     Row 0 of the image is FITS row 1, so that viewers that draw row 1 at the bottom flip the image.
+    `RawDataError` for a fisheye whose corners lie behind the camera.
     """
     wcs = tan_sip(found.camera, found.R_si)
+    if not np.isfinite(wcs.largest_misfit_px):
+        lens = "a fisheye whose corners lie behind the camera"
+        raise RawDataError(image, "world coordinates", lens, "without --fits: it has no tangent plane")
     header = _header(wcs)
     header["NAXIS"] = 0
     header["IMAGEW"], header["IMAGEH"] = found.camera.width_px, found.camera.height_px

@@ -43,6 +43,7 @@ __all__ = [
     "each_once",
     "open_heads",
     "seconds_of",
+    "single_camera_of",
     "star_camera_of",
     "star_camera_table",
 ]
@@ -302,7 +303,23 @@ def _smooth_table(smooth: SmoothDistortion) -> dict[str, Any]:
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
-    """The camera of a star_camera.toml; `RawDataError` if its distortion cannot be inverted."""
+    """The camera of a dump's star_camera.toml; `RawDataError` if a corner has no direction."""
+    right, low = file.width_px - 0.5, file.height_px - 0.5
+    return _invertible(file, name, np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]]))
+
+
+def single_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
+    """The camera of a star_camera.toml for single images: as `star_camera_of`, but corners of a fisheye's
+    detector may lie behind the camera."""
+    if file.projection == "tangent":
+        return star_camera_of(file, name)
+    right, low = file.width_px - 0.5, file.height_px - 0.5
+    x, y = 0.5 * (file.width_px - 1), 0.5 * (file.height_px - 1)
+    return _invertible(file, name, np.array([[-0.5, y], [right, y], [x, -0.5], [x, low]]))
+
+
+def _invertible(file: schema.StarCameraFile, name: str, places: Floats) -> StarCamera:
+    """The camera; `RawDataError` if a pixel of `places` (N, 2) has no direction."""
     x0, y0 = file.principal_point_px
     d = file.distortion
     camera = StarCamera(
@@ -319,9 +336,7 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
         projection=file.projection,
         smooth=_smooth_of(d.smooth, file, name),
     )
-    right, low = file.width_px - 0.5, file.height_px - 0.5
-    corners = np.array([[-0.5, -0.5], [right, -0.5], [-0.5, low], [right, low]])
-    if not np.isfinite(camera.directions_from_pixels(corners)).all():
+    if not np.isfinite(camera.directions_from_pixels(places)).all():
         found = "a distortion that is not invertible within the detector"
         raise RawDataError(name, "distortion", found, "p1, p2 in 1/mm, q1 in 1/mm^2, q2 in 1/mm^4")
     return camera

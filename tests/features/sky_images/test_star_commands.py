@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
 from command_line import app
 from frames import SMALL_CAMERA as CAMERA
-from frames import Sensor, as_seen, star_frame
+from frames import Sensor, as_seen, directions_of, render, star_frame
 
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
@@ -269,6 +269,42 @@ def test_an_image_that_cannot_be_read_is_left_out_and_told(folder, tmp_path):
     assert all(f"{name} not used" in done.stdout.replace(str(tmp_path) + "/", "") for name in refused)
     alone = run("star-camera-calibrate", tmp_path / "torn.png", "--fov", 19.0)
     assert alone.exit_code == 1 and "no image could be read" in alone.stdout
+
+
+@pytest.fixture(scope="module")
+def fisheyes(tmp_path_factory):
+    """Four images by an equisolid lens of 150 deg, whose corners show what is behind the camera."""
+    path, size = tmp_path_factory.mktemp("fisheye"), np.array([1200, 900])
+    places, rng = hipparcos_stars(6.0).places, np.random.default_rng(6)
+    focal_px = 600.0 / (2.0 * np.sin(0.25 * np.radians(150.0)))
+    for k in range(4):
+        u_s = Rotation.random(random_state=rng).apply(directions_of(places))
+        angle = np.arccos(np.clip(u_s[:, 2], -1.0, 1.0))
+        radius = 2.0 * focal_px * np.sin(0.5 * angle)
+        xy = 0.5 * (size - 1.0) + [2.0, -1.5] - u_s[:, :2] * (radius / np.sin(angle))[:, None]
+        seen = (angle < np.radians(89.0)) & ((xy > 0.0) & (xy < size - 1.0)).all(axis=1)
+        flux = 150.0 * 10.0 ** (-0.4 * (places.v_mag[seen] - 5.0))
+        cv2.imwrite(str(path / f"sky{k}.png"), render(xy[seen], flux, *size.tolist(), Sensor(), rng))
+    return path
+
+
+def test_a_fisheye_of_150_deg_is_identified_calibrated_and_known(fisheyes, tmp_path):
+    images = sorted(fisheyes.glob("sky*.png"))
+    first = json.loads(run("identify", "--json", "--fov", 155, images[0]).stdout.splitlines()[0])
+    assert first["identified"] and first["fov_x_deg"] == pytest.approx(150.0, rel=1e-3)
+    out, report, plot = tmp_path / "camera.toml", tmp_path / "camera.json", tmp_path / "map.png"
+    files = ("--out", out, "--report", report, "--plot", plot)
+    done = run("star-camera-calibrate", *images, "--fov", 145, *files)
+    assert done.exit_code == 0 and "projection  equidistant" in done.stdout, done.output
+    error = json.loads(report.read_text())["error_anywhere_95_px"]
+    assert 0.0 < error["middle"] <= error["largest"] < 0.3 and error["corner"] > 0.0
+    known = json.loads(run("identify", "--json", "--camera", out, images[1]).stdout.splitlines()[0])
+    assert known["identified"] and known["matches"] > 0.9 * first["matches"]
+    assert known["fov_x_deg"] == pytest.approx(150.0, rel=2e-4)  # 0.3 px of 1200
+    flat = run("identify", "--fits", "--camera", out, images[1])
+    assert isinstance(flat.exception, RawDataError) and "no tangent plane" in str(flat.exception)
+    beyond = run("identify", "--fov", 180, images[0])
+    assert isinstance(beyond.exception, RawDataError) and "0.5 and 175 degrees" in str(beyond.exception)
 
 
 def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
