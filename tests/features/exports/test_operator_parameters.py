@@ -67,3 +67,5 @@ def test_the_angles_in_mrad_and_the_quaternion_are_the_matrix_at_t0(correction):
     sigma = [content["angles"][axis]["sigma"][0] for axis in "xyz"]
     assert sigma == pytest.approx(found.sigma[:3].tolist())
     assert content["homothety_z"]["h"] == found.scale
+    lengths = [float(np.linalg.norm(one)) for one in found.residuals_rad]
+    assert content["residual_rms_rad"] == pytest.approx(np.sqrt(np.mean(np.square(lengths))), rel=1e-12)

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import dblquad
 
 from boresight.features.paper.comparison import compare_geometry, noise_law
 from boresight.features.paper.frames import calibrate_frames
 from boresight.features.paper.geometry_search import (
     GeometrySearch,
+    _per_direction,
     covariance_shapes,
     geometry_map,
     predicted_sigma,
@@ -27,6 +29,21 @@ def test_closed_form_equals_the_estimator_s_covariance(zenith, azimuth, roll):
     np.testing.assert_allclose(
         found, stated, rtol=0.03
     )  # a frame's 60 stars and 40 targets fill fields unevenly
+
+
+def test_information_of_a_direction_is_the_mean_over_the_field():
+    half = np.array([0.16, 0.12])  # rad; the paper's star camera has half of 18.6 and 14 degrees
+
+    def of_elements(i: int, j: int) -> float:
+        def element(y: float, x: float) -> float:
+            u = np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1.0)
+            return float((i == j) - u[i] * u[j])
+
+        return dblquad(element, -half[0], half[0], -half[1], half[1])[0] / (4.0 * half.prod())
+
+    mean = [[of_elements(i, j) for j in range(3)] for i in range(3)]
+    # Sums over 64 cells a side err by (1 / 64)² of a square's mean.
+    np.testing.assert_allclose(np.linalg.inv(_per_direction(half)), mean, rtol=3e-4, atol=1e-9)
 
 
 def test_axis_of_the_star_camera_points_where_the_angles_say():

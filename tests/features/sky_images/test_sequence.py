@@ -1,5 +1,6 @@
 """A sequence of star images: every frame is right or lost, and the stated covariance holds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -81,6 +82,14 @@ def test_the_table_has_a_row_a_frame(slew) -> None:
 def test_times_must_increase() -> None:
     with pytest.raises(ValueError, match="times_s"):
         bs.track([np.zeros((1024, 1024), np.uint8)] * 2, camera=CAMERA, times_s=[1.0, 1.0])
+
+
+def test_frames_have_the_width_and_height_of_the_camera() -> None:
+    camera = replace(CAMERA, height_px=768)
+    blank = np.zeros((768, 1024), np.uint8)  # without a star: lost, and not refused
+    assert bs.track([blank], camera=camera).state == ("lost",)
+    with pytest.raises(ValueError, match="768 x 1024 px"):
+        bs.track([blank.T], camera=camera)
 
 
 def test_the_filter_of_known_motion_states_its_errors() -> None:

@@ -11,6 +11,7 @@ from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
 from scipy.spatial.transform import Rotation
 
 from boresight.features.sky_images import sky_plan
+from boresight.features.sky_images.field_plan import _outline
 from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
@@ -109,3 +110,17 @@ def test_what_cannot_be_planned_is_refused(index):
     bare = solve_stars(stars.xy_px, (5120, 3840), index, SETTINGS, camera=TRUTH)
     with pytest.raises(ValueError, match="solved from an image"):
         StarImageModel.of(bare, index)
+
+
+def test_the_outline_on_the_map_is_the_edge_of_the_detector():
+    R_si = Rotation.from_euler("xyz", [50.0, -20.0, 200.0], degrees=True)
+    ra, dec = np.radians(_outline(TRUTH, R_si))
+    u_i = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    xy = TRUTH.pixels_from_directions(R_si.apply(u_i)) + 0.5  # from the corner of the first pixel
+    x, y = xy.T / [[TRUTH.width_px], [TRUTH.height_px]]
+    # On one of the four edges and not beyond the others; the corners are on it. 2e-4 of a side: two edges
+    # begin at the middle of a corner pixel, not at its corner.
+    assert np.minimum.reduce([abs(x), abs(x - 1.0), abs(y), abs(y - 1.0)]).max() < 2e-4
+    assert np.abs([x - 0.5, y - 0.5]).max() < 0.5 + 2e-4
+    for corner in ([0, 0], [0, 1], [1, 0], [1, 1]):
+        assert np.hypot(x - corner[0], y - corner[1]).min() < 2e-4
