@@ -57,13 +57,14 @@ from boresight.version import __version__
 
 __all__ = ["dump_from_arrays"]
 
+# Columns of tables that are given: place of a target, point that others measured, state of the orbit.
 PLACE = ("lat_deg", "lon_deg", "height_m", "height_kind", "sigma_east_m", "sigma_north_m", "sigma_up_m")
 MEASURED = ("id", "strip", "ccd", "sample", "line", "sigma_sample_px", "sigma_line_px", *PLACE)
 ORBIT = ("time", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
-FRAMES = ("ITRF", "GCRF", "EME2000")
+FRAMES = ("ITRF", "GCRF", "EME2000")  # of the orbit's states
 DEGREE = 7  # of the polynomial between states of the orbit
-FEWEST_STATES = 8
-HEIGHT_KINDS = ("ellipsoidal", "egm96")
+FEWEST_STATES = 8  # through which that polynomial passes
+HEIGHT_KINDS = ("ellipsoidal", "egm96")  # above the ellipsoid WGS84, or above this geoid
 
 
 def dump_from_arrays(

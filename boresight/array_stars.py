@@ -20,9 +20,10 @@ from boresight.pipeline.files.text_tables import write_csv, write_toml
 
 __all__ = ["attitude_keys", "write_attitudes", "write_exposures"]
 
-STAR = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")
-MORE = ("snr", "saturated", "blended", "psf_sigma_px")  # optional columns of a list of stars
-HEAD = {"name": "star-camera", "installation": "installation.toml"}
+STAR = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")  # columns of a list of stars
+MORE = ("snr", "saturated", "blended", "psf_sigma_px")  # its optional columns
+HEAD = {"name": "star-camera", "installation": "installation.toml"}  # keys of the one head in dump.toml
+# Values of the three arguments about attitudes, as docs/dump-format.md has them.
 FRAMES = ("GCRF", "ICRF", "EME2000")
 SENSES = ("head to inertial", "inertial to head")
 REMOVED = ("none", "annual", "annual and orbital")

@@ -52,7 +52,7 @@ MAX_ROWS = 500_000  # of a table; a record takes 1 kB
 # exponent; no nan, no inf.
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 PLAIN_NUMBER = "a finite number in ASCII digits"  # the same in messages
-_PLAIN_NUMBER = re.compile(NUMBER)
+_PLAIN_NUMBER = re.compile(NUMBER)  # of a whole text
 # Strings and comments of TOML, of any of its four kinds of quotes, closed or not.
 _STRING_OR_COMMENT = re.compile(
     r'''"""(?:\\.|[^\\])*?(?:"""|\Z)|\'{3}.*?(?:\'{3}|\Z)|"(?:\\.|[^"\\\n])*(?:"|$)|'[^'\n]*(?:'|$)|\#[^\n]*''',
