@@ -23,7 +23,13 @@ from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.input_findings import heights
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
-from boresight.pipeline.stages.target_findings import Suspected, lost_strip, lost_targets, single_targets
+from boresight.pipeline.stages.target_findings import (
+    Suspected,
+    _excluded,
+    lost_strip,
+    lost_targets,
+    single_targets,
+)
 
 NAMES = [f"t{n}" for n in range(12)]
 
@@ -200,3 +206,11 @@ def test_a_strip_window_of_one_grey_value_is_refused_as_such():
     refused = locate_template(template, np.full((200, 240), 3.0), start_px=(114, 90))
     assert not refused and refused.reason is Reason.ONE_GREY_VALUE
     assert refused.sentence.startswith("the strip has the grey value 3 ")
+
+
+def test_a_chip_that_is_too_small_names_its_target_and_strip():
+    reason = "the chip covers 12.0 px, at least 32.0 are needed"
+    omissions = [Omission("target", "s07/quarry, CCD 2", "", reason, "chip too small")]
+    (found,) = _excluded(omissions)
+    assert (found.item, found.targets) == ("target quarry (strip s07)", ("s07/quarry",))
+    assert found.cause == "pixel size of the chip" and found.text == f"{reason}."

@@ -34,7 +34,12 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.joint import calibrate_jointly, dump_names, open_dumps
+from boresight.pipeline.stages.joint import (
+    _check_nothing_twice,
+    calibrate_jointly,
+    dump_names,
+    open_dumps,
+)
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 runner = CliRunner()
@@ -331,6 +336,21 @@ def test_a_dump_named_twice_or_copied_is_refused(dumps: list[Path], tmp_path: Pa
     shutil.copytree(dumps[0], copy)
     with pytest.raises(RawDataError, match="strip s01: found the same instant as strip s01 of"):
         open_dumps([dumps[0], copy], Settings())
+
+
+def test_one_image_in_dumps_of_other_epochs_is_found() -> None:
+    """Instants count from the epoch of their dump."""
+
+    def named(name: str, epoch: int, **exposures: float) -> SimpleNamespace:
+        exposed = [SimpleNamespace(exposure_id=key, t_s=t_s) for key, t_s in exposures.items()]
+        return SimpleNamespace(
+            name=name, dump=SimpleNamespace(root=name, epoch=Epoch(epoch), strips=(), exposures=exposed)
+        )
+
+    first = named("may", 1_000, e1=5.5, e2=7.25)
+    _check_nothing_twice([first, named("june", 1_003, e1=5.5, e2=7.25)])
+    with pytest.raises(RawDataError, match="exposure e9: found the same instant as exposure e2 of may"):
+        _check_nothing_twice([first, named("june", 1_003, e8=0.5, e9=4.25)])
 
 
 def test_names_tell_dumps_apart_in_whatever_order_they_stand() -> None:

@@ -1,0 +1,75 @@
+"""Places of marks and lengths of scales on figures and map, against numbers by hand."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from boresight.pipeline.report import figures
+from boresight.pipeline.report.map_view import map_view
+from boresight.pipeline.report.observations import TargetCard
+
+
+def card(row: int, **more: Any) -> TargetCard:
+    of_all = {"target_id": f"t{row}", "ccd": 0, "cause": "", "reason": "", "shape": "circle", "colour": "s0"}
+    rest = {"numbers": {}, "pictures": None, "printed": False}
+    return TargetCard(link=f"c{row}", row=row, strip_id="s01", state="used", **of_all | rest | more)
+
+
+def test_residuals_of_stars_stand_at_their_samples_and_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    spots: dict[str, list[Any]] = {}
+    monkeypatch.setattr(figures, "drawn", lambda _, name, *rest: spots.update({name: rest[-1]}))
+    arcsec = np.array([[0.5, -1.0], [-0.25, 0.75]])
+    residual_c = [[float(x), float(y)] for x, y in np.radians(arcsec / 3600.0)]
+    table = {"ccd": [0, 2], "xy_px": [[10.0, 700.0], [30.5, 200.0]], "residual_c": residual_c}
+    fixed = pa.list_(pa.float64(), 2)
+    saved = SimpleNamespace(
+        context={"remote_camera": {"samples": [512, 500, 512]}},
+        targets=pa.table(table, pa.schema([("ccd", pa.int64()), ("xy_px", fixed), ("residual_c", fixed)])),
+    )
+    figures.star_residual_panels(saved, [card(0), card(1)])  # type: ignore[arg-type]
+    places = {
+        "residual-star-sample": [10.0, 512.0 + 500.0 + 30.5],  # CCDs side by side
+        "residual-star-line": [700.0, 200.0],
+    }
+    for name, x in places.items():
+        found = [(spot.x, spot.y) for spot in spots[name]]
+        expected = [*zip(x, arcsec[:, 0]), *zip(x, arcsec[:, 1])]  # the panel of x, then that of y
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
+    east, north = [100.0, 8100.0, 100.0], [200.0, 200.0, 6200.0]
+    toward = [[3.0, 4.0], [0.0, 2.5], [-1.0, 0.0]]  # m east and north
+    ground = {
+        "scene": [0, 0, 0],
+        "east_m": east,
+        "north_m": north,
+        "residual_east_m": [one[0] for one in toward],
+        "residual_north_m": [one[1] for one in toward],
+        "residual_m": [5.0, 2.5, 1.0],
+    }
+    box = [-1000.0, -500.0, 11_000.0, 8_500.0]
+    scene = {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": "s01", "outlines_m": []}]}
+    saved = SimpleNamespace(
+        context={"scenes": [scene]}, ground=pa.table(ground), map=pa.table({}), validation={}
+    )
+    view = map_view(saved, [card(n) for n in range(3)])  # type: ignore[arg-type]
+    assert view is not None
+    spots = {spot.row.row: spot for spot in view.spots}
+    # Places are rounded to 0.01 units, of some 10 m each.
+    metres = view.metres
+    assert (spots[1].x - spots[0].x) * metres == pytest.approx(8000.0, abs=0.02 * metres)
+    assert (spots[0].y - spots[2].y) * metres == pytest.approx(6000.0, abs=0.02 * metres)  # y downwards
+    for row, (e, n) in enumerate(toward):
+        dx, dy = map(float, re.match(r"M\S+ \S+l(\S+) (\S+)l", spots[row].arrow).groups())  # type: ignore[union-attr]
+        length = view.residual_metres * np.array([dx, -dy])
+        if not spots[row].is_cut:
+            np.testing.assert_allclose(length, [e, n], atol=0.01 * view.residual_metres)
+    assert [spots[row].is_cut for row in (1, 2)] == [False, False]
+    assert view.scenes[0].caption == "s01   33.00° S, 70.00° W"
