@@ -298,19 +298,7 @@ def open_dump(
     """
     if isinstance(root, Dump):
         return root
-    if not isinstance(root, str | os.PathLike) or not str(root).strip() or "\0" in str(root):
-        found = printable(value_text(root))
-        raise ValueError(f"root: found {found}, expected the folder of a dump, or a Dump")
-    root = dump_folder(os.fspath(root))
-    try:
-        is_there = root.is_dir()
-    except OSError as error:  # a name that is too long, no permission
-        raise RawDataError(str(root)[:200], "dump", error.strerror, "a folder with a dump.toml") from error
-    if not is_there:
-        raise RawDataError(str(root), "dump", "no such folder", "a folder with a dump.toml")
-    if not (root / "dump.toml").exists():
-        expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
-        raise RawDataError("dump.toml", "file", f"no such file in {root}", expected)
+    root = _existing(root)
     head = read_toml(root / "dump.toml", schema.DumpFile, "dump.toml")
     paths = {
         field: path_inside(root, name, file="dump.toml", field=f"files.{field}")
@@ -324,7 +312,7 @@ def open_dump(
     every, omitted = _strips(
         root, paths["strips"], head.files.strips, segments[0].epoch, remote, head.files.remote_camera
     )
-    of_strips = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in every]
+    of_strips = _spans(every)
     ephemeris, orbit_file = _segment(segments, of_strips, head.files.orbit)
     orbit = orbit_of(ephemeris, orbit_file, table, allow_stale_eop=allow_stale_eop)
     ground, sky = (tuple(one for one in every if one.kind == kind) for kind in ("ground", "sky"))
@@ -337,12 +325,9 @@ def open_dump(
     surveyed = targets_of(rows)
     every_head = open_heads(root, head, ephemeris.epoch, kernels)
     heads, exposures_twice = exposures_once(every_head)
-    covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, orbit_file, of_strips)
-    check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, orbit_file, of_strips)
-    check_exposure_dates(ephemeris.epoch, *_exposure_times(heads, head), of_strips)
-    during = [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
+    covers = _checked_dates(ephemeris, orbit_file, _exposure_times(heads, head), of_strips)
     for one in heads:
-        check_attitudes(one, orbit, during)
+        check_attitudes(one, orbit, _spans(strips))
     points, of_points = _points(paths.get("points"), head, ground)
     single_points, points_twice = points_once(points, str(head.files.points))
     return Dump(
@@ -374,6 +359,41 @@ def open_dump(
             "exposures": 0 if isinstance(heads[0].source, SolvedAttitudes) else every_head[0].n_exposures,
         },
     )
+
+
+def _existing(root: object) -> Path:
+    """The folder of a dump; `ValueError` for what cannot be one, `RawDataError` for one that is not there."""
+    if not isinstance(root, str | os.PathLike) or not str(root).strip() or "\0" in str(root):
+        found = printable(value_text(root))
+        raise ValueError(f"root: found {found}, expected the folder of a dump, or a Dump")
+    folder = dump_folder(os.fspath(root))
+    try:
+        is_there = folder.is_dir()
+    except OSError as error:  # a name that is too long, no permission
+        raise RawDataError(str(folder)[:200], "dump", error.strerror, "a folder with a dump.toml") from error
+    if not is_there:
+        raise RawDataError(str(folder), "dump", "no such folder", "a folder with a dump.toml")
+    if not (folder / "dump.toml").exists():
+        expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
+        raise RawDataError("dump.toml", "file", f"no such file in {folder}", expected)
+    return folder
+
+
+def _spans(strips: Sequence[Strip]) -> list[tuple[float, float]]:
+    """First and last instant of each strip, TAI seconds since the epoch."""
+    return [(s.t_first_row_s, s.t_first_row_s + s.lines * s.row_period_s) for s in strips]
+
+
+def _checked_dates(
+    ephemeris: Ephemeris, file: str, exposed: tuple[Floats, str], spans: Sequence[tuple[float, float]]
+) -> str:
+    """What the orbit of `file` covers, for messages; `RawDataError` where it, or all instants `exposed` of the
+    file named with them, are of another time than the strips, whose `spans` are given.
+    """
+    covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, file, spans)
+    check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, file, spans)
+    check_exposure_dates(ephemeris.epoch, *exposed, spans)
+    return covers
 
 
 def _exposure_times(heads: Sequence[Head], head: schema.DumpFile) -> tuple[Floats, str]:

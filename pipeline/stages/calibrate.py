@@ -164,22 +164,8 @@ def calibrate_dump(
     heads = [sight_head(dump, head, settings, error_model.attitudes, runner) for head in dump.heads]
     sky = find_in_sky_strips(dump, heads, settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
-    R_cs, sigma = dump.R_cs0, dump.sigma_installation_rad
-    mountings = stated_mountings(heads)
-    computed = [*sky.computed, *(flag for head in heads for flag in head.computed)]
-    first: _Pass | None = None
-    last: _Pass | None = None
-    for number in range(1, settings.run.passes + 1):
-        last = _one_pass(
-            number, last, dump, heads, sky, (R_cs, sigma), mountings, settings, error_model, runner
-        )
-        R_cs, sigma = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
-        mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
-        computed += last.computed
-        first = first or last
-        if not (last.named or any(task.targets for task in last.tasks)):
-            break  # measured image points alone: no matrix moves them
-    assert first is not None and last is not None
+    first, last, matchings = _first_and_last_pass(dump, heads, sky, settings, error_model, runner)
+    computed = [*sky.computed, *(flag for head in heads for flag in head.computed), *matchings]
     found = last.estimate.with_reference(heads[0].head.name)
     observed = [*last.matched, *map(as_matched, last.named)]
     omissions = (
@@ -191,15 +177,7 @@ def calibrate_dump(
     stars = sky_counts(dump, last.sky, last.named, found.R_cs)
     sighted = _sighted(dump, heads, first, last, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
-    reliability = examine(
-        found,
-        sighted,
-        error_model,
-        pixel_rad=dump.line_camera.pixel_rad,
-        star_camera=dump.star_camera,
-        inputs=inputs,
-        limits=settings.verdict.of_reliability,
-    )
+    reliability = _examined(dump, found, sighted, error_model, inputs, settings)
     verdict = assess(
         found,
         last.strips,
@@ -208,27 +186,16 @@ def calibrate_dump(
         reliability=reliability,
     )
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
-    convention = None
-    exchanged = exchanged_exposures(dump, heads)
-    if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
-        convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
+    findings = [
+        *_explanations(dump, heads, last, found, verdict, reliability, stars, settings),
+        *targets_out_of_view(dump, last.tasks, last.matched),
+        *input_findings(dump, last.tasks, omissions),
+        *assumed_motion(last.strips, error_model),
+        *earth_findings(earth, dump.earth_file),
+    ]
     return DumpCalibration(
         estimate=found,
-        verdict=verdict.with_findings(
-            [
-                *exchanged,
-                *([convention] if convention else []),
-                *(
-                    []
-                    if convention or exchanged
-                    else _target_findings(dump, last, found, reliability, verdict.findings, stars)
-                ),
-                *targets_out_of_view(dump, last.tasks, last.matched),
-                *input_findings(dump, last.tasks, omissions),
-                *assumed_motion(last.strips, error_model),
-                *earth_findings(earth, dump.earth_file),
-            ]
-        ),
+        verdict=verdict.with_findings(findings),
         earth_table=earth,
         stars=heads[0].stars,
         attitudes=heads[0].attitudes,
@@ -259,6 +226,30 @@ class _Pass:
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     omissions: tuple[Omission, ...] = scalar("strips, targets and stars that are not used")
     computed: tuple[bool, ...] = scalar("which matchings had to be computed")
+
+
+def _first_and_last_pass(
+    dump: Dump,
+    heads: Sequence[HeadSightings],
+    sky: SkySide,
+    settings: Settings,
+    error_model: CalibrationSettings,
+    runner: StageRunner,
+) -> tuple[_Pass, _Pass, list[bool]]:
+    """The first pass, from the pre-launch matrix, and the last, each from the estimate before it; and which
+    matchings of all passes had to be computed.
+    """
+    start, mountings = (dump.R_cs0, dump.sigma_installation_rad), stated_mountings(heads)
+    first = last = _one_pass(1, None, dump, heads, sky, start, mountings, settings, error_model, runner)
+    computed = list(first.computed)
+    for number in range(2, settings.run.passes + 1):
+        if not (last.named or any(task.targets for task in last.tasks)):
+            break  # measured image points alone: no matrix moves them
+        start = last.estimate.R_cs, _rematch_sigma(last.estimate, settings)
+        mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(heads[0].head.name).heads}
+        last = _one_pass(number, last, dump, heads, sky, start, mountings, settings, error_model, runner)
+        computed += last.computed
+    return first, last, computed
 
 
 def _one_pass(
@@ -338,16 +329,28 @@ def _cause_of_no_result(
     together = calibrate_strips(strips, dump.R_cs0, plain) if strips else None
     if not isinstance(together, InstallationEstimate):
         return None
-    found = examine(
-        together,
+    found = _examined(dump, together, strips, plain, moved_inputs(dump, strips, tasks), settings)
+    return next(iter(found.findings), None)
+
+
+def _examined(
+    dump: Dump,
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    error_model: CalibrationSettings,
+    inputs: Sequence[MovedInput],
+    settings: Settings,
+) -> Reliability:
+    """The hypotheses about the inputs of a dump, held against an estimate."""
+    return examine(
+        estimate,
         strips,
-        plain,
+        error_model,
         pixel_rad=dump.line_camera.pixel_rad,
         star_camera=dump.star_camera,
-        inputs=moved_inputs(dump, strips, tasks),
+        inputs=inputs,
         limits=settings.verdict.of_reliability,
     )
-    return next(iter(found.findings), None)
 
 
 def _agreeing_strips(dump: Dump, heads: Sequence[HeadSightings], settings: Settings) -> int:
@@ -366,6 +369,28 @@ def _agreeing_strips(dump: Dump, heads: Sequence[HeadSightings], settings: Setti
     sky = find_in_sky_strips(dump, now, settings, runner)
     named = name_in_sky_strips(dump, sky, dump.R_cs0, sigma, known=False)
     return sum(sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
+
+
+def _explanations(
+    dump: Dump,
+    heads: Sequence[HeadSightings],
+    last: _Pass,
+    estimate: InstallationEstimate,
+    verdict: Verdict,
+    reliability: Reliability,
+    stars: Counts,
+    settings: Settings,
+) -> list[Finding]:
+    """Exposures that are exchanged and a convention that is wrong; without either, what `_target_findings`
+    says.
+    """
+    exchanged = exchanged_exposures(dump, heads)
+    convention = None
+    if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
+        convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
+    if convention or exchanged:
+        return [*exchanged, *([convention] if convention else [])]
+    return _target_findings(dump, last, estimate, reliability, verdict.findings, stars)
 
 
 def _target_findings(
