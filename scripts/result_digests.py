@@ -99,11 +99,12 @@ def digests(dumps: Path, experiments: bool) -> dict[str, str]:
             for command in commands_on(name, sources):
                 label = " ".join(command).replace(str(dumps), "DUMPS")
                 found[f"{name}: {label}"] = printed(out, *command)
-        # Exported files, with the program's version, the time of writing and the result's id replaced.
-        own = sha256((out / "mini" / "installation.json").read_bytes())[:16].encode()
+        # Exported files, with the program's version, the time of writing and the digest of inputs and program
+        # replaced.
+        inputs = json.loads((out / "mini" / "run.json").read_text())["inputs"].encode()
         for path in sorted((out / "exported").rglob("*")):
             if path.is_file():
-                content = VERSION.sub(b"VERSION", path.read_bytes().replace(own, b"RESULT"))
+                content = VERSION.sub(b"VERSION", path.read_bytes().replace(inputs, b"INPUTS"))
                 found[f"exported: {path.name}"] = sha256(content)
         for label, command in alone(dumps).items():
             found[label] = printed(out, *command)

@@ -49,7 +49,7 @@ class Identity:
     program: str = scalar("program, version and commit")
     command: str = scalar("the command line")
     dump: str = scalar("folder or address of the dump, or of the dumps")
-    inputs: str = scalar("digest of all input files and settings")
+    inputs: str = scalar("digest of all input files, settings and the program")
 
     def items(self) -> dict[str, str]:
         """The texts by name, in order."""
