@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
+import rasterio
 from pytest import approx
 
 from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import Omission
-from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.report.findings import (
     clouds,
     spread,
 )
 from boresight.pipeline.report.ground_map import UNMATCHED, USED
+from boresight.pipeline.report.unmatched import _pictures
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.input_findings import heights
@@ -187,6 +191,31 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(finished):
     off = tuple((pixels[0] - pixels[1]).tolist())
     refusal = Refusal(Reason.INCONSISTENT, 9.0, 4.0, off, name, ccd)
     assert _displaced_m(task, refusal) == approx((60.0, -25.0), abs=0.05)  # m: the ground is not a plane
+
+
+def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allows(finished):
+    dump, result = finished
+    found = calibrate_dump(open_dump(dump), store=store_of(result))
+    task, matched = found.tasks[0], found.matched[0]
+    one = SimpleNamespace(task=task, model=pushbroom_of(task))
+    name, ccd = str(matched.target_id[0]), int(matched.ccd[0])
+    sample, line = matched.xy_px[0].tolist()
+    row = {"target_id": name, "ccd": ccd, "sample_px": sample, "line_px": line}
+    pictures = _pictures(one, row, surface_of(task.terrain))
+    template, found = (
+        cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        for png in (pictures.template_png, pictures.found_png)
+    )
+    (chip,) = [file for file in task.chips if file.target_id == name]
+    with rasterio.open(chip.path) as opened:
+        side_m = opened.width * opened.transform.a
+    at = one.model.ground_points(ccd, sample + np.array([0.0, 100.0]), np.full(2, line), ConstantHeight(0.0))
+    side_px = side_m / (np.linalg.norm(at[1] - at[0]) / 100.0)
+    assert 64.0 < side_px < 120.0  # so that a wrong factor of 2 shows
+    # At most 96 px are shown; the chip is turned, and pixels are not square, by some per cent.
+    assert template.shape == found.shape
+    assert template.shape == pytest.approx([min(96.0, side_px)] * 2, rel=0.08)
+    assert np.corrcoef(template.ravel(), found.ravel())[0, 1] > 0.9  # it was matched there
 
 
 def test_a_strip_without_any_match_is_empty_or_another_one():

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 from pytest import approx
+from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.geodesy import local_axes_e
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.report.ground_map import NODES, _lattice_map
 from boresight.pipeline.report.strip_overview import BAND_LINES, OverviewTask, overview
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 
 @pytest.mark.parametrize(
@@ -32,3 +39,43 @@ def test_an_overview_of_a_slope_is_the_slope(lines: int, tile: int, banded: bool
     i, j = np.indices(found.means.shape)
     # means of integers are rounded once for each halving of the blocks' sides, 4 at most
     assert found.means == approx(10 * (line + along * i) + 30 * (sample + across * j), abs=0.5 * 4)
+
+
+def test_residuals_in_metres_are_the_way_on_the_ground_of_the_turned_look_direction(finished):
+    """A look direction turned by its residual meets the ground as far away as the table says."""
+    dump, result = finished
+    ground = pq.read_table(result / "evidence" / "ground.parquet").to_pandas()
+    stored = pq.read_table(result / "sightings" / "targets.parquet").to_pandas()
+    rows = ground[ground["state"] == "used"].merge(stored, on=["strip_id", "target_id", "ccd"])
+    assert len(rows) >= 8
+    model = strip_model(open_calibrated(result, dump), rows["strip_id"][0]).pushbroom
+    for one in rows.itertuples():
+        sample, line = np.array([one.sample_px]), np.array([one.line_px])
+        axis = np.cross(one.u_c, [*one.residual_c, 0.0])
+        turned = model.with_installation(Rotation.from_rotvec(axis).inv() * model.R_cs)
+        level = ConstantHeight(one.height_m)
+        way_e = np.subtract(*(m.ground_points(one.ccd, sample, line, level)[0] for m in (turned, model)))
+        axes_e = local_axes_e(*np.radians([one.lat_deg, one.lon_deg]))
+        east_north = (way_e @ axes_e)[:2]
+        # 1 mm: residuals are decimetres, and turn the look by less than a pixel of some metres
+        assert [one.residual_east_m, one.residual_north_m] == approx(east_north, abs=1e-3)
+        assert one.residual_m == approx(np.hypot(*east_north), abs=1e-3)
+        east, north, _ = model.orbit.velocities_e(np.array([one.t_s_x]))[0] @ axes_e
+        flight = complex(east, north) / abs(complex(east, north))
+        along_left = complex(*east_north) * flight.conjugate()
+        # to the right is positive
+        assert [one.residual_along_m, one.residual_across_m] == approx(
+            [along_left.real, -along_left.imag], abs=1e-3
+        )
+
+
+def test_a_picture_on_the_lattice_has_its_pixels_at_their_centres():
+    rows, columns = 24, 60
+    node_x, node_y = (np.linspace(-0.5, side - 0.5, NODES, dtype=np.float32) for side in (columns, rows))
+    x, y = (
+        cv2.remap(plane, *_lattice_map(rows, columns), cv2.INTER_LINEAR)
+        for plane in np.meshgrid(node_x, node_y)
+    )
+    # OpenCV interpolates at 1/32 of a lattice step, of 2 px.
+    np.testing.assert_allclose(x, np.broadcast_to(np.arange(columns), x.shape), atol=2.0 / 32.0)
+    np.testing.assert_allclose(y, np.broadcast_to(np.arange(rows)[:, None], y.shape), atol=2.0 / 32.0)
