@@ -189,7 +189,7 @@ def test_a_dump_that_has_moved_is_asked_for(finished, tmp_path):
         open_calibrated(moved, None)
 
 
-def test_the_attitude_s_covariance_is_turned_into_the_axes_of_c():
+def test_the_attitude_s_covariance_is_rotated_into_the_axes_of_c():
     """A star camera that is 30 times worse about its line of sight, on a bold mounting, at two exposures."""
     R_cs = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
     sigma_s = np.array([[1.0, 2.0, 30.0], [3.0, 1.0, 20.0]]) * ARCSEC

@@ -212,7 +212,7 @@ def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allow
     at = one.model.ground_points(ccd, sample + np.array([0.0, 100.0]), np.full(2, line), ConstantHeight(0.0))
     side_px = side_m / (np.linalg.norm(at[1] - at[0]) / 100.0)
     assert 64.0 < side_px < 120.0  # so that a wrong factor of 2 shows
-    # At most 96 px are shown; the chip is turned, and pixels are not square, by some per cent.
+    # At most 96 px are shown; the chip is rotated, and pixels are not square, by some per cent.
     assert template.shape == found.shape
     assert template.shape == pytest.approx([min(96.0, side_px)] * 2, rel=0.08)
     assert np.corrcoef(template.ravel(), found.ravel())[0, 1] > 0.9  # it was matched there

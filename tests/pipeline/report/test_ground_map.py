@@ -41,8 +41,8 @@ def test_an_overview_of_a_slope_is_the_slope(lines: int, tile: int, banded: bool
     assert found.means == approx(10 * (line + along * i) + 30 * (sample + across * j), abs=0.5 * 4)
 
 
-def test_residuals_in_metres_are_the_way_on_the_ground_of_the_turned_look_direction(finished):
-    """A look direction turned by its residual meets the ground as far away as the table says."""
+def test_residuals_in_metres_are_the_way_on_the_ground_of_the_rotated_look_direction(finished):
+    """A look direction that is rotated by its residual meets the ground as far away as the table says."""
     dump, result = finished
     ground = pq.read_table(result / "evidence" / "ground.parquet").to_pandas()
     stored = pq.read_table(result / "sightings" / "targets.parquet").to_pandas()
@@ -52,9 +52,9 @@ def test_residuals_in_metres_are_the_way_on_the_ground_of_the_turned_look_direct
     for one in rows.itertuples():
         sample, line = np.array([one.sample_px]), np.array([one.line_px])
         axis = np.cross(one.u_c, [*one.residual_c, 0.0])
-        turned = model.with_installation(Rotation.from_rotvec(axis).inv() * model.R_cs)
+        rotated = model.with_installation(Rotation.from_rotvec(axis).inv() * model.R_cs)
         level = ConstantHeight(one.height_m)
-        way_e = np.subtract(*(m.ground_points(one.ccd, sample, line, level)[0] for m in (turned, model)))
+        way_e = np.subtract(*(m.ground_points(one.ccd, sample, line, level)[0] for m in (rotated, model)))
         axes_e = local_axes_e(*np.radians([one.lat_deg, one.lon_deg]))
         east_north = (way_e @ axes_e)[:2]
         # 1 mm: residuals are decimetres, and turn the look by less than a pixel of some metres
