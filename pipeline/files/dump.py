@@ -387,8 +387,8 @@ def _spans(strips: Sequence[Strip]) -> list[tuple[float, float]]:
 def _checked_dates(
     ephemeris: Ephemeris, file: str, exposed: tuple[Floats, str], spans: Sequence[tuple[float, float]]
 ) -> str:
-    """What the orbit of `file` covers, for messages; `RawDataError` where it, or all instants `exposed` of the
-    file named with them, are of another time than the strips, whose `spans` are given.
+    """What the orbit of `file` covers, for messages; `RawDataError` where it, or all instants `exposed` of
+    the file named with them, are of another time than the strips, whose `spans` are given.
     """
     covers = orbit_covers(ephemeris.epoch, ephemeris.t_s, ephemeris.time_system, file, spans)
     check_orbit_dates(covers, ephemeris.epoch, ephemeris.t_s, file, spans)
