@@ -31,6 +31,7 @@ from boresight.star_id.star_names import star_name
 __all__ = ["named_sky"]
 
 Colour = tuple[int, int, int]
+LEAST_PX = 960  # a picture whose longer side is shorter is enlarged, so that labels have room
 # Height of the letters over the image's longer side, and the smallest that is readable, px.
 LETTERS, SMALLEST_LETTERS_PX = 0.011, 11
 # Radius of a star's ring in letters: at magnitude 0, less for each magnitude, and the smallest.
@@ -93,18 +94,21 @@ def named_sky(
     *,
     figures: bool,
 ) -> NDArray[np.uint8]:
-    """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size.
+    """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size; a small one enlarged by a
+    whole number.
 
     `no_stars_px` (M, 2) are the detections of no star's shape. A mirror image must be reversed already.
     `figures` draws constellations.
     """
-    letters = max(SMALLEST_LETTERS_PX, round(LETTERS * max(image.shape)))
+    larger = -(-LEAST_PX // max(image.shape))
+    letters = max(SMALLEST_LETTERS_PX, round(LETTERS * larger * max(image.shape)))
     thick = max(1, round(letters / 11))
-    lines = _figure_lines(found, FIGURE_GAP * letters) if figures else {}
+    lines = _figure_lines(found, FIGURE_GAP * letters / larger, larger) if figures else {}
     v_mag = _magnitudes(found.hip)
-    marks = _marks(found, planets, no_stars_px, v_mag, letters)
+    marks = _marks(found, planets, no_stars_px, v_mag, letters, larger)
     grey = 255.0 * BRIGHTNESS * sky_stretch(image.astype(np.float32))
-    picture = np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
+    whole = grey.astype(np.uint8).repeat(larger, axis=0).repeat(larger, axis=1)
+    picture = np.repeat(whole[:, :, None], 3, axis=2)
     segments = np.concatenate([np.zeros((0, 2, 2)), *lines.values()])
     _draw(picture, segments, BLUE, thick)
     for one in marks:
@@ -113,7 +117,7 @@ def named_sky(
             _draw(picture, at, one.kind.colour, thick)
     taken = [mark_boxes(one.xy_px, one.half_px) for one in marks]
     taken.append(line_boxes(segments[:, 0], segments[:, 1], float(thick)))
-    labels = _labels(found, planets, v_mag, marks[0].half_px, lines, letters)
+    labels = _labels(found.hip, v_mag, marks, planets, lines, picture.shape[1::-1], letters)
     return _written(picture, labels, np.vstack(taken), marks, letters)
 
 
@@ -124,7 +128,12 @@ def _magnitudes(hip: NDArray[np.integer]) -> Floats:
 
 
 def _marks(
-    found: FieldSolution, planets: Sequence[Planet], no_stars_px: Floats, v_mag: Floats, letters: int
+    found: FieldSolution,
+    planets: Sequence[Planet],
+    no_stars_px: Floats,
+    v_mag: Floats,
+    letters: int,
+    larger: int,
 ) -> tuple[_Marks, ...]:
     """All marks, those of identified stars first."""
     rings = letters * np.maximum(RING - RING_OF_MAGNITUDE * v_mag, SMALLEST_RING)
@@ -133,15 +142,22 @@ def _marks(
     at_planets = np.array([(p.x_px, p.y_px) for p in planets]).reshape(-1, 2)
     half = OTHER * letters
     return (
-        _Marks(_STAR, found.xy_px, rings),
-        _Marks(_DETECTION, others, np.full(len(others), half)),
-        _Marks(_NO_STAR, no_stars_px, np.full(len(no_stars_px), half)),
-        _Marks(_PLANET, at_planets, np.full(len(at_planets), 2.0 * half)),
+        _Marks(_STAR, _enlarged(found.xy_px, larger), rings),
+        _Marks(_DETECTION, _enlarged(others, larger), np.full(len(others), half)),
+        _Marks(_NO_STAR, _enlarged(no_stars_px, larger), np.full(len(no_stars_px), half)),
+        _Marks(_PLANET, _enlarged(at_planets, larger), np.full(len(at_planets), 2.0 * half)),
     )
 
 
-def _figure_lines(found: FieldSolution, gap_px: float) -> dict[str, Floats]:
-    """Straight pieces (K, 2, 2), px, of the figures in view by name, clear of the stars by `gap_px`."""
+def _enlarged(xy_px: Floats, larger: int) -> Floats:
+    """Places in the image as places in the picture; (0, 0) is the middle of the first pixel of both."""
+    return (xy_px + 0.5) * larger - 0.5
+
+
+def _figure_lines(found: FieldSolution, gap_px: float, larger: int) -> dict[str, Floats]:
+    """Straight pieces (K, 2, 2) of the figures in view by name, px of the picture, clear of the stars by
+    `gap_px` of the image.
+    """
     places = hipparcos_stars().places
     camera = found.camera
     frame = np.array([camera.width_px, camera.height_px], dtype=float)
@@ -160,32 +176,30 @@ def _figure_lines(found: FieldSolution, gap_px: float) -> dict[str, Floats]:
                 near &= ~(np.hypot(*np.moveaxis(xy - end, -1, 0)) < gap_px)
         pieces = np.stack([xy[:, :-1], xy[:, 1:]], axis=2)[near[:, :-1] & near[:, 1:]]
         if ((pieces > 0.0) & (pieces < frame)).all(axis=-1).any():
-            lines[name] = pieces
+            lines[name] = _enlarged(pieces, larger)
     return lines
 
 
 def _labels(
-    found: FieldSolution,
-    planets: Sequence[Planet],
+    hip: NDArray[np.integer],
     v_mag: Floats,
-    rings: Floats,
+    marks: Sequence[_Marks],
+    planets: Sequence[Planet],
     lines: Mapping[str, Floats],
+    frame: tuple[int, ...],
     letters: int,
 ) -> list[_Label]:
     """What is to be written, the most important first: planets, stars by brightness, constellations."""
-    labels = [
-        _Label(
-            p.name, _PLANET.colour, np.array([p.x_px, p.y_px]), (2.0 * OTHER + 0.2) * letters, letters, True
-        )
-        for p in planets
-    ]
+    stars, space = marks[0], 0.2 * letters
+    labels = []
+    for planet, at, half in zip(planets, marks[-1].xy_px, marks[-1].half_px):
+        labels.append(_Label(planet.name, _PLANET.colour, at, float(half) + space, letters, True))
     small = max(SMALLEST_LETTERS_PX, round(SMALLER * letters))
     for n in np.argsort(v_mag, kind="stable"):
-        name, gap = star_name(int(found.hip[n])), float(rings[n]) + 0.2 * letters
+        name, gap = star_name(int(hip[n])), float(stars.half_px[n]) + space
         colour, height = (GREY, small) if name.startswith("HIP ") else (WHITE, letters)
         words, bright = f"{name} {v_mag[n]:.1f}", bool(v_mag[n] < BRIGHT)
-        labels.append(_Label(words, colour, found.xy_px[n], gap, height, bright))
-    frame = np.array([found.camera.width_px, found.camera.height_px])
+        labels.append(_Label(words, colour, stars.xy_px[n], gap, height, bright))
     for name, pieces in lines.items():
         ends = pieces.reshape(-1, 2)
         middle = ends[((ends > 0) & (ends < frame)).all(axis=1)].mean(axis=0)
