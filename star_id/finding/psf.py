@@ -10,6 +10,7 @@ grows with the distance from the image's centre. Stars of any other form have an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -242,8 +243,17 @@ def _smear_nodes(length: float) -> tuple[Floats, Floats]:
     """Nodes along a smear of `length` sigmas in [-1/2, 1/2] and their weights, which sum to 1."""
     if length < 1e-3:
         return np.zeros(1), np.ones(1)
-    nodes, weights = np.polynomial.legendre.leggauss(int(np.ceil(3 + length)))
+    nodes, weights = _gauss_legendre(int(np.ceil(3 + length)))
     return 0.5 * nodes, 0.5 * weights
+
+
+@lru_cache(maxsize=64)  # each group of stars of a frame asks for the same few; trails have at most some 60
+def _gauss_legendre(count: int) -> tuple[Floats, Floats]:
+    """Nodes (N,) in [-1, 1] and weights (N,) of Gauss and Legendre's quadrature, read only."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes.setflags(write=False)
+    weights.setflags(write=False)
+    return nodes, weights
 
 
 def _fan_nodes(length: float) -> tuple[Floats, Floats]:
@@ -252,7 +262,7 @@ def _fan_nodes(length: float) -> tuple[Floats, Floats]:
     They are circles from zones of the pupil, of radius u / 3 for the share u of the pupil's area, displaced
     by twice that; enough of them for a fan of `length` sigmas.
     """
-    zone, of_zone = np.polynomial.legendre.leggauss(int(np.ceil(2 + 0.3 * length)))
+    zone, of_zone = _gauss_legendre(int(np.ceil(2 + 0.3 * length)))
     angle = 2.0 * np.pi * (np.arange(n := int(np.ceil(5 + 0.5 * length))) + 0.5) / n
     radius = (1.0 + zone[:, None]) / 6.0
     nodes = np.stack([radius * (2.0 + np.cos(angle)) - 1.0 / 3.0, radius * np.sin(angle)], axis=2)
