@@ -22,7 +22,7 @@ from boresight.star_id.star_names import star_name
 __all__ = ["strips_on_sky"]
 
 MOST_STRIPS = 8  # each has a panel
-PANEL_IN = 3.1  # its height
+PANEL_IN, NARROW_PANEL_IN = 3.1, 2.4  # its height: of one alone, and of one of two beside each other
 FEWEST_STARS = 4  # that tell how the camera's axes lie on the sky
 LONGEST = 0.15  # of the panel's width: the arrow of the largest residual
 MOST_NAMES = 12  # of a panel: of its brightest stars
@@ -37,7 +37,7 @@ def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
     if not strips:
         return None
     deep = -(-len(strips) // 2)
-    figure = new_figure(PANEL_IN * deep, legend_in=0.25)
+    figure = new_figure((PANEL_IN if len(strips) == 1 else NARROW_PANEL_IN) * deep, legend_in=0.25)
     panels = figure.subplots(deep, 1 if len(strips) == 1 else 2, squeeze=False).ravel()
     figure.subplots_adjust(hspace=0.45, wspace=0.55)
     residual = [np.hypot(*_residual(saved, row.row)) for row in rows if row.state == "used"]
@@ -103,7 +103,7 @@ def _write_names(axes: Axes, stars: Sequence[str], place: Floats, lines: Floats)
     names = [star_name(number) for number in order]
     font = FontProperties(size=NAME_PT)
     sizes = [text_to_path.get_text_width_height_descent(name, font, False)[0] for name in names]
-    boxes = np.array([(width, 1.2 * NAME_PT) for width in sizes]).reshape(-1, 2)
+    boxes = np.array([(width + LINE_PT, 1.2 * NAME_PT) for width in sizes]).reshape(-1, 2)
     frame = np.concatenate(axes.bbox.get_points() / per_point)
     at = place_labels(marks[[once[number] for number in order]], boxes, MARK_PT, frame, np.vstack(taken))
     to_axes = axes.transAxes.inverted()
