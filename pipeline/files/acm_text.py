@@ -14,7 +14,7 @@ import numpy as np
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.orbit_file import tai_seconds
+from boresight.pipeline.files.orbit_file import calendar_date, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number
 
 __all__ = ["AcmAttitudes", "is_acm", "read_acm"]
@@ -67,7 +67,7 @@ def read_acm(text: str, file: str) -> AcmAttitudes:
         raise RawDataError(file, "ATT_START", "no attitudes", "a block with ATT_TYPE = QUATERNION")
     frames = [_frames(block, file) for block in attitudes]
     if other := [one for one in frames if one != frames[0]]:
-        found = f"{frames[0]} and {other[0]}"
+        found = "; ".join(" and ".join(one.values()) for one in (frames[0], other[0]))
         raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", found, "one head; delete the other blocks")
     parts = [_numbers(block, QUATERNION, meta, file) for block in attitudes]
     since = parts[0][0]
@@ -146,9 +146,11 @@ def _numbers(
     ]
     stamps = [(number, cells[0]) for number, cells in block.rows]
     if stamps and all("T" in stamp for _, stamp in stamps):
-        since, t_s = tai_seconds([stamp for _, stamp in stamps], meta["TIME_SYSTEM"], file)
+        dates = [calendar_date(stamp, file, f"line {n}, time") for n, stamp in stamps]
+        since, t_s = tai_seconds(dates, meta["TIME_SYSTEM"], file)
     else:
-        since, (start,) = tai_seconds([meta["EPOCH_TZERO"]], meta["TIME_SYSTEM"], file, "EPOCH_TZERO")
+        tzero = calendar_date(meta["EPOCH_TZERO"], file, "EPOCH_TZERO")
+        since, (start,) = tai_seconds([tzero], meta["TIME_SYSTEM"], file, "EPOCH_TZERO")
         t_s = start + np.array([check_number(one, file, f"line {n}, time") for n, one in stamps], dtype=float)
     return since, t_s, np.array(values, dtype=float).reshape(-1, len(names))
 

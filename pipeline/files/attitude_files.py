@@ -23,7 +23,7 @@ from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
-from boresight.pipeline.files.orbit_file import SAME_FRAME, check_time_system, tai_seconds
+from boresight.pipeline.files.orbit_file import SAME_FRAME, calendar_date, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
 
@@ -31,6 +31,9 @@ __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", 
 
 # Names of inertial frames that a file may state.
 INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
+VERSION, VERSIONS = "CCSDS_AEM_VERS", ("1.0", "2.0")  # first keyword of an AEM, and its values that are read
+# Keywords of CCSDS 504.0-B-1 that 504.0-B-2 has no more, and what it has instead of them.
+OF_VERSION_1 = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
 QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
@@ -91,7 +94,7 @@ def read_attitudes(
     """
     text = read_message(path, file)
     start = text.lstrip()
-    message = is_acm(start) or start.startswith(("CCSDS_AEM_VERS", "<"))
+    message = is_acm(start) or start.startswith((VERSION, "<"))
     if start.startswith("CCSDS_") and not message:
         line = 1 + text[: len(text) - len(start)].count("\n")
         raise RawDataError(file, f"line {line}", start.splitlines()[0][:64], MESSAGES)
@@ -238,7 +241,7 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
     meta: dict[str, str] = {}
     fields: dict[str, str] = {}  # keywords as errors name them
     states: list[State] = []
-    where, part = "", "header"
+    where, part, version = "", "header", ""
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if not line or line.startswith("COMMENT"):
@@ -247,7 +250,7 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
             if line == "META_START":
                 meta, fields, states, where = {}, {}, [], f"META_START of line {number}, "
             if line == "DATA_START":
-                _check_metadata(meta, file, where, fields)
+                _check_metadata(meta, version, file, where, fields)
             if line == "DATA_STOP":
                 if part != "DATA_START":
                     raise RawDataError(file, f"line {number}", line, "DATA_START before it")
@@ -262,13 +265,23 @@ def _kvn_segments(text: str, file: str) -> Iterator[Segment]:
             if not equals:
                 raise RawDataError(file, f"line {number}", line, "KEYWORD = value")
             meta[key.strip()], fields[key.strip()] = value.strip(), f"line {number}, {key.strip()}"
+        elif part == "header" and line.startswith(VERSION):
+            version = _version(line.partition("=")[2].strip(), file, f"line {number}, {VERSION}")
     if part not in ("DATA_STOP", "header"):
         raise RawDataError(file, "end of the file", f"after {part}", "DATA_STOP")
 
 
-def _check_metadata(meta: dict[str, str], file: str, where: str, fields: Mapping[str, str]) -> None:
-    """`RawDataError` where a keyword is missing, or the attitudes are no quaternions; it names a keyword of
-    `fields` by them, and another as one `where` it is not.
+def _version(text: str, file: str, field: str) -> str:
+    if text not in VERSIONS:
+        raise RawDataError(file, field, text or "nothing", " or ".join(VERSIONS))
+    return text
+
+
+def _check_metadata(
+    meta: dict[str, str], version: str, file: str, where: str, fields: Mapping[str, str]
+) -> None:
+    """`RawDataError` where a keyword is missing, the attitudes are no quaternions, or a keyword not of
+    version 2.0 contradicts that; it names a keyword by `fields`, and a missing one as missing `where`.
     """
     for key in ("REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"):
         if key not in meta:
@@ -276,6 +289,10 @@ def _check_metadata(meta: dict[str, str], file: str, where: str, fields: Mapping
     if not (kind := meta["ATTITUDE_TYPE"].upper()).startswith("QUATERNION"):
         expected = "QUATERNION, with or without rates; other types are not read"
         raise RawDataError(file, fields.get("ATTITUDE_TYPE", f"{where}ATTITUDE_TYPE"), kind, expected)
+    for key, only in OF_VERSION_1.items() if version != VERSIONS[0] else ():
+        if (value := meta.get(key, only).upper()) != only:
+            expected = f"{only}, as in version 2.0, which has no {key}; or CCSDS_AEM_VERS = 1.0"
+            raise RawDataError(file, fields.get(key, where + key), value, expected)
     check_time_system(meta["TIME_SYSTEM"], file, fields.get("TIME_SYSTEM", f"{where}TIME_SYSTEM"))
 
 
@@ -286,7 +303,7 @@ def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> Sta
     first = meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
     names = (QUATERNION[3], *QUATERNION[:3]) if first else QUATERNION
     q = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(names, cells[1:])}
-    return cells[0], [q[name] for name in QUATERNION]
+    return calendar_date(cells[0], file, f"{where}, time"), [q[name] for name in QUATERNION]
 
 
 def _xml_segments(text: str, file: str) -> Iterator[Segment]:
@@ -296,6 +313,7 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
     message = next(named, None)
     if message is None:
         raise RawDataError(file, "root element", root.tag, "aem; an ACM is read as keyword = value")
+    version = _version(message.get("version", "").strip(), file, f"{message.tag}, version")
     every = list(message.iter("segment"))
     for n, segment in enumerate(every, start=1):
         inside = f"segment {n}, " if len(every) > 1 else ""
@@ -303,7 +321,7 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
         for element in segment.iterfind("metadata//*"):
             if not len(element):
                 meta.setdefault(element.tag, (element.text or "").strip())
-        _check_metadata(meta, file, inside, {})
+        _check_metadata(meta, version, file, inside, {})
         states: list[State] = []
         for element in segment.iter("attitudeState"):
             where = f"{inside}state {len(states) + 1}"
@@ -311,7 +329,7 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
             if missing := [key for key in ("EPOCH", *QUATERNION) if key not in cells]:
                 raise RawDataError(file, where, f"no {missing[0]}", EXPECTED)
             q = [check_number(cells[name], file, f"{where}, {name}") for name in QUATERNION]
-            states.append((cells["EPOCH"], q))
+            states.append((calendar_date(cells["EPOCH"], file, f"{where}, EPOCH"), q))
         yield inside, meta, states
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -76,6 +76,8 @@ __all__ = [
     "surface_of",
 ]
 
+# Longest step of an orbit, of a revolution: velocities and positions then still agree to 2 m/s (degree 3).
+MOST_REVOLUTION = 0.1
 MOST_NAMED = 8  # strips, and items not used, in the text of a dump
 # Most pixels of a terrain model; of single precision they take 256 MiB.
 MAX_TERRAIN_PIXELS = 8192 * 8192
@@ -517,6 +519,7 @@ def orbit_of(
     `RawDataError` for dates without Earth orientation and states that cannot be interpolated.
     """
     t, frame = ephemeris.t_s, ephemeris.frame
+    _check_steps(ephemeris, file)
     if fault := find_orbit_fault(t, ephemeris.positions_m, ephemeris.velocities_m_s, frame):
         if fault.fault.is_of_frame:
             raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
@@ -543,6 +546,15 @@ def orbit_of(
         )
     except ValueError as error:
         raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error
+
+
+def _check_steps(ephemeris: Ephemeris, file: str) -> None:
+    """`RawDataError` for states too far apart to be interpolated, or compared with their velocities."""
+    radius = np.median(np.linalg.norm(ephemeris.positions_m, axis=1))
+    longest = MOST_REVOLUTION * 2.0 * np.pi * np.sqrt(radius**3 / GM_EARTH)
+    if (step := float(np.median(np.diff(ephemeris.t_s)))) > longest:
+        expected = f"at most {longest:.0f} s, {MOST_REVOLUTION:g} of a revolution"
+        raise RawDataError(file, "time of the states", f"steps of {step:.0f} s", expected)
 
 
 def _strips(

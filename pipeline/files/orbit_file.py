@@ -24,6 +24,7 @@ from boresight.pipeline.files.xml_files import text_of as element_text
 __all__ = [
     "SAME_FRAME",
     "Ephemeris",
+    "calendar_date",
     "check_components",
     "check_states",
     "check_time_system",
@@ -93,6 +94,10 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
     """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`."""
     text = read_message(path, file)
     read = (_of_xml if text.lstrip().startswith("<") else _of_lines)(text, file)
+    for meta, *_ in read[1:]:
+        first, other = read[0][0].values["OBJECT_ID"], meta.values["OBJECT_ID"]
+        if other != first:
+            raise meta.error("OBJECT_ID", other, f"{first}, as in the first segment", file)
     names = [f"{file} (segment {n} of {len(read)})" for n in range(1, len(read) + 1)]
     parts = [_ephemeris(*one, name) for one, name in zip(read, names if len(read) > 1 else [file])]
     epoch = parts[0].epoch
@@ -196,7 +201,7 @@ def _of_block(rows: list[tuple[int, str]], file: str) -> Part:
     stamps = words[::width]
     times = [stamp.removesuffix("Z") for stamp in stamps]
     for n in [n for n, time in enumerate(times) if not _CALENDAR_STAMP.fullmatch(time)]:
-        times[n] = _calendar(stamps[n], file, f"line {numbers[n]}, time")
+        times[n] = calendar_date(stamps[n], file, f"line {numbers[n]}, time")
     return meta, times, np.ascontiguousarray(values)
 
 
@@ -234,7 +239,7 @@ def _of_segment(segment: Element, file: str, inside: str) -> Part:
     states = [(f"{inside}state {n}, ", one) for n, one in enumerate(segment.findall("data/stateVector"), 1)]
     values = [[numbers_of(one, name, file, 1, where)[0] for name in _COORDINATES] for where, one in states]
     times = [
-        _calendar(element_text(one, "EPOCH", file, where), file, where.removesuffix(", "))
+        calendar_date(element_text(one, "EPOCH", file, where), file, where.removesuffix(", "))
         for where, one in states
     ]
     return meta, times, np.array(values).reshape(-1, 6)
@@ -267,7 +272,7 @@ def _keywords(
             raise RawDataError(file, where + key, "a second time", "each keyword once")
         values[key], fields[key] = value.strip(), where + key
         if ("TIME" in key and key != "TIME_SYSTEM") or key.endswith(("DATE", "EPOCH")):
-            values[key] = _calendar(values[key], file, fields[key])
+            values[key] = calendar_date(values[key], file, fields[key])
     meta = _Keywords(values, fields)
     for key in known[0]:
         if not values.get(key):
@@ -275,20 +280,6 @@ def _keywords(
     if (version := values.get("CCSDS_OEM_VERS", VERSIONS[0])) not in VERSIONS:
         raise meta.error("CCSDS_OEM_VERS", version, ", ".join(VERSIONS), file)
     return meta
-
-
-def _calendar(stamp: str, file: str, field: str) -> str:
-    """A time as calendar date without Z: of `2024-325T03:40:00Z` that is 2024-11-20T03:40:00."""
-    if (match := _STAMP.fullmatch(stamp)) is None:
-        expected = "a time such as 2024-11-20T03:40:00.5 or 2024-325T03:40:00.5"
-        raise RawDataError(file, field, stamp, expected)
-    year, day, time = match.groups()
-    if day is None:
-        return stamp.removesuffix("Z")
-    try:
-        return f"{datetime.datetime.strptime(f'{year} {day}', '%Y %j').date()}{time}"
-    except ValueError as error:
-        raise RawDataError(file, field, stamp, "a day of that year") from error
 
 
 def _frame(meta: _Keywords, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
@@ -321,6 +312,23 @@ def _degree(meta: _Keywords, file: str) -> int:
     if not re.fullmatch(r"[0-9]{1,2}", degree) or not 1 <= int(degree) <= 15:
         raise meta.error("INTERPOLATION_DEGREE", degree, "1 to 15", file)
     return int(degree)
+
+
+def calendar_date(stamp: str, file: str, field: str) -> str:
+    """A time of a message as calendar date without Z: of `2024-325T03:40:00Z` that is 2024-11-20T03:40:00.
+
+    `RawDataError`, which names `field`, for text that is neither a date nor a day of the year.
+    """
+    if (match := _STAMP.fullmatch(stamp)) is None:
+        expected = "a time such as 2024-11-20T03:40:00.5 or 2024-325T03:40:00.5"
+        raise RawDataError(file, field, stamp, expected)
+    year, day, time = match.groups()
+    if day is None:
+        return stamp.removesuffix("Z")
+    try:
+        return f"{datetime.datetime.strptime(f'{year} {day}', '%Y %j').date()}{time}"
+    except ValueError as error:
+        raise RawDataError(file, field, stamp, "a day of that year") from error
 
 
 def tai_seconds(

@@ -112,7 +112,10 @@ def test_several_blocks_of_one_head_follow_one_another(tmp_path: Path) -> None:
     second = "\n".join([*block.splitlines()[:6], later + "ATT_STOP\n"])
     rows = read(tmp_path, MESSAGE + second)
     assert rows.t_s == pytest.approx(0.5 + 0.1 * np.arange(6), abs=1e-9)
-    with pytest.raises(RawDataError, match=r"REF_FRAME_A and REF_FRAME_B: .*STR2.*delete the other blocks"):
+    says = (
+        "REF_FRAME_A and REF_FRAME_B: found ICRF and STR1; ICRF and STR2, expected .*delete the other blocks"
+    )
+    with pytest.raises(RawDataError, match=says):
         read(tmp_path, MESSAGE + second.replace("STR1", "STR2"))
 
 
@@ -203,6 +206,20 @@ def test_mutated_messages_are_read_or_refused(tmp_path: Path) -> None:
         except RawDataError:
             refused += 1
     assert 500 < refused < 2000
+
+
+@pytest.mark.parametrize("scale", ["UTC", "TAI", "GPS"])
+def test_times_may_be_days_of_the_year(scale: str, tmp_path: Path) -> None:
+    text = MESSAGE.replace("SYSTEM = UTC", f"SYSTEM = {scale}")
+    of_year = text.replace("2025-03-20T", "2025-079T").replace("00.5\n", "00.5Z\n")
+    assert of_year.count("2025-079T") == 1
+    dates = text.replace("\n0.", "\n2025-079T02:31:00.")
+    assert np.array_equal(read(tmp_path, of_year).t_s, read(tmp_path, text).t_s)
+    assert np.allclose(read(tmp_path, dates).t_s + 0.5, read(tmp_path, text).t_s, atol=1e-9)  # s
+    with pytest.raises(
+        RawDataError, match=r"line 22, time: found 2025-379T02:31:00\.0, expected a day of that year"
+    ):
+        read(tmp_path, dates.replace("2025-079", "2025-379"))
 
 
 def test_sensors_inside_attitude_determination_are_not_read(tmp_path: Path) -> None:

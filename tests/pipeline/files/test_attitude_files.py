@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import gzip
 from pathlib import Path
 
@@ -159,6 +160,31 @@ def test_messages_of_every_form_give_the_attitude(
     assert np.allclose(found.t_s, [10.0, 10.1, 10.2], atol=1e-9)  # s: the time library's two-part dates
 
 
+@pytest.mark.parametrize("scale", ["UTC", "TAI"])
+def test_times_of_a_message_may_be_days_of_the_year(scale: str, tmp_path: Path) -> None:
+    meta = OK | {"TIME_SYSTEM": scale}
+    days = [datetime.datetime.fromisoformat(t.rstrip("Z")).strftime("%Y-%jT%H:%M:%S.%f") + "Z" for t in TIMES]
+    kinds = [kvn(meta, [f"{t} {Q}" for t in times], "1.0") for times in (TIMES, days)]
+    dates, of_year = (read(tmp_path, text, None, None).t_s for text in kinds)
+    assert np.array_equal(of_year, dates)
+    with pytest.raises(RawDataError, match=r"line \d+, time: found 20.*, expected a day of that year"):
+        read(tmp_path, kinds[1].replace(days[0][:8], f"{days[0][:5]}367"), None, None)
+
+
+def test_keywords_of_version_1_may_only_say_what_version_2_says(tmp_path: Path) -> None:
+    rows = [f"{t} 0.1 0.5 -0.7 0.5" for t in TIMES]
+    plain = read(tmp_path, kvn(OK, rows, "2.0"), None, None).R_si
+    same = kvn(OK | {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}, rows, "2.0")
+    assert np.array_equal(read(tmp_path, same, None, None).R_si.as_quat(), plain.as_quat())
+    for key, value, only in (("ATTITUDE_DIR", "B2A", "A2B"), ("QUATERNION_TYPE", "FIRST", "LAST")):
+        read(tmp_path, kvn(OK | {key: value}, rows, "1.0"), None, None)
+        says = rf"line \d+, {key}: found {value}, expected {only}, as in version 2.0, which has no {key}"
+        with pytest.raises(RawDataError, match=says):
+            read(tmp_path, kvn(OK | {key: value}, rows, "2.0"), None, None)
+    with pytest.raises(RawDataError, match=r"line 1, CCSDS_AEM_VERS: found 3.0, expected 1.0 or 2.0"):
+        read(tmp_path, kvn(OK, rows, "3.0"), None, None)
+
+
 def test_message_in_gps_time_is_18_seconds_earlier(tmp_path: Path) -> None:
     meta = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "TIME_SYSTEM": "GPS"}
     rows = [f"{t} 0 0 0 1" for t in TIMES]
@@ -217,7 +243,8 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
             for kind in ("SPIN", "SPIN/NUTATION", "EULER_ANGLE", "EULER ANGLE/RATE")
         ),
         (
-            "<aem><body><segment><metadata><REF_FRAME_A>GCRF</REF_FRAME_A><REF_FRAME_B>ST</REF_FRAME_B>"
+            "<aem version='2.0'><body><segment><metadata>"
+            "<REF_FRAME_A>GCRF</REF_FRAME_A><REF_FRAME_B>ST</REF_FRAME_B>"
             "<TIME_SYSTEM>UTC</TIME_SYSTEM><ATTITUDE_TYPE>SPIN</ATTITUDE_TYPE></metadata><data><attitudeState>"
             "<spin><EPOCH>x</EPOCH><SPIN_ALPHA>1</SPIN_ALPHA></spin></attitudeState></data></segment></body></aem>",
             "ATTITUDE_TYPE: found SPIN, expected QUATERNION",

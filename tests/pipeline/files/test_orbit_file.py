@@ -16,6 +16,7 @@ from handmade import OEM_HEAD
 from oem import OrbitEphemerisMessage
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import read_oem, read_segments, segment_over
 from boresight.pipeline.files.text_files import read_message
 
@@ -249,6 +250,13 @@ def test_what_is_wrong_in_a_segment_is_named_by_its_number(tmp_path: Path) -> No
         RawDataError, match=r"orbit.oem \(segment 2 of 2\): states: found 5, expected at least 8"
     ):
         read_segments(written(tmp_path, text), "orbit.oem")
+    text = two_segments(text_of(120))
+    at = text.rindex("OBJECT_ID = ")
+    text = text[:at] + text[at:].replace("2024-000A", "2024-000B")
+    with pytest.raises(
+        RawDataError, match=r"line \d+, OBJECT_ID: found 2024-000B, expected 2024-000A, as in the first"
+    ):
+        read_segments(written(tmp_path, text), "orbit.oem")
 
 
 def test_as_many_states_are_enough_as_the_interpolation_needs(tmp_path: Path) -> None:
@@ -286,6 +294,27 @@ def test_the_one_orbit_in_a_combined_message_is_read(tmp_path: Path) -> None:
         RawDataError, match="root element: found ndm of omm, opm, expected oem, or ndm with one"
     ):
         read_oem(path, "ndm.xml")
+
+
+def circle(step_s: float) -> str:
+    """A message of 12 states on a circle, `step_s` apart."""
+    begin, lines = datetime.datetime(2017, 4, 11), []
+    for n in range(12):
+        c, s = RADIUS_KM * np.cos(RATE * step_s * n), RADIUS_KM * np.sin(RATE * step_s * n)
+        stamp = (begin + datetime.timedelta(seconds=step_s * n)).isoformat(timespec="milliseconds")
+        lines.append(f"{stamp} {c:.9f} {s:.9f} 0.0 {-RATE * s:.12f} {RATE * c:.12f} 0.0")
+    return OEM_HEAD.format(day="2017-04-11") + "\n".join(lines) + "\n"
+
+
+def test_states_may_be_minutes_apart_but_not_an_eighth_of_a_revolution(tmp_path: Path) -> None:
+    # One revolution is 5714 s. The orbit of the ISS is distributed in steps of 240 s.
+    for step_s in (60.0, 240.0, 560.0):
+        ephemeris = read_oem(written(tmp_path, circle(step_s)), "orbit.oem")
+        orbit_of(ephemeris, "orbit.oem", bundled_table(), allow_stale_eop=False)
+    ephemeris = read_oem(written(tmp_path, circle(714.0)), "orbit.oem")
+    says = "time of the states: found steps of 714 s, expected at most 571 s, 0.1 of a revolution"
+    with pytest.raises(RawDataError, match=says):
+        orbit_of(ephemeris, "orbit.oem", bundled_table(), allow_stale_eop=False)
 
 
 def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:
