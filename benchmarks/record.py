@@ -6,6 +6,7 @@ import datetime
 import os
 import platform
 import resource
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -58,7 +59,7 @@ def head(title: str) -> None:
         pass
     threads = os.environ.get("OPENBLAS_NUM_THREADS", "unset")
     print(title)
-    command = f"python {' '.join(sys.argv)}"
+    command = f"python {shlex.join(sys.argv)}"
     print(f"commit    {commit()}")
     print(f"code      {code_of(command, WorkingTree())}")
     print(f"date      {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC")
