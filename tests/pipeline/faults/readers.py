@@ -50,7 +50,7 @@ from boresight.pipeline.files.dimap_metadata import read_dimap
 from boresight.pipeline.files.dump import ChipFile, TerrainFiles, _read_terrain, _Reading, open_dump
 from boresight.pipeline.files.ground_points import read_points
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file
-from boresight.pipeline.files.orbit_file import read_oem
+from boresight.pipeline.files.orbit_file import read_oem, read_segments
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
@@ -128,10 +128,12 @@ def write_sound_files(folder: Path) -> Path:
 
 
 def _write_packed(folder: Path) -> None:
-    """Messages and GIPP files as they are distributed: compressed, in archives; an OEM of version 3."""
+    """Messages and GIPP files as distributed: compressed, in archives; an OEM 3.0, one of two segments."""
     oem = (folder / "dump/orbit.oem").read_text()
     own = "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = none\nMESSAGE_ID = 7"
     (folder / "third.oem").write_text(oem.replace("CCSDS_OEM_VERS = 2.0", own, 1))
+    meta = oem[oem.index("META_START") :]
+    (folder / "segments.oem").write_text(oem + meta.replace("2024-11-20T", "2024-11-21T"))
     (folder / "orbit.oem.gz").write_bytes(gzip.compress(oem.encode(), mtime=0))
     (folder / "attitudes.aem.gz").write_bytes(gzip.compress((folder / "attitudes.aem").read_bytes(), mtime=0))
     (folder / "dbl").mkdir()
@@ -351,6 +353,7 @@ READERS = (
     Reader("DIMAP V2, list", "dimap2_list.xml", _dimap("dimap2_list.xml")),
     Reader("attitudes, CSV", "attitudes.csv", _attitudes("attitudes.csv", "GCRF", "head to inertial")),
     Reader("attitudes, AEM", "attitudes.aem", _attitudes("attitudes.aem")),
+    Reader("attitudes, ACM", "attitudes.acm", _attitudes("attitudes.acm")),
     Reader("attitudes, AEM in XML", "attitudes.xml", _attitudes("attitudes.xml")),
     Reader("centroids", "stars.csv", lambda folder: read_centroids(folder / "stars.csv", "stars.csv")),
     Reader("measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv")),
@@ -364,6 +367,9 @@ READERS = (
     Reader("GIPP files, tar", "gipp.tar", _gipp("gipp.tar")),
     Reader("GIPP files, tgz", "gipp.tgz", _gipp("gipp.tgz")),
     Reader("OEM 3.0", "third.oem", lambda folder: read_oem(folder / "third.oem", "third.oem")),
+    Reader(
+        "OEM, segments", "segments.oem", lambda folder: read_segments(folder / "segments.oem", "segments.oem")
+    ),
     Reader("OEM, gzip", "orbit.oem.gz", lambda folder: read_oem(folder / "orbit.oem.gz", "orbit.oem.gz")),
     Reader("attitudes, AEM, gzip", "attitudes.aem.gz", _attitudes("attitudes.aem.gz")),
     Reader(
@@ -392,6 +398,10 @@ ATTITUDES = {
     + "QUATERNION_TYPE = LAST\nATTITUDE_DIR = A2B\nMETA_STOP\nDATA_START\n"
     + "".join(f"{t} 0 0.6 0 0.8\n" for t in _TIMES)
     + "DATA_STOP\n",
+    "attitudes.acm": "CCSDS_ACM_VERS = 2.0\nMETA_START\nTIME_SYSTEM = UTC\nEPOCH_TZERO = 2024-325T03:40:10\n"
+    "META_STOP\nAD_START\nSENSOR_START\nSENSOR_NUMBER = 1\nSENSOR_STOP\nAD_STOP\nATT_START\n"
+    "REF_FRAME_A = J2000\nREF_FRAME_B = ST_1\nATT_TYPE = QUATERNION\n"
+    "0 0 0.6 0 0.8\n0.1 0 0.6 0 0.8\n0.2 0 0.6 0 0.8\nATT_STOP\n",
     "attitudes.xml": '<aem version="2.0"><body><segment><metadata>'
     + "".join(f"<{key}>{value}</{key}>" for key, value in _META.items())
     + "</metadata><data>"
