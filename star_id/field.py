@@ -30,7 +30,7 @@ from boresight.star_id.fisheye import (
     FISHEYE_RAD,
     MIDDLE_TOLERANCE,
     WIDEST_RAD,
-    is_fisheye,
+    is_wide_field,
     middle_field,
     middle_of,
     wide_lenses,
@@ -533,7 +533,7 @@ def _identified(
     if camera is not None:
         plane, field = tangent_coordinates(camera, xy_px), field_of_camera(camera, settings)
         seen = None
-        if is_fisheye(camera):
+        if is_wide := is_wide_field(field):
             field, seen = middle_field(field, plane, camera.focal_m / camera.pixel_m)
             plane = plane[seen]
         elif not math.isfinite(plane.sum()):  # beyond a turning point there is no direction
@@ -543,7 +543,7 @@ def _identified(
         if isinstance(found, NotIdentified):
             return found
         found = found if seen is None else replace(found, detections=seen[found.detections])
-        return (_extended(found, xy_px, camera, index, settings) if is_fisheye(camera) else found), camera
+        return (_extended(found, xy_px, camera, index, settings) if is_wide else found), camera
     best, likeliest = -np.inf, None
     fields = _fields_to_try(fov_x_rad, settings)
     for stages in passes:

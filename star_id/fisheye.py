@@ -27,6 +27,7 @@ __all__ = [
     "WIDEST_RAD",
     "ImageMiddle",
     "is_fisheye",
+    "is_wide_field",
     "middle_field",
     "middle_of",
     "wide_lenses",
@@ -63,6 +64,11 @@ class ImageMiddle:
 def is_fisheye(camera: StarCamera) -> bool:
     """Whether the middle of images of a known camera is identified first."""
     return camera.field_radius_rad > _CORNER_RAD
+
+
+def is_wide_field(field: FieldOfView) -> bool:
+    """`is_fisheye` by the field of view of a camera; NaN where a corner has no direction."""
+    return not math.hypot(field.half_x, field.half_y) < math.tan(_CORNER_RAD)
 
 
 def middle_of(xy_px: Floats, size: tuple[int, int], fov_x_rad: float) -> ImageMiddle:
