@@ -365,9 +365,18 @@ def _of_fisheye(
         named = replace(answer[0], detections=middle.rows[answer[0].detections])
         whole = nominal_camera(size, fov_x_rad, "equidistant")
         kinds = wide_lenses(replace(whole, focal_m=answer[1].focal_m, pixel_m=answer[1].pixel_m))
-        fits = (_fitted(seen, named, kind, index, settings, observer, expected=kind) for kind in kinds)
-        lenses = [replace(fit, mirrored=mirrored) for fit in fits if fit is not None]
-        if lenses:
+        for first in (_STARS_TO_START, len(named.detections)):  # a false one among few may be in the way
+            fits = (
+                _fitted(seen, named, kind, index, settings, observer, expected=kind, first=first)
+                for kind in kinds
+            )
+            lenses = [
+                replace(fit, mirrored=mirrored)
+                for fit in fits
+                if fit is not None and fit.matches >= len(named.detections)
+            ]
+            if not lenses:
+                continue
             best = max(lenses, key=lambda lens: lens.matches)
             alike = [lens for lens in lenses if lens.matches >= _NEARLY_AS_MANY * best.matches]
             return _likeliest(alike, best, seen)
@@ -431,10 +440,11 @@ def _fitted(
     settings: StarSettings,
     observer: Observer | None,
     expected: StarCamera | None = None,
+    first: int = _STARS_TO_START,
 ) -> FieldSolution | None:
     """Solution with attitude, lens and matches in turn: the brightest stars fit the lens, the lens tells
     which detections are further stars, until they no longer change; None where they become too few."""
-    detections, rows = found.detections[:_STARS_TO_START], found.stars[:_STARS_TO_START]
+    detections, rows = found.detections[:first], found.stars[:first]
     camera, R_si = start, found.R_si
     shown = _expected_stars(start, R_si, len(stars.xy_px), index)
     u_i, years = star_directions(index, shown, observer), settings.epoch_error_years * (observer is None)

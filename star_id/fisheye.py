@@ -46,6 +46,8 @@ _MIDDLE_RAD = math.radians(20.0)
 # Relative error of the middle's field of view: of one width, equisolid and stereographic lenses of 175 deg
 # have focal lengths of 1.11 and 0.79 times that of an equidistant one.
 MIDDLE_TOLERANCE = 0.3
+# Nominal field of view, rad, below which a lens may be a tangent one: they image 110 deg at most.
+_TANGENT_RAD = math.radians(125.0)
 # Angle from the axis, rad, to which a polynomial stands for a projection.
 _POLYNOMIAL_RAD = math.radians(88.0)
 
@@ -96,7 +98,7 @@ def middle_field(field: FieldOfView, tangents: Floats, focal_px: float) -> tuple
 
 def wide_lenses(nominal: StarCamera) -> tuple[StarCamera, ...]:
     """Lenses with the focal length, detector and principal point of `nominal`: equidistant, equisolid,
-    stereographic and, for the lesser fields, tangent.
+    stereographic and, of a field that such lenses have, tangent.
 
     The second and third are equidistant ones with q1, q2 and q3, good to 0.1 px of 1000.
     """
@@ -112,4 +114,5 @@ def wide_lenses(nominal: StarCamera) -> tuple[StarCamera, ...]:
         nominal, projection="equidistant", p1=0.0, p2=0.0, q1=0.0, q2=0.0, q3=0.0, smooth=None
     )
     tangent = replace(equidistant, projection="tangent")
-    return equidistant, of(2.0 * np.sin(0.5 * angle)), of(2.0 * np.tan(0.5 * angle)), tangent
+    fisheyes = equidistant, of(2.0 * np.sin(0.5 * angle)), of(2.0 * np.tan(0.5 * angle))
+    return (*fisheyes, tangent) if equidistant.fov_x_rad < _TANGENT_RAD else fisheyes

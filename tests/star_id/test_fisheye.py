@@ -65,6 +65,28 @@ def test_a_fisheye_is_identified_to_its_edges(kind, fov_deg, index):
     assert np.hypot(*off.T).max() < 0.6
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_false_and_missing_stars_lead_to_no_other_lens(kind, index):
+    """A third of the detections false, a fifth of all missing."""
+    for seed in (21, 22):
+        rng, lens = np.random.default_rng(seed), ForeignLens(150, KINDS[kind])
+        R_si = Rotation.random(random_state=seed)
+        stars = seen(lens, R_si, seed)
+        n = len(stars.snr)
+        snr = np.append(stars.snr, rng.choice(stars.snr[n // 2 :], n // 2))
+        xy = np.vstack([stars.xy_px, rng.uniform(0.0, 1.0, (n // 2, 2)) * SIZE])
+        kept = np.argsort(-snr)[rng.random(len(snr)) > 0.2]
+        no = np.zeros(len(kept), dtype=bool)
+        cov = (1.8 / snr[kept])[:, None, None] ** 2 * np.eye(2)
+        same = {"flux_dn": snr[kept], "snr": snr[kept], "saturated": no, "blended": no}
+        mixed = replace(stars, xy_px=xy[kept], cov_px=cov, **same)
+        found = solve_list(mixed, SIZE, index, SETTINGS, fov_x_rad=np.radians(150.0))
+        assert isinstance(found, FieldSolution), found.reason
+        pixels, known = directions(found.camera)
+        off = lens.pixels_from_directions(R_si.apply(found.R_si.inv().apply(known))) - pixels
+        assert np.hypot(*off.T).max() < 0.6  # as of the stars alone
+
+
 def test_a_mirrored_fisheye_is_said_to_be_one(index):
     lens, R_si = ForeignLens(150, KINDS["equisolid"]), Rotation.random(random_state=3)
     stars = seen(lens, R_si, 2).mirrored(WIDTH)
