@@ -10,7 +10,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.budget_table import CONTEXT, budget_rows
+from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
@@ -29,10 +29,10 @@ def write_dumps_report(result: Path) -> Path:
     omissions = read_parquet(result / "sightings" / "omissions.parquet").to_pylist()
     joint = _matrix(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
-    context = read_json(result / CONTEXT) if (result / CONTEXT).is_file() else {}
+    budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}
     text = template("dumps.html.j2").render(
         joint=joint,
-        budget=budget_rows(context, installation),
+        budget=budget_rows(budget, installation, JOINT_BUDGET),
         sigma_m=sigma_m,
         required=required(saved_requirement(result), joint["sigma"], sigma_m),
         verdict=verdict_view(installation),

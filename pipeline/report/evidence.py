@@ -50,7 +50,7 @@ from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
-from boresight.pipeline.report.budget_table import CONTEXT
+from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
@@ -122,10 +122,10 @@ def write_evidence(
 
 
 def write_joint_evidence(result: Path, joint: JointCalibration) -> None:
-    """Write `RESULT/evidence/context.json` of several dumps jointly: the uncertainty budget alone."""
+    """Write `RESULT/evidence/budget.json` of several dumps jointly: the uncertainty budget alone."""
     make_own_folder(result / "evidence")
     budget = _budget(joint.strips, joint.estimate.R_cs, joint.settings)
-    write_json(result / CONTEXT, {"budget": budget})
+    write_json(result / JOINT_BUDGET, {"budget": budget})
 
 
 def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:

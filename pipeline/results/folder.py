@@ -46,8 +46,8 @@ def begin_result(result: Path) -> None:
     """
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)
-    of_before = ("installation.json", DUMPS, "drift.json", VALIDATION, INTERIOR, "evidence/context.json")
-    for name in of_before:
+    evidence = ("evidence/context.json", "evidence/budget.json")
+    for name in ("installation.json", DUMPS, "drift.json", VALIDATION, INTERIOR, *evidence):
         (result / name).unlink(missing_ok=True)
 
 

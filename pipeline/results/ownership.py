@@ -49,7 +49,10 @@ OWN_FILES = (
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
     + ["sightings/reliability.parquet"]
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
-    + [f"evidence/{n}" for n in "unmatched.parquet map.parquet allan.parquet context.json".split()]
+    + [
+        f"evidence/{n}"
+        for n in "unmatched.parquet map.parquet allan.parquet context.json budget.json".split()
+    ]
 )
 # Regular expression of the files of finished work that the program writes, STAGE/NAME.DIGEST.parquet: only
 # such files are removed.

@@ -29,7 +29,7 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
@@ -182,14 +182,15 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
 
 
 def test_the_page_shows_the_budget_of_the_joint_covariance(joint: Path) -> None:
-    budget = json.loads((joint / "evidence" / "context.json").read_text())["budget"]
+    assert read_findings(joint) == matrix(joint)["verdict"]["findings"]  # by the budget's file no others
+    budget = json.loads((joint / "evidence" / "budget.json").read_text())["budget"]
     total = np.diag(matrix(joint)["covariance_rad2"])
     parts = {one["source"]: 100.0 * np.diag(one["covariance_rad2"]) / total for one in budget}
     # A share is a derivative by a step of a thousandth of a variance, which leaves out as much of it.
     assert sum(parts.values()) == approx(100.0, abs=0.1)  # %
     page = (joint / "report.html").read_text()
     rows = dict(
-        re.findall(r'<tr><th scope="row">([^<]+)</th>(<td><data [^>]*"evidence/context.json.*?)</tr>', page)
+        re.findall(r'<tr><th scope="row">([^<]+)</th>(<td><data [^>]*"evidence/budget.json.*?)</tr>', page)
     )
     assert list(rows) == list(parts)  # the largest first
     for source, row in rows.items():
