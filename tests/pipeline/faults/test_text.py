@@ -235,7 +235,8 @@ def test_strip_without_image_needs_measured_points(handmade: Path) -> None:
 def test_orbit_is_text_and_nothing_else(handmade: Path) -> None:
     for raw in (b"BZh91AY&SY", b"\x1f\x8b\x08\x00", b"<?xml version='1.0'?><oem/>"):
         (handmade / "orbit.oem").write_bytes(raw)
-        with pytest.raises(RawDataError, match=r"orbit.oem: (line 1|byte [0-9]+|body|gzip|CCSDS_OEM_VERS): found"):
+        where = r"orbit.oem: (line 1|byte [0-9]+|body|gzip|CCSDS_OEM_VERS): found"
+        with pytest.raises(RawDataError, match=where):
             read_oem(handmade / "orbit.oem", "orbit.oem")
 
 
