@@ -37,6 +37,9 @@ from boresight.pipeline.stages.calibrate import DumpCalibration, rejections_of
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
 
+# Relative difference, and the absolute one in SI units, up to which numbers of two dumps are the same:
+# rounding of conversions (pixels of 120 µm times their number) leaves 5e-17 m.
+ROUNDING, SMALLEST = 1e-12, 1e-15
 OF_RESULTS = ("sightings", "evidence", "work", "exports")  # folders of a result: names that no dump gets
 
 
@@ -247,6 +250,15 @@ def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:
     elif isinstance(a, Rotation):
         return _first_difference(a.as_matrix(), b.as_matrix(), path)
     else:
-        same = np.array_equal(a, b) if isinstance(a, np.ndarray) else bool(a == b)
-        return None if same else (path, a, b)
+        return None if _is_same(a, b) else (path, a, b)
     return next((d for name, x, y in parts if (d := _first_difference(x, y, path + name)) is not None), None)
+
+
+def _is_same(a: Any, b: Any) -> bool:
+    """Whether two values are equal, numbers but for the rounding of conversions."""
+    numbers = isinstance(a, np.ndarray | float) and isinstance(b, np.ndarray | float)
+    if not numbers or np.shape(a) != np.shape(b):
+        return not isinstance(a, np.ndarray) and not isinstance(b, np.ndarray) and bool(a == b)
+    if {np.asarray(one).dtype.kind for one in (a, b)} == {"f"}:
+        return bool(np.allclose(a, b, rtol=ROUNDING, atol=SMALLEST, equal_nan=True))
+    return bool(np.array_equal(a, b))

@@ -330,6 +330,20 @@ def test_dumps_of_other_cameras_are_refused_with_file_and_field(
         open_dumps([dumps[0], other], Settings(calibration=(("sigma_position_m", 2.0),)))
 
 
+def test_cameras_that_differ_by_rounding_are_the_same(dumps: list[Path], tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(dumps[2], other)
+    file = other / "remote_camera.toml"
+    text = file.read_text()
+    for focal, is_same in (("10.000000000000002", True), ("10.00000001", False)):
+        file.write_text(text.replace("focal_length_m = 10.0", f"focal_length_m = {focal}"))
+        if is_same:
+            open_dumps([dumps[0], other], Settings())
+        else:
+            with pytest.raises(RawDataError, match=r"camera\.focal_m: found 10\.00000001"):
+                open_dumps([dumps[0], other], Settings())
+
+
 def test_a_dump_named_twice_or_copied_is_refused(dumps: list[Path], tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match="november: DUMP: found named twice"):
         open_dumps([dumps[0], dumps[1], dumps[0] / ".." / NAMES[0]], Settings())
