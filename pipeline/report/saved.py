@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pyarrow as pa
 
@@ -15,6 +15,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.sightings_tables import read_sightings
+from boresight.pipeline.stages.match_pictures import MatchPictures
 
 __all__ = ["Number", "Saved", "number_from", "read_saved"]
 
@@ -105,6 +106,11 @@ def read_saved(result: Path) -> Saved:
         tables[name] = read_parquet(result / "sightings" / f"{name}.parquet")
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
+    for column in get_type_hints(MatchPictures):
+        if column not in tables["matches"].column_names:
+            again = "a result of this version of the program; `calibrate` writes it again"
+            file = result / "evidence" / "matches.parquet"
+            raise RawDataError(str(file), f"column {column}", "no such column", again)
     own = {name: result / f"{name}.json" for name in ("run", "requirement", "validation")}
     own["interior"] = result / INTERIOR
     picture = own["interior"].with_suffix(".png")

@@ -18,6 +18,7 @@ from matplotlib.path import Path as MplPath
 from pytest import approx
 from typer.testing import CliRunner
 
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import Saved, read_saved
 
@@ -254,6 +255,17 @@ def test_the_command_draws_the_same_page_again(finished, tmp_path):
     ran = CliRunner().invoke(app, ["report", str(result)])
     assert ran.exit_code == 0 and "report.html" in ran.output
     assert (result / "report.html").read_bytes() == before
+
+
+def test_a_result_of_a_version_without_a_column_is_refused_with_what_to_do(finished, tmp_path):
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result)
+    file = result / "evidence" / "matches.parquet"
+    pq.write_table(pq.read_table(file).drop_columns(["off_x_px"]), file)
+    with pytest.raises(
+        RawDataError, match=r"matches\.parquet: column off_x_px: .*`calibrate` writes it again"
+    ):
+        read_saved(result)
 
 
 def test_of_too_many_targets_the_worst_have_pictures_and_all_have_a_card(finished):
