@@ -17,6 +17,7 @@ from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import Number, number_from
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.requirement import saved_requirement
 from boresight.pipeline.results.sightings_tables import read_sightings
 
@@ -41,6 +42,8 @@ def write_dumps_report(result: Path) -> Path:
         drift=_drift(result),
         omissions=omissions,
         version=str(installation.get("version")),
+        about=saved_about(result),
+        identity=identity_of_result(result).items(),
     )
     path = result / "report.html"
     write_text(path, text)
@@ -52,10 +55,14 @@ COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation
 
 def _matrix(content: dict[str, Any], source: str) -> dict[str, Any]:
     return {
-        "R_cs": [
+        "matrix": [
             [number_from(content, source, f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
         ],
         "quaternion": [number_from(content, source, f"quaternion.{i}", "+.12f") for i in range(4)],
+        "covariance": [
+            [number_from(content, source, f"covariance_rad2.{i}.{j}", "+.4e") for j in range(3)]
+            for i in range(3)
+        ],
         **_angles(content, source, "theta_rad", "covariance_rad2"),
     }
 

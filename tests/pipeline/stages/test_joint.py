@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import re
@@ -202,6 +203,19 @@ def test_the_page_shows_the_budget_of_the_joint_covariance(joint: Path) -> None:
     own = {one["source"]: np.diag(one["covariance_rad2"])[2] for one in alone}
     share = own["distortion over the field"] / matrix(joint / NAMES[0])["covariance_rad2"][2][2]
     assert parts["distortion over the field"][2] > 100.0 * share
+
+
+def test_a_joint_matrix_has_a_sheet_to_be_signed(joint: Path) -> None:
+    page = (joint / "report.html").read_text()
+    sheet = page[page.index('<div class="signed">') : page.index('<table class="approval">')]
+    digest = hashlib.sha256((joint / "installation.json").read_bytes()).hexdigest()
+    assert f"<td>{digest[:16]}</td>" in sheet
+    shown = re.findall(r'data-key="covariance_rad2\.(\d)\.(\d)"[^>]*>([^<]+)</data>', sheet)
+    assert len(shown) == 9
+    for i, j, text in shown:
+        exact = matrix(joint)["covariance_rad2"][int(i)][int(j)]
+        assert float(text.replace("\N{MINUS SIGN}", "-")) == approx(exact, rel=1e-4)
+    assert all(f'<tr><th scope="row">{role}</th>' in page for role in ("author", "reviewer", "approver"))
 
 
 def test_a_required_accuracy_is_that_of_the_joint_matrix(joint: Path, tmp_path: Path) -> None:
