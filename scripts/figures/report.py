@@ -1,5 +1,8 @@
 """The first screen of the demo's report in a headless Chromium, and its two sheets to be signed, which
 poppler's `pdftoppm` draws from the PDF: `python scripts/figures/report.py`.
+
+The pictures of the sheets hold the words that they show (PNG text `Description`); tests/docs/test_pictures.py
+compares these with the present code.
 """
 
 from __future__ import annotations
@@ -9,6 +12,10 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+from pypdf import PdfReader
 
 from boresight.pipeline.report.pdf import chromium
 
@@ -51,7 +58,10 @@ def main() -> None:
         paged = Path(folder, "page")
         subprocess.run([pdftoppm, *drawn, f"{result}/report.pdf", paged], check=True)
         for n, page_png in enumerate(sorted(Path(folder).glob("page-*.png")), 1):
-            shutil.copyfile(page_png, SHEETS / f"signed-{n}.png")
+            words = PngInfo()
+            words.add_itxt("Description", PdfReader(f"{result}/report.pdf").pages[n - 1].extract_text())
+            with Image.open(page_png) as picture:
+                picture.save(SHEETS / f"signed-{n}.png", optimize=True, pnginfo=words)
 
 
 if __name__ == "__main__":

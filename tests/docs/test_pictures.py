@@ -1,0 +1,70 @@
+"""Pictures of the sheets to be signed show what the present code prints."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import unicodedata
+from pathlib import Path
+
+import pytest
+from command_line import app
+from PIL import Image
+from pypdf import PdfReader
+from typer.testing import CliRunner
+
+from boresight.pipeline.report.pdf import chromium
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "scripts" / "figures"))
+from report import ABOUT  # noqa: E402
+
+# What differs from run to run, or with the fonts of a machine: the block of identity, the foot of each page.
+OF_THE_RUN = re.compile(r"Which result this is.*?(?=Rcs: takes)|boresight result \w+|\d+ of \d+", re.DOTALL)
+NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:e[+\N{MINUS SIGN}-]\d+)?")
+# Other processors round sums in another order (test_demo_numbers.py): three units of the last digit; of the
+# matrix, which has twelve decimals, 1e-4 of its 1-sigma about Z; of covariances a thousandth.
+LAST_DIGITS, MATRIX, COVARIANCE = 3.0, 5e-9, 1e-3
+
+
+def shown_in(text: str) -> str:
+    """Text of a sheet without what differs from run to run; ligatures are single letters."""
+    return OF_THE_RUN.sub("", unicodedata.normalize("NFKC", text))
+
+
+def words(text: str) -> str:
+    """The same without numbers, and without spaces: lines may end elsewhere."""
+    return "".join(NUMBER.sub("#", text).split())
+
+
+def numbers(text: str) -> list[tuple[float, float]]:
+    """Numbers of a text, each with the difference that is allowed."""
+    found = []
+    for shown in NUMBER.findall(text):
+        mantissa, has_power, _ = shown.partition("e")
+        value = float(shown.replace("\N{MINUS SIGN}", "-"))
+        unit = 10.0 ** -len(mantissa.partition(".")[2])
+        found.append((value, COVARIANCE * abs(value) if has_power else max(LAST_DIGITS * unit, MATRIX)))
+    return found
+
+
+@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
+def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(
+    demo: Path, tmp_path: Path
+) -> None:
+    result = tmp_path / "demo-result"
+    shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
+    (tmp_path / "about.toml").write_text(ABOUT)
+    asked = ["report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf"]
+    for command in (["validate", result, "--dump", ROOT / "fixtures" / "mini"], asked):
+        ran = CliRunner().invoke(app, [str(one) for one in command])
+        assert ran.exit_code == 0, ran.output
+    pages = PdfReader(result / "report.pdf").pages
+    for n in (1, 2):
+        with Image.open(ROOT / "docs" / "images" / f"signed-{n}.png") as picture:
+            kept = shown_in(picture.text["Description"])
+        now = shown_in(pages[n - 1].extract_text())
+        assert words(kept) == words(now)
+        for (a, allowed), (b, _) in zip(numbers(kept), numbers(now), strict=True):
+            assert abs(a - b) <= allowed * (1 + 1e-9), f"signed-{n}.png: {a}, now {b}"
