@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import html
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
+from command_line import app
+from typer.testing import CliRunner
 
 ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"(?<![\w.+-])[+-]?\d+\.\d+(?:e[+-]\d+)?(?![\w.])")
@@ -17,6 +20,11 @@ LABELS = (
     "1 sigma, arcsec",
     "1 sigma on the ground, m",
     "chi2 / dof",
+    "before, arcsec",
+    "after, arcsec",
+    "stated 1 sigma, arcsec",
+    "after, in sigmas",
+    "NEES (3 is expected)",
 )
 COUNTS = re.compile(r"(\d+) exposures with (\d+) stars, (\d+) strips with (\d+) targets")
 # Other processors round sums in another order: matches move by 1e-5 px, the matrix by 1e-4 of its 1-sigma.
@@ -32,8 +40,12 @@ def numbers_after(label: str, line: str) -> list[str]:
     return NUMBER.findall(line.removeprefix(label)) if line.startswith(label) else []
 
 
-def test_numbers_of_the_demo_are_those_that_it_prints(demo: Path) -> None:
-    printed = lines_of((demo / "printed").read_text())
+def test_numbers_of_the_demo_are_those_that_it_prints(demo: Path, tmp_path: Path) -> None:
+    result = tmp_path / "demo-result"
+    shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
+    told = CliRunner().invoke(app, ["validate", str(result), "--dump", str(ROOT / "fixtures" / "mini")])
+    assert told.exit_code == 0, told.output
+    printed = lines_of((demo / "printed").read_text() + told.output)
     true = {label: next(found for one in printed if (found := numbers_after(label, one))) for label in LABELS}
     counts = next(found.groups() for one in printed if (found := COUNTS.search(one)))
     pages = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/images/terminal-*.svg")]
