@@ -17,7 +17,7 @@ from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.settings import settings_from_values
-from boresight.pipeline.stages.plan_forecast import SkyPart, compare_campaigns, forecast_of_plan
+from boresight.pipeline.stages.plan_forecast import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
@@ -28,7 +28,7 @@ TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
 ALL_ERRORS = "all errors"  # name of the variant in which no error is left out
 # Factor of a sigma that cannot be zero, in the forecast without that error (set by hand).
 NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
-DRAWS = 25  # example strips of a variant
+DRAWS = 25  # example strips for each number of targets, which are plotted and not compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +165,9 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     ]
     table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
     needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
-    by_targets = _sigmas(plan, "targets", {n: replace(campaign, targets=n) for n in TARGET_COUNTS}, cameras)
-    without = _sigmas(plan, "source", _without(campaign), cameras)
+    targets = {n: replace(campaign, targets=n) for n in TARGET_COUNTS}
+    by_targets = _sigmas(plan, "targets", targets, cameras, DRAWS)
+    without = _sigmas(plan, "source", _without(campaign), cameras, PLAN_DRAWS)
     campaigns = _campaigns(plan, campaign, cameras)
     lines = [
         _text(plan, found, target_arcsec, needed),
@@ -224,12 +225,16 @@ def _without(campaign: StripPlan) -> dict[str, StripPlan]:
     }
 
 
-def _sigmas(plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: CameraPair) -> pd.DataFrame:
-    """1-sigma after the plan's strips of variants of a campaign, NaN where an axis is not observable."""
+def _sigmas(
+    plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: CameraPair, draws: int
+) -> pd.DataFrame:
+    """1-sigma after the plan's strips of variants of a campaign, each from so many example strips; NaN where
+    an axis is not observable.
+    """
     rows = []
     for key, campaign in campaigns.items():
         try:
-            sigma = forecast_of_plan(campaign, cameras, draws=DRAWS).sigma(plan.strips.count) / ARCSEC
+            sigma = forecast_of_plan(campaign, cameras, draws=draws).sigma(plan.strips.count) / ARCSEC
         except (ValueError, ArithmeticError):
             sigma = np.full(3, np.nan)
         rows += [(key, axis, value) for axis, value in zip("XYZ", sigma)]

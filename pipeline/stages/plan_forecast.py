@@ -20,6 +20,7 @@ from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = [
+    "PLAN_DRAWS",
     "Improvement",
     "SkyPart",
     "compare_campaigns",
@@ -28,7 +29,8 @@ __all__ = [
     "settings_of_plan",
 ]
 
-CAMPAIGN_DRAWS = 60  # strips of each kind that stand for a campaign
+# Example strips of each kind that stand for a plan, the same in all its forecasts that are compared.
+PLAN_DRAWS = 100
 OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rotation about the boresight best
 
 
@@ -52,7 +54,7 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
     )
 
 
-def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = 100) -> Forecast:
+def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = PLAN_DRAWS) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan, cameras), robust=False)
     strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(0))
@@ -74,9 +76,9 @@ def compare_campaigns(ground: StripPlan, sky: SkyPart, cameras: CameraPair) -> d
     """
     rng = np.random.default_rng(0)
     settings = replace(settings_of_plan(ground, cameras), robust=False)
-    below, truth = draw_strips(replace(ground, strips=CAMPAIGN_DRAWS), cameras, rng)
+    below, truth = draw_strips(replace(ground, strips=PLAN_DRAWS), cameras, rng)
     rates = (-sky.rate_rad_s, sky.rate_rad_s)
-    above = draw_sky_strips(replace(sky.plan, strips=CAMPAIGN_DRAWS), cameras, rng, rates_rad_s=rates)
+    above = draw_sky_strips(replace(sky.plan, strips=PLAN_DRAWS), cameras, rng, rates_rad_s=rates)
     both = with_attitudes([*below, *above], settings.attitudes)  # once for the three forecasts
     below, above = both[: len(below)], both[len(below) :]
     pairs, prior = strip_pairs(both, truth.R_cs, settings)
