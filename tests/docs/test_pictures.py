@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
-import sys
 import unicodedata
 from pathlib import Path
 
@@ -17,9 +17,8 @@ from typer.testing import CliRunner
 from boresight.pipeline.report.pdf import chromium
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts" / "figures"))
-from report import ABOUT  # noqa: E402
-
+# By its path: other modules of that folder have the names of modules of tests.
+ABOUT = runpy.run_path(str(ROOT / "scripts" / "figures" / "report.py"))["ABOUT"]
 # What differs from run to run, or with the fonts of a machine: the block of identity, the foot of each page.
 OF_THE_RUN = re.compile(r"Which result this is.*?(?=Rcs: takes)|boresight result \w+|\d+ of \d+", re.DOTALL)
 NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:e[+\N{MINUS SIGN}-]\d+)?")
