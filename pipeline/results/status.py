@@ -112,7 +112,11 @@ def status_lines(status: RunStatus) -> list[str]:
 
 def kept_units(result: Path) -> str:
     """What a run that is interrupted has finished, for a message."""
-    folders = sorted({*result.glob("work/*"), *result.glob("*/work/*")})
+    stores = (
+        result / "work",
+        *(dump / "work" for dump in result.glob("*")),
+    )
+    folders = sorted(path for store in stores for path in store.glob("*"))
     counts = [(path.name, len(list(path.glob("*.parquet")))) for path in folders if path.is_dir()]
     done = ", ".join(f"{n} of {stage_words(name)}" for name, n in counts if n)
     return f"finished units are kept in {result}: {done}" if done else f"no unit is finished yet in {result}"

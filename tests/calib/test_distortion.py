@@ -100,8 +100,9 @@ def test_one_curve_over_all_ccds_shifts_the_whole_field_as_much_as_a_lens_does()
     # 4 standard errors of 400 curves of some 9 independent lengths each: rms 1 px along as across.
     np.testing.assert_allclose(np.sqrt(np.mean(residual_px**2, axis=(0, 2))), 1.0, atol=0.05)
     shift_px = np.sqrt(np.mean(residual_px.mean(axis=2) ** 2, axis=0))
-    # 3 standard errors of 400 draws, 0.106: the areas under both correlations are the same.
-    np.testing.assert_allclose(shift_px / sigma_of_mean(camera.pixel_rad), 1.0, atol=0.11)
+    # 3 standard errors of 400 draws, 0.106, beside 1.005: the areas under both correlations are the same.
+    over = shift_px / sigma_of_mean(camera.pixel_rad)
+    assert ((0.90 < over) & (over < 1.11)).all(), over  # along as across
     assert sigma_of_mean(camera.pixel_rad) > 1.1 * sigma_of_mean(0.0)  # curves of each CCD average away
 
 
