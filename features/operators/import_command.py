@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import csv
 import re
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 import typer
 
 from boresight.features.operators.dimap_import import dimap_mission
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
-from boresight.features.operators.point_import import PointErrors, points_csv, read_measured_points
+from boresight.features.operators.point_import import (
+    PointErrors,
+    asp_images,
+    points_csv,
+    read_measured_points,
+)
 from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
-from boresight.pipeline.console.completion import among
+from boresight.pipeline.console.completion import among, ccds_of, first_argument, strips_of
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
-from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_dump, read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
@@ -45,7 +51,7 @@ def import_sentinel2_command(
     ],
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
     attitudes: Annotated[
-        str,
+        AttitudeLevel,
         typer.Option(
             help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
         ),
@@ -61,14 +67,11 @@ def import_sentinel2_command(
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
-    level = next((one for one in get_args(AttitudeLevel) if one == attitudes), None)
-    if level is None:
-        raise wrong_usage(f"--attitudes is one of {', '.join(get_args(AttitudeLevel))}, not {attitudes!r}")
     table = None
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))
     strip = read_sentinel2(datastrip, gipp, band)
-    mission = sentinel2_mission(strip, _creator("sentinel2"), attitudes=level, earth_orientation=table)
+    mission = sentinel2_mission(strip, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
     return _written(out, mission, points, object_id)
 
 
@@ -89,8 +92,10 @@ def import_dimap_command(
 def import_points_command(
     file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
     out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
-    strip: Annotated[str, typer.Option(help="Id of the strip in which they are measured.")],
-    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63)] = 0,
+    strip: Annotated[
+        str, typer.Option(help="Id of the strip in which they are measured.", autocompletion=strips_of)
+    ],
+    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63, autocompletion=ccds_of)] = 0,
     sigma_px: Annotated[float, typer.Option(help="1-sigma of the image positions, px.", min=1e-4)] = 0.5,
     sigma_m: Annotated[
         tuple[float, float, float],
@@ -100,7 +105,10 @@ def import_points_command(
     height_kind: Annotated[
         Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
     ] = "ellipsoidal",
-    image: Annotated[str | None, typer.Option(help="ASP: the image whose points are taken.")] = None,
+    image: Annotated[
+        str | None,
+        typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of),
+    ] = None,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.
 
@@ -151,3 +159,12 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
             ]
     say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
     return []
+
+
+def _images_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Names of the images in ASP's file of points."""
+    file = first_argument(context, "file")
+    names: tuple[str, ...] = ()
+    with suppress(RawDataError, OSError):
+        names = asp_images(Path(file)) if file else ()
+    return [name for name in names if name.startswith(incomplete)]

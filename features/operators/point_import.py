@@ -23,7 +23,7 @@ from boresight.pipeline.files.dump_schema import PointRow
 from boresight.pipeline.files.text_files import check_number, read_text
 from boresight.pipeline.files.text_tables import csv_line
 
-__all__ = ["MeasuredPoints", "PointErrors", "points_csv", "read_measured_points"]
+__all__ = ["MeasuredPoints", "PointErrors", "asp_images", "points_csv", "read_measured_points"]
 
 # Image coordinates of these formats begin at the corner of the first pixel, ours in its middle: half a
 # pixel, px.
@@ -79,6 +79,14 @@ def read_measured_points(path: Path, errors: PointErrors, image: str | None = No
     if not found.names:
         raise RawDataError(str(path), "points", "none", "at least one point that is to be used")
     return found
+
+
+def asp_images(path: Path) -> tuple[str, ...]:
+    """Names of the images in which the points of an ASP file are measured; none for other files."""
+    if path.suffix.lower() != ".gcp":
+        return ()
+    words = _words(read_text(path, str(path)))
+    return tuple(dict.fromkeys(Path(cell).name for _, cells in words for cell in cells[7::5]))
 
 
 def points_csv(points: MeasuredPoints, strip: str, ccd: int, height_kind: str) -> str:

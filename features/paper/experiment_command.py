@@ -15,7 +15,6 @@ from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
 from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
 from boresight.features.paper.vector_experiments import ExperimentSettings
-from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
@@ -31,7 +30,7 @@ def experiment_command(
         str,
         typer.Argument(
             help=f"{', '.join(EXPERIMENTS)}; or all.",
-            autocompletion=among((*EXPERIMENTS, "all")),
+            autocompletion=_experiments,
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
@@ -51,7 +50,7 @@ def experiment_command(
 
     Example: boresight experiment geometry --out paper
     """
-    known = FROM_PIXELS if pixels else (*EXPERIMENTS, "all")
+    known = _known(pixels)
     if name not in known:
         raise wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
     chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
@@ -82,3 +81,12 @@ def _experiment(
         lines = COMPARISONS[name](table)
     files = ", ".join(str(path) for path in written)
     return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])
+
+
+def _experiments(context: typer.Context, incomplete: str) -> list[str]:
+    """Names of experiments; after --pixels those that can be run from rendered images."""
+    return [name for name in _known(context.params.get("pixels")) if name.startswith(incomplete)]
+
+
+def _known(pixels: bool | None) -> tuple[str, ...]:
+    return FROM_PIXELS if pixels else (*EXPERIMENTS, "all")

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from boresight.pipeline import __version__
-from boresight.pipeline.console.completion import among
+from boresight.pipeline.console.completion import among, first_argument
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
@@ -21,7 +22,12 @@ from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.run.processes import FORKS
 from boresight.pipeline.run.workers import executor_for
-from boresight.simulator.scenario import ScenarioError
+from boresight.simulator.scenario import (
+    ScenarioError,
+    builtin_scenario,
+    builtin_scenario_names,
+    scenario_to_dict,
+)
 
 __all__ = ["simulate_command"]
 
@@ -31,13 +37,18 @@ def simulate_command(
         str,
         typer.Argument(
             help="mini, paper, sky, or the path of a TOML file.",
-            autocompletion=among(("mini", "paper", "sky")),
+            autocompletion=among(builtin_scenario_names()),
         ),
     ],
     out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", help="Change one setting: strips.count=5. May be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="Change one setting: strips.count=5. May be repeated.",
+            autocompletion=_settings_of,
+        ),
     ] = None,
     workers: Annotated[
         int | None,
@@ -71,3 +82,23 @@ def simulate_command(
         text=f"{len(mission.exposures)} exposures, {strips} strips, {len(mission.targets)} targets, "
         f"{size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s -> {out}"
     )
+
+
+def _settings_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Settings of a built-in scenario that are one value, each as KEY=VALUE."""
+    name = first_argument(context, "scenario")
+    if name is None or name not in builtin_scenario_names():
+        return []
+    values = scenario_to_dict(builtin_scenario(name))
+    return [word for word in sorted(_single_values(values)) if word.startswith(incomplete)]
+
+
+def _single_values(table: dict[str, Any], path: str = "") -> Iterator[str]:
+    """The numbers, words and truth values of nested tables."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _single_values(value, f"{path}{key}.")
+        elif isinstance(value, str) and path:
+            yield f"{path}{key}={value}"
+        elif isinstance(value, (bool, int, float)):
+            yield f"{path}{key}={json.dumps(value)}"

@@ -20,7 +20,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.image_heads import first_bytes
 from boresight.pipeline.files.xml_files import read_xml
 
-__all__ = ["HeightModel", "Ortho", "read_heights", "read_ortho"]
+__all__ = ["HeightModel", "Ortho", "band_count", "read_heights", "read_ortho"]
 
 # Most pixels of an ortho-image that is read at once; larger ones are to be cut.
 MAX_PIXELS = 20_000 * 20_000
@@ -73,6 +73,13 @@ def read_ortho(path: Path, band: int | None = None) -> Ortho:
     """An ortho-image: its `band` (from 1), or the mean of its first three bands; `RawDataError` if none."""
     values, valid, transform, crs = _read(path, band, GREY_BANDS)
     return Ortho(str(path), np.where(valid, values, 0.0).astype(np.float32), valid, transform, crs)
+
+
+def band_count(path: Path) -> int:
+    """Number of bands of a raster; `RawDataError` or `RasterioError` if it cannot be read."""
+    driver = _driver_of(path, str(path))
+    with rasterio.Env(**_OFFLINE), rasterio.open(path.resolve(), driver=driver) as image:
+        return int(image.count)
 
 
 def read_heights(paths: list[Path], kind: str) -> HeightModel:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from rasterio.errors import RasterioError
 
-from boresight.features.targets.ortho_files import HeightModel, read_heights, read_ortho
+from boresight.features.targets.ortho_files import HeightModel, band_count, read_heights, read_ortho
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.console.completion import first_argument
 from boresight.pipeline.console.messages import (
     Answer,
     wrong_usage,
 )
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
@@ -45,7 +49,12 @@ def targets_suggest_command(
     size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
     most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
     band: Annotated[
-        int | None, typer.Option(help="Band of the images; default: the mean of the first three.", min=1)
+        int | None,
+        typer.Option(
+            help="Band of the images; default: the mean of the first three.",
+            min=1,
+            autocompletion=_bands_of,
+        ),
     ] = None,
     sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
     sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
@@ -66,3 +75,12 @@ def targets_suggest_command(
     table = write_targets(found.targets, out, size_px)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
     return Answer(text="\n".join(lines), files=(table,))
+
+
+def _bands_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Bands of the first image that is named."""
+    count = 0
+    if ortho := first_argument(context, "orthos"):
+        with suppress(RawDataError, RasterioError, OSError):
+            count = band_count(Path(ortho))
+    return [str(n) for n in range(1, count + 1) if str(n).startswith(incomplete)]

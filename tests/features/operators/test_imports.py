@@ -137,7 +137,8 @@ def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
 def test_wrong_usage_is_told(sentinel2, tmp_path):
     arguments = ["import", "sentinel2", sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2 / "raw"]
     options = ["--gipp", sentinel2, "--band", "B04"]
-    for extra, said in (([], "not an empty folder"), (["--attitudes", "best"], "raw, corrected, refined")):
+    choices = "'raw', 'corrected', 'refined'"
+    for extra, said in (([], "not an empty folder"), (["--attitudes", "best"], choices)):
         result = CliRunner().invoke(app, [str(one) for one in (*arguments, *options, *extra)])
         assert result.exit_code == 2 and said in result.output
     arguments[3] = tmp_path / "new"
