@@ -14,17 +14,18 @@ Each mutation is made in a copy of the working tree, and its tests run there unt
 survives is a gap in the tests, or a line that does nothing. The record goes to benchmarks/results/mutants.md;
 the exit status is 1 if a mutation without `equivalent` survives.
 
-    python scripts/mutants.py --draw SEED --count N [--room ROOM]
+    python scripts/mutants.py --draw SEED --count N [--room ROOM] [--lines lines.json]
 
 draws mutations itself (`drawn_mutants.py`) and prints which survive; the status is 1 if more than 8 % do.
+With a trace of all tests (`traced_tests.py`) those that run the line are asked, else the nearest.
 """
 
 from __future__ import annotations
 
 import argparse
+import compileall
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -38,13 +39,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Queue
 
-from drawn_mutants import drawn_changes, nearest_tests
+from drawn_mutants import ROOMS, drawn_changes, nearest_tests
+from forked_tests import NO_END, failure, import_libraries
+from line_tests import LineTests
 
 ROOT = Path(__file__).parents[1]
 LISTS = ROOT / "scripts" / "mutants"
 RECORD = ROOT / "benchmarks" / "results" / "mutants.md"
 LEAST_KILLED = 0.92  # of drawn mutations
 LONGEST_CPU_S = 240  # a mutation that makes its tests hang counts as killed
+LONGEST_S = 3000  # elapsed, on a machine that others use
 
 
 @dataclass(frozen=True)
@@ -101,42 +105,33 @@ def copy_of_tree(folder: Path) -> Path:
         if source.is_symlink() or source.is_file():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, target, follow_symlinks=False)
+    for room in ROOMS:
+        compileall.compile_dir(folder / room, quiet=2)
     return folder
 
 
 def is_killed(mutant: Mutant, tree: Path) -> bool:
     """Whether the nearest tests fail with the mutation made in `tree`, which is restored afterwards."""
-    return bool(killer(mutant, tree))
+    return bool(killer(mutant, tree, mutant.tests))
 
 
-def killer(mutant: Mutant, tree: Path, without: Collection[str] = ()) -> str:
-    """The first test, of those not in `without`, that fails with the mutation made in `tree`; else "". The
-    tree is restored afterwards.
+def killer(mutant: Mutant, tree: Path, tests: Sequence[str], without: Collection[str] = ()) -> str:
+    """The first of some tests, but those in `without`, that fails with the mutation made in `tree`; else "".
+    The tree is restored afterwards.
     """
     path = tree / mutant.file
-    sound = path.read_text(encoding="utf-8")
+    sound, times = path.read_text(encoding="utf-8"), path.stat()
     path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
     try:
-        return first_failure([*mutant.tests, *(f"--deselect={one}" for one in without)], tree)
+        return first_failure([*tests, *(f"--deselect={one}" for one in without)], tree)
     finally:
         path.write_text(sound, encoding="utf-8")
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as its compiled form says
 
 
 def first_failure(tests: Sequence[str], tree: Path) -> str:
     """The first of some tests that fails in a tree, or a file that cannot be imported; "" where all pass."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    limited = ["bash", "-c", f'ulimit -t {LONGEST_CPU_S}; exec "$@"', "bash", *command]
-    done = subprocess.run(limited, cwd=tree, env=environment, capture_output=True, text=True)
-    if done.returncode in (0, 5):  # 5: all are left out
-        return ""
-    return first_named(done.stdout) or tests[0]
-
-
-def first_named(printed: str) -> str:
-    """The first test that pytest's summary names as failed, its id with spaces; "" where it names none."""
-    named = re.search(r"^(?:FAILED|ERROR) (\S+?(?:\[.*?\])?)(?: - .*)?$", printed, re.MULTILINE)
-    return named[1] if named else ""
+    return failure(tests, tree, most_cpu_s=LONGEST_CPU_S, most_s=LONGEST_S)
 
 
 def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
@@ -154,6 +149,7 @@ def tried(chosen: Sequence[Mutant], jobs: int) -> Iterator[tuple[Mutant, bool, f
     """Each mutation with whether it was killed and the seconds that took, as they finish."""
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
         trees: Queue[Path] = Queue()
+        import_libraries(ROOT)
         for n in range(jobs):
             trees.put(copy_of_tree(Path(folder) / str(n)))
 
@@ -206,12 +202,14 @@ def record(rows: Sequence[tuple[Mutant, bool, float]], seconds: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def drawn(seed: int, count: int, room: str) -> list[Mutant]:
-    """Mutations drawn by a seed, each with its nearest tests; a whole file is replaced."""
+def drawn(seed: int, count: int, room: str, lines: LineTests | None) -> list[Mutant]:
+    """Mutations drawn by a seed, each with the tests that run its line, or the nearest; a whole file is
+    replaced.
+    """
     found = []
     for change in drawn_changes(ROOT, seed, count, room):
         source = (ROOT / change.file).read_text(encoding="utf-8")
-        tests = nearest_tests(ROOT, change.file)
+        tests = tuple(lines.of(change.file, change.start)) if lines else nearest_tests(ROOT, change.file)
         place = change.file.partition("/")[0]
         found.append(Mutant(place, str(change), change.file, source, change.applied(source), tests))
     return found
@@ -224,15 +222,18 @@ def try_drawn(chosen: Sequence[Mutant]) -> int:
     killed, total, unsound = Counter[str](), Counter[str](), set[str]()
     with tempfile.TemporaryDirectory() as folder:
         tree = copy_of_tree(Path(folder))
+        import_libraries(tree)
         for mutant in chosen:
-            while test := killer(mutant, tree, unsound):
-                if not first_failure([test], tree):
+            begun, test = time.perf_counter(), ""
+            while mutant.tests and (test := killer(mutant, tree, mutant.tests, unsound)):
+                if test.endswith(NO_END) or not first_failure([test], tree):
                     break
                 unsound.add(test)
             killed[mutant.room] += bool(test)
             total[mutant.room] += 1
-            outcome = "killed" if test else "SURVIVES"
-            print(f"{outcome:9s} {mutant.what}{f'  by {test}' if test else ''}", flush=True)
+            outcome = "killed" if test else "SURVIVES" if mutant.tests else "UNTESTED"
+            end = f"  by {test}" if test else f"  of {len(mutant.tests)} tests"
+            print(f"{outcome:9s} {mutant.what}{end}, {time.perf_counter() - begun:.0f} s", flush=True)
     print(f"left out, since they fail without a mutation: {', '.join(sorted(unsound)) or 'none'}")
     print(f"\n{'room':12s}{'drawn':>7s}{'killed':>8s}")
     for room in sorted(total):
@@ -253,9 +254,11 @@ def main() -> int:
     parser.add_argument("--draw", type=int, metavar="SEED", help="draw mutations instead")
     parser.add_argument("--count", type=int, default=40, help="how many are drawn")
     parser.add_argument("--room", default="", help="draw from the modules of this room only")
+    parser.add_argument("--lines", type=Path, help="trace of all tests (traced_tests.py)")
     options = parser.parse_args()
     if options.draw is not None:
-        return try_drawn(drawn(options.draw, options.count, options.room))
+        lines = LineTests.read(options.lines, ROOT) if options.lines else None
+        return try_drawn(drawn(options.draw, options.count, options.room, lines))
     chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
     if wrong := [text for mutant in chosen for text in faults(mutant)]:
         print("\n".join(wrong))

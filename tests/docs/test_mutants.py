@@ -10,7 +10,8 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from drawn_mutants import changes_of, drawn_changes, nearest_tests  # noqa: E402
-from mutants import faults, first_named, mutants  # noqa: E402
+from forked_tests import first_named  # noqa: E402
+from mutants import faults, mutants  # noqa: E402
 
 
 def test_every_mutation_changes_one_line_that_exists_and_names_tests_that_exist() -> None:

@@ -12,6 +12,8 @@ from astropy.time import Time
 from command_line import app
 from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
 from handmade import ATTITUDE_HEAD
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.calib.settings import CalibrationSettings
@@ -62,10 +64,39 @@ def test_angles_to_sun_moon_and_limb_are_those_of_astropy():
     assert found[2] == pytest.approx(above_horizon + depression, abs=1e-9)
 
 
+def position_i(t_s: float) -> np.ndarray:
+    """Position (3,) beyond the nodes of the orbit, under GM and J2."""
+
+    def change(_: float, state: np.ndarray) -> np.ndarray:
+        p, r = state[:3], np.linalg.norm(state[:3])
+        flat = 1.5 * 1.08263e-3 * 6378137.0**2 / r**2 * (5.0 * p[2] ** 2 / r**2 - np.array([1.0, 1.0, 3.0]))
+        return np.concatenate([state[3:], 3.986004418e14 / r**3 * p * (flat - 1.0)])
+
+    begin = np.concatenate([one[0] for one in DUMP.orbit.states_i(np.array([0.0]))])
+    return solve_ivp(change, (0.0, t_s), begin, "DOP853", rtol=1e-10, atol=1e-3).y[:3, -1]
+
+
+def least_angles_deg(scan) -> np.ndarray:
+    """Of both cameras' axes at the beginning and the end of a scan to Sun, Moon (astropy) and limb."""
+    p_i = position_i(scan.t_s)[None]
+    when = Time(DUMP.epoch.utc_from_seconds(np.array([scan.t_s]))[0].removesuffix("Z"), scale="utc")
+    turned = Rotation.from_rotvec([0.0, -scan.rate_rad_s * ScanSettings().duration_s, 0.0])
+    axes = []
+    for R_ci in (scan.R_ci, turned * scan.R_ci):
+        of_camera = R_ci.as_matrix()
+        axes += [of_camera[2], (DUMP.R_cs0.as_matrix().T @ of_camera)[2]]  # third rows: z of c, z of s
+    bodies = [get_body(name, when).cartesian.xyz.to_value(u.m) - p_i[0] for name in ("sun", "moon")]
+    away = [[np.degrees(np.arccos(axis @ v / np.linalg.norm(v))) for v in bodies] for axis in axes]
+    depression = np.arccos(6378137.0 / np.linalg.norm(p_i[0]))
+    limb = [np.degrees(np.arcsin(axis @ p_i[0] / np.linalg.norm(p_i[0])) + depression) for axis in axes]
+    return np.array([*np.min(away, axis=0), min(limb)])
+
+
 def test_scans_keep_both_cameras_away_and_beat_chance():
     found = chosen(sun_deg=70.0, moon_deg=30.0, earth_deg=12.0)
     for scan in found.scans:
         assert np.all(scan.away_deg >= [70.0, 30.0, 12.0])
+        assert np.allclose(scan.away_deg, least_angles_deg(scan), atol=0.02)  # light time, series of the Moon
     assert np.all(np.diff(found.sigma_rad, axis=0) < 0.0)  # another scan never takes information away
     look = np.array([1.0, 1.0, 0.01])
     assert look @ found.sigma_rad[-1] ** 2 < 0.8 * look @ found.random_sigma_rad**2
