@@ -374,6 +374,7 @@ def _estimate(
         prior_shared=problem.prior_shared,
         shared_values=step.solution.shared,
         shared_covariance=step.solution.covariance_all[3:, 3:],
+        theta_with_shared=step.solution.covariance_all[:3, 3:],
         n_targets_treated_independent=problem.shared.n_treated_independent,
         targets=residuals,
         rejection=test,

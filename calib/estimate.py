@@ -180,6 +180,7 @@ class InstallationEstimate:
     prior_shared: Floats = array("G, G", "prior information of the pairs' shared unknowns")
     shared_values: Floats = array("G", "the shared unknowns as estimated")
     shared_covariance: Floats = array("G, G", "their covariance")
+    theta_with_shared: Floats = array("3, G", "covariance of theta with them")
     n_targets_treated_independent: int = scalar(
         "targets seen in several strips whose coordinate errors were taken as independent in each"
     )

@@ -19,12 +19,12 @@ from boresight.calib.distortion import Knot, knots_touched, prior_information, u
 from boresight.calib.heads import head_names
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_prior
+from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import Bools, array, record, scalar
 
 __all__ = [
-    "EARTH",
     "MICRORADIAN",
     "SIGMA_ALIGNMENT_RAD",
     "SeenTargets",
@@ -37,8 +37,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
-# Names of the rotations of the Earth about the axes of ITRS, in units of the 1-sigma of predicted values.
-EARTH = ("earth/x", "earth/y", "earth/z")
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
@@ -52,7 +50,7 @@ class SeenTargets:
     ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
     is_star: Bools = array("J", "targets that are stars")
-    earth_is_predicted: bool = scalar("whether Earth orientation at the strip's date is predicted")
+    earth: str = scalar("prediction of Earth orientation at the strip's date; empty: measured")
 
 
 @record
@@ -65,7 +63,7 @@ class SharedUnknowns:
     n_treated_independent: int = scalar("targets in several strips beyond the limit")
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
     biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
-    earth: tuple[str, ...] = scalar("`EARTH`, where Earth orientation is predicted", default=())
+    earth: tuple[str, ...] = scalar("predictions of Earth orientation, three unknowns each", default=())
     interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
     ccds: tuple[int, ...] = scalar("CCDs with a residual distortion of their own, along x and y", default=())
 
@@ -74,7 +72,7 @@ class SharedUnknowns:
         """Names of the unknowns, in the order of the matrices."""
         interior = self.interior.unknowns if self.interior else ()
         of_camera = unknown_names(self.knots, self.ccds) + interior
-        of_ground = coordinate_names(self.targets) + self.biases + self.earth
+        of_ground = coordinate_names(self.targets) + self.biases + earth_names(self.earth)
         return of_camera + of_ground + head_names(self.heads)
 
     def prior_information(self) -> Array:
@@ -86,7 +84,7 @@ class SharedUnknowns:
         interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
         camera = prior_information(unknown_names(self.knots, self.ccds))
         parts = [camera, interior, *np.linalg.inv(self.cov_targets)]
-        parts += [bias_prior(self.biases), np.eye(len(self.earth)), alignments]
+        parts += [bias_prior(self.biases), prior_of_predictions(earth_names(self.earth)), alignments]
         parts = [part for part in parts if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
 
@@ -153,7 +151,7 @@ def find_shared(
         n_treated_independent=len(often) - len(kept),
         heads=heads,
         biases=BIASES if mixed else (),
-        earth=EARTH if any(strip.earth_is_predicted for strip in strips) else (),
+        earth=tuple(sorted({strip.earth for strip in strips if strip.earth})),
         interior=interior,
         ccds=tuple(sorted(ccds)),
     )

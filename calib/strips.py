@@ -89,7 +89,8 @@ class PreparedStrip:
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
-    earth_s: Floats = array("J, 3, 3", "change of v_s by `shared_unknowns.EARTH`; zero: measured")
+    earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
+    earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
     move_s: Floats = array(
         "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
@@ -108,7 +109,7 @@ class PreparedStrip:
             ccd=self.ccd,
             cov_coordinates=self.cov_coordinates,
             is_star=self.is_star,
-            earth_is_predicted=bool(self.earth_s.any()),
+            earth=self.earth,
         )
 
 
@@ -215,6 +216,7 @@ def prepare_strip(
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         earth_s=R_si @ ground.earth_i,
+        earth=strip.earth,
         late_s=late[:, :, 0],
         move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         ties=ties,
@@ -386,7 +388,10 @@ def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknow
     if strip.carrier:
         first = 3 * shared.heads.index(strip.carrier)
         alignments[:, :, first : first + 3] = -cross_matrices(strip.v_s)
-    earth = strip.earth_s[:, :, : len(shared.earth)]
+    earth = np.zeros((len(coordinates), 3, 3 * len(shared.earth)))
+    if strip.earth:
+        first = 3 * shared.earth.index(strip.earth)
+        earth[:, :, first : first + 3] = strip.earth_s
     return np.concatenate([coordinates, biases, earth, alignments], axis=2)
 
 

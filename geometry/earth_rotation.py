@@ -51,6 +51,15 @@ class EarthRotation:
     omega_e: Floats = array("3", "angular velocity of e relative to i at mid-interval, axes of e, rad/s")
     expected_error_m: float = scalar("1-sigma on the equator of predicted or extrapolated values, else 0")
     sigma_e_rad: Floats = array("3", "1-sigma of a rotation about the axes of e by these values, rad; else 0")
+    mjd_last_measured: float = scalar("day of the last measured UT1 of the table, MJD (UTC)")
+
+    @property
+    def prediction(self) -> str:
+        """Which prediction this is, "LAST/DAY": days (MJD) of the last measured value and of the end of the
+        interval; empty for measured values.
+        """
+        day = np.ceil(float(self.epoch.mjd_tai(self.t_stop_s)) - 37.0 / DAY_S)
+        return f"{self.mjd_last_measured:.0f}/{day:.0f}" if self.sigma_e_rad.any() else ""
 
     @staticmethod
     def over(
@@ -87,6 +96,7 @@ class EarthRotation:
             omega_e=omega_e,
             expected_error_m=error_m,
             sigma_e_rad=sigma_e_rad,
+            mjd_last_measured=float(table.mjd_last_measured),
         )
 
     def matrices_ie(self, t_s: ArrayLike) -> Array:

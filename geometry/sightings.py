@@ -154,6 +154,10 @@ class StripSightings:
         "head that measured the exposures' attitudes, turned to frame s; empty: the reference head",
         default="",
     )
+    earth: str = scalar(
+        "prediction of Earth orientation (`EarthRotation.prediction`) of `ground.earth_i`; empty: measured",
+        default="",
+    )
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]

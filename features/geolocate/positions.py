@@ -1,8 +1,8 @@
 """Image points to latitude, longitude and height, with 1-sigma errors along and across the track.
 
-The 1-sigma includes the errors of the installation matrix, of the star exposures' attitudes and of their
-interpolation, and those that the mission states: position, clock, vibration, look distortion, heights of the
-terrain (`pipeline.results.ground_moves`).
+The 1-sigma includes the errors of the installation matrix and of predicted Earth orientation, of the star
+exposures' attitudes and of their interpolation, and those that the mission states: position, clock,
+vibration, look distortion, heights of the terrain (`pipeline.results.ground_moves`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
+from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
@@ -116,8 +117,11 @@ def _sigma(calibrated: Calibrated, model: StripModel, t_s: Floats, p_e: Floats) 
     """1-sigma (N, 2) along and across the track, m, of ground points (N, 3) seen at instants (N,)."""
     errors, R_ci = calibrated.dump.errors, model.pushbroom.R_cs * model.track.R_si(t_s)
     moves = ground_moves(calibrated.dump.orbit, R_ci, t_s, p_e)
-    rotation = calibrated.result.cov_theta + _attitude_covariance(model, t_s) + _rotation_variance(calibrated)
+    rotation = _attitude_covariance(model, t_s) + _rotation_variance(calibrated)
     variance = np.einsum("nia,nab,nib->ni", moves.by_rotation, rotation, moves.by_rotation)
+    common = common_covariance(calibrated.result, calibrated.dump.orbit.earth)
+    by_common = np.concatenate([moves.by_rotation, moves.by_earth], axis=2)
+    variance += np.einsum("nia,ab,nib->ni", by_common, common, by_common)
     variance += errors.position_m**2 * np.einsum("nia,nia->ni", moves.by_position, moves.by_position)
     variance += (errors.clock_s * moves.by_clock) ** 2
     variance += (calibrated.sigma_terrain_m * moves.by_height) ** 2

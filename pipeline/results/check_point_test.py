@@ -1,8 +1,8 @@
 """Whether check points are off by no more than the calibration predicts.
 
-Along the track, and across it, the errors e of N check points have a covariance C: of the matrix and the
-camera's distortion, which all points share; of a strip's attitudes, position, clock and heights, which the
-points of the strip share; of vibration, each point's own. Their mean square is
+Along the track, and across it, the errors e of N check points have a covariance C: of the matrix, predicted
+Earth orientation and the camera's distortion, which all points share; of a strip's attitudes, position, clock
+and heights, which the points of the strip share; of vibration, each point's own. Their mean square is
 
     e . e / N = sum_i lambda_i z_i²,     lambda the eigenvalues of C / N, z independent standard normal
 
@@ -88,22 +88,23 @@ def probability_beyond(eigenvalues: Floats, x: float) -> float:
     return float(np.clip(ndtr(-(w + np.log(v / w) / w)), 0.0, 1.0))
 
 
-def predicted_covariance(strips: Sequence[StripMoves], cov_theta: Floats, dump: Dump) -> Floats:
+def predicted_covariance(strips: Sequence[StripMoves], common: Floats, dump: Dump) -> Floats:
     """Covariance (2, N, N), m², of errors along and across the track at the check points of strips, by that
-    of the matrix and by the errors that the dump states.
+    of the matrix and of the Earth's rotation (`common_covariance`) and by the errors that the dump states.
     """
     errors, camera = dump.errors, dump.line_camera
-    distortion = (errors.look_px * camera.pixel_rad) ** 2
-    common = np.linalg.cholesky(cov_theta + distortion * np.eye(3))
+    of_all = common.copy()
+    of_all[:3, :3] += (errors.look_px * camera.pixel_rad) ** 2 * np.eye(3)
     by_rotation = np.concatenate([one.moves.by_rotation for one in strips])
+    by_all = np.concatenate([by_rotation, np.concatenate([one.moves.by_earth for one in strips])], axis=2)
     white = (errors.vibration_arcsec * ARCSEC) ** 2 * np.sum(by_rotation**2, axis=2)
     sigma_m = terrain_sigma_m(dump)
     covariance = []
     for axis in range(len(DIRECTIONS)):
-        shared = by_rotation[:, axis] @ common
+        shared = by_all[:, axis] @ of_all @ by_all[:, axis].T
         own = [_own(one, axis, errors.position_m, errors.clock_s, sigma_m) for one in strips]
         parts = block_diag(*(root @ root.T for root in own))
-        covariance.append(shared @ shared.T + parts + np.diag(white[:, axis]))
+        covariance.append(shared + parts + np.diag(white[:, axis]))
     return np.array(covariance)
 
 

@@ -2,6 +2,8 @@
 
     rotation delta:  r (I - u nᵀ / uᵀn) (delta x u)      satellite moved by d:  (I - u nᵀ / uᵀn) d
     ground higher by h:  h (u / uᵀn - n)
+    Earth rotated by a:  -(I - u nᵀ / uᵀn) (a x p),   p from the Earth's centre; of an orbit that is stated in
+                         ITRF from the satellite, which rotates too
 
 with the line of sight u, its length r and the vertical n; a rotation of the camera by delta rotates u too.
 """
@@ -27,6 +29,9 @@ class GroundMoves:
     by_position: Floats = array("N, 2, 3", "by the satellite's position, axes of ITRS")
     by_clock: Floats = array("N, 2", "by the instants of the rows, m/s")
     by_height: Floats = array("N, 2", "by the height of the ground")
+    by_earth: Floats = array(
+        "N, 2, 3", "by rotations of the Earth of the 1-sigma of its prediction, axes of ITRS"
+    )
 
 
 def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> GroundMoves:
@@ -42,12 +47,14 @@ def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> Grou
     u = sight / distance[:, None]
     fall = u / np.einsum("na,na->n", u, up)[:, None]
     by_position = to_track @ (np.eye(3) - fall[:, :, None] * up[:, None, :])
+    lever = sight if orbit.frame == "ITRF" else p_e
     R_ec = np.swapaxes(orbit.earth.matrices_ie(t_s), 1, 2) @ np.swapaxes(R_ci.as_matrix(), 1, 2)
     return GroundMoves(
         distance[:, None, None] * by_position @ _cross_matrices(u) @ R_ec,
         by_position,
         np.einsum("nia,na->ni", by_position, motion_e),
         np.einsum("nia,na->ni", to_track, fall - up),
+        by_position @ _cross_matrices(-lever) * orbit.earth.sigma_e_rad,
     )
 
 

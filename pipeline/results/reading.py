@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import MODES
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import BIASES, bias_prior
+from boresight.calib.predicted_earth import is_earth, predictions_of, prior_of_predictions
 from boresight.calib.shared_unknowns import (
-    EARTH,
     SIGMA_ALIGNMENT_RAD,
     coordinate_covariance,
     coordinate_names,
@@ -44,6 +44,18 @@ DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODE
 
 
 @record(kw_only=True)
+class SavedEarth:
+    """Errors of predicted Earth orientation in a result, each rotation in units of its 1-sigma."""
+
+    predictions: tuple[str, ...] = array("E", "as `EarthRotation.prediction`, three rotations each")
+    covariance: Floats = array("F, F", "of the F = 3 E rotations")
+    with_theta_rad: Floats = array("3, F", "of theta with them, rad")
+
+
+NO_EARTH = SavedEarth(predictions=(), covariance=np.zeros((0, 0)), with_theta_rad=np.zeros((3, 0)))
+
+
+@record(kw_only=True)
 class SavedResult:
     """A finished result, read back."""
 
@@ -58,6 +70,9 @@ class SavedResult:
         "K, 3, 3", "covariance of their errors, frame s, rad²; NaN in results of earlier versions"
     )
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
+    earth: SavedEarth = scalar(
+        "errors of predicted Earth orientation; none where it was measured", default=NO_EARTH
+    )
 
 
 def read_findings(result: Path) -> list[dict[str, Any]]:
@@ -104,6 +119,26 @@ def read_saved_result(result: Path) -> SavedResult:
         R_si=R_si,
         covariance_s=_covariances(result, len(table)),
         usable=column(table, "usable").astype(bool),
+        earth=_earth(content, name),
+    )
+
+
+def _earth(content: dict[str, Any], file: str) -> SavedEarth:
+    """What `installation.json` says about predicted Earth orientation."""
+    if (saved := content.get("predicted_earth")) is None:
+        return NO_EARTH
+    names: Any = saved.get("unknowns") if isinstance(saved, dict) else saved
+    try:
+        predictions = predictions_of(names)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise RawDataError(
+            file, "predicted_earth.unknowns", names, f"names of rotations ({error})"
+        ) from error
+    n = 3 * len(predictions)
+    return SavedEarth(
+        predictions=predictions,
+        covariance=_numbers(saved, "covariance", (n, n), file),
+        with_theta_rad=_numbers(saved, "covariance_with_theta_rad", (3, n), file),
     )
 
 
@@ -130,7 +165,9 @@ def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
         origin = origin_of(result / name)
         if origin is not None and origin.dump == identity:
             joint, own = read_saved_result(result), read_saved_result(result / name)
-            matrix = {key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation")}
+            matrix = {
+                key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation", "earth")
+            }
             return result / name, dataclasses.replace(own, **matrix)
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
     raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
@@ -168,16 +205,17 @@ def read_mounting(result: Path, name: str) -> InformationPairs:
     own = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
     alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
     biases = tuple(unknown for unknown in own if unknown in BIASES)
-    earth = tuple(unknown for unknown in own if unknown in EARTH)
+    earth = tuple(unknown for unknown in own if is_earth(unknown))
     coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
     weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
     try:
-        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), np.eye(len(earth)), weak)
+        of_earth = prior_of_predictions(earth)
+        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), of_earth, weak)
         return pairs.as_one(name, coordinate_names(targets) + biases + earth + alignments, prior)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 
 

@@ -27,6 +27,7 @@ from boresight.pipeline.results.check_point_test import (
     predicted_covariance,
     rms_test,
 )
+from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
@@ -175,7 +176,7 @@ def _against_prediction(
     """
     if not len(after.along_m) or np.isnan(result.covariance_s).any():
         return ()
-    covariance = predicted_covariance(strips, result.cov_theta, dump)
+    covariance = predicted_covariance(strips, common_covariance(result, dump.orbit.earth), dump)
     errors = (after.along_m, after.across_m)
     return tuple(map(rms_test, DIRECTIONS, errors, covariance))
 

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
 from boresight.calib.information import InformationPairs
+from boresight.calib.predicted_earth import is_earth
 from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
@@ -216,7 +217,22 @@ def _installation(
     bias = {} if estimate.bias is None else {"common_bias": plain(estimate.bias)}
     groups = [list(group) for group in estimate.targets.doubtful]
     doubtful = {"doubtful_targets": groups} if groups else {}
-    return {field: values[field] for field in FIELDS} | several | bias | doubtful
+    earth = _predicted_earth(estimate)
+    return {field: values[field] for field in FIELDS} | several | bias | earth | doubtful
+
+
+def _predicted_earth(estimate: InstallationEstimate) -> dict[str, Any]:
+    """Errors of predicted Earth orientation and what they have in common with theta; empty where measured."""
+    names = estimate.pairs.shared
+    rows = [n for n, name in enumerate(names) if is_earth(name)]
+    if not rows:
+        return {}
+    content = {
+        "unknowns": [names[n] for n in rows],
+        "covariance": estimate.shared_covariance[np.ix_(rows, rows)].tolist(),
+        "covariance_with_theta_rad": estimate.theta_with_shared[:, rows].tolist(),
+    }
+    return {"predicted_earth": content}
 
 
 def _heads(estimate: InstallationEstimate) -> dict[str, Any]:

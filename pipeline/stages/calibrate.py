@@ -562,6 +562,7 @@ def _strips(
             task.orbit,
             heads,
             task.carrier,
+            earth=task.orbit.earth.prediction,
         )
         for task, of_strip in zip(tasks, matched)
         if len(of_strip.target_id)

@@ -24,9 +24,11 @@ def strip_sightings(
     nominal: NominalMotion,
     heads: Sequence[HeadSightings],
     carrier: str = "",
+    *,
+    earth: str = "",
 ) -> StripSightings:
     """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
-    where another head, `carrier`, covers the strip.
+    where another head, `carrier`, covers the strip. `earth` is the prediction of Earth orientation.
     """
     reference = heads[0]
     by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
@@ -42,6 +44,7 @@ def strip_sightings(
         noise=reference.head.noise,
         others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
         interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
+        earth=earth,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import erfa
 import numpy as np
@@ -15,18 +16,26 @@ from typer.testing import CliRunner
 from boresight.calib.budget import uncertainty_budget
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.shared_unknowns import EARTH
+from boresight.calib.predicted_earth import correlation_of_predictions, is_earth
+from boresight.features.geolocate.positions import Pixels, ground_places
+from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, expected_rotation_error_rad
 from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files import dump as dump_file
 from boresight.pipeline.files.dump import bundled_table, open_dump
+from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.results.reading import read_mounting, read_saved_result
+from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.stages.strip import StripTask, ground_sightings
+from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of
 
 UT1_S = 2e-3  # a change of UT1: 0.9 m on the equator
 POLE_RAD = 1e-6
@@ -92,7 +101,7 @@ def test_directions_move_as_those_of_another_table(
 def with_ground(strip: StripSightings, task: StripTask, calibration: DumpCalibration) -> StripSightings:
     ground = ground_sightings(calibration.matched[0], task)
     assert ground.target_id.tolist() == strip.ground.target_id.tolist()
-    return replace(strip, ground=ground)
+    return replace(strip, ground=ground, earth=task.orbit.earth.prediction)
 
 
 def estimated(strip: StripSightings, calibration: DumpCalibration) -> InstallationEstimate:
@@ -102,9 +111,36 @@ def estimated(strip: StripSightings, calibration: DumpCalibration) -> Installati
     return found
 
 
+@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
+def test_predictions_of_far_dates_average_and_those_of_one_date_do_not(calibration: DumpCalibration) -> None:
+    # Twice the same strip, of one date or of dates 60 years apart in two issues of the table.
+    task, strip = calibration.tasks[0], calibration.strips[0]
+    ground = with_ground(strip, of_ut1(with_table(task, bundled_table()), 1e-6), calibration).ground
+    names = ("59000/59010", "81000/81010")
+    twice = [
+        [
+            replace(strip, strip_id=f"S{n}", earth=name, ground=replace(ground, target_id=ids))
+            for n, (name, ids) in enumerate(
+                zip(which, (ground.target_id, np.char.add(ground.target_id, "b")))
+            )
+        ]
+        for which in ((names[0], names[0]), names)
+    ]
+    settings = replace(calibration.settings, robust=False, sigma_distortion_rad=0.0)
+    free = replace(ground, earth_i=np.zeros_like(ground.earth_i))
+    without = [replace(one, ground=replace(free, target_id=one.ground.target_id)) for one in twice[0]]
+    of_all = [calibrate_strips(these, calibration.estimate.R_cs0, settings) for these in (without, *twice)]
+    none, same, apart = (np.trace(one.cov_theta) for one in of_all if isinstance(one, InstallationEstimate))
+    # 3 %: correlation of 1e-2 is left, and the estimate weighs the targets anew
+    assert apart - none == pytest.approx(0.5 * (same - none), rel=0.03)
+
+
 def of_ut1(task: StripTask, sigma_rad: float) -> StripTask:
     """The task with an error of UT1 alone."""
-    earth = replace(task.orbit.earth, sigma_e_rad=np.array([0.0, 0.0, sigma_rad]))
+    day = float(task.orbit.epoch.mjd_tai(0.0))
+    earth = replace(
+        task.orbit.earth, sigma_e_rad=np.array([0.0, 0.0, sigma_rad]), mjd_last_measured=round(day) - 30.0
+    )
     return replace(task, orbit=replace(task.orbit, earth=earth))
 
 
@@ -159,10 +195,10 @@ def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_b
 ) -> None:
     task, strip = calibration.tasks[0], calibration.strips[0]
     assert not strip.ground.earth_i.any()
-    assert not set(EARTH) & set(calibration.estimate.pairs.shared)
+    assert not any(map(is_earth, calibration.estimate.pairs.shared))
     old = with_ground(strip, with_table(task, old_table(300.0, task.orbit)), calibration)
     found = estimated(old, calibration)
-    assert set(EARTH) <= set(found.pairs.shared)
+    assert sum(map(is_earth, found.pairs.shared)) == 3
     assert np.all(found.sigma_theta > calibration.estimate.sigma_theta)
     settings = replace(calibration.settings, robust=False)
     shares = {one.source: one.covariance for one in uncertainty_budget([old], found.R_cs, settings)}
@@ -182,4 +218,113 @@ def test_a_result_of_predicted_values_is_written_and_read(
     saved = read_saved_result(out)
     assert np.all(np.diag(saved.cov_theta) > np.diag(calibration.estimate.cov_theta))
     mounting = read_mounting(out, "all")
-    assert not set(EARTH) & set(mounting.shared)
+    assert not any(map(is_earth, mounting.shared))
+    # Where pixels lie on the ground: with the prediction that made the matrix its error cancels; with values
+    # measured by now that of the matrix stays. Predicted 300 days ahead, UT1 is off by 8.4 m on the equator;
+    # of this orbit, stated in ITRF, the camera's rotation by as much remains: 0.7 m from 530 km.
+    same = sigma_of_places(out, finished[0])
+    monkeypatch.setattr(dump_file, "bundled_table", bundled_table)
+    measured, plain = sigma_of_places(out, finished[0]), sigma_of_places(finished[1], finished[0])
+    added = np.sqrt(np.sum(measured**2 - plain**2, axis=1))
+    assert np.all((added > 0.3) & (added < 0.7))
+    assert np.all(np.abs(same**2 - plain**2).sum(axis=1) < 0.01 * added**2)
+
+
+def sigma_of_places(result: Path, dump: Path) -> Floats:
+    """1-sigma (N, 2) along and across the track of some pixels of the dump's strip, m."""
+    calibrated = open_calibrated(result, dump)
+    model = strip_model(calibrated, calibrated.dump.strips[0].strip_id)
+    pixels = Pixels(np.array([0, 1, 3]), np.array([10.0, 255.0, 500.0]), np.array([20.0, 1000.0, 1900.0]))
+    places = ground_places(calibrated, model, pixels, ConstantHeight(200.0))
+    return np.column_stack([places.sigma_along_m, places.sigma_across_m])
+
+
+@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
+@pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
+@pytest.mark.parametrize("change", ["ut1_utc_s", "xp_rad", "yp_rad"])
+def test_places_move_as_with_another_table(frame: str, change: str, calibration: DumpCalibration) -> None:
+    # Places by two tables, by the matrix of each: what the matrix does, what the Earth does, and both.
+    size = {"ut1_utc_s": UT1_S, "xp_rad": POLE_RAD, "yp_rad": -POLE_RAD}[change]
+    task, strip = calibration.tasks[0], calibration.strips[0]
+    old, moved = (with_table(task, old_table(30.0, task.orbit, **one), frame) for one in ({}, {change: size}))
+    here, there = (estimated(with_ground(strip, one, calibration), calibration) for one in (old, moved))
+    places = {
+        (k, m): pushbroom_of(replace(one, R_cs=matrix.R_cs)).ground_points(
+            3, np.array([480.0]), np.array([1500.0]), ConstantHeight(400.0)
+        )
+        for k, one in enumerate((old, moved))
+        for m, matrix in enumerate((here, there))
+    }
+    model = pushbroom_of(replace(old, R_cs=here.R_cs))
+    t_s = np.asarray(model.instants_of_lines(np.array([3]), np.array([1500.0])))
+    moves = ground_moves(old.orbit, here.R_cs * model.attitude.R_si(t_s), t_s, places[0, 0])
+    turn = (old.orbit.earth.rotations_ie(t_s).inv() * moved.orbit.earth.rotations_ie(t_s)).as_rotvec()[0]
+    theta = theta_between(there.R_cs, here.R_cs)
+    by_theta = moves.by_rotation[0] @ theta
+    by_earth = moves.by_earth[0] @ (turn / old.orbit.earth.sigma_e_rad)
+    for (k, m), p_e in places.items():
+        found = on_track(old.orbit, t_s, places[0, 0], p_e - places[0, 0])
+        # 1e-3: second order, and the aberration by the satellite's velocity
+        assert found == pytest.approx(m * by_theta + k * by_earth, abs=1e-3 * np.abs(by_earth).max())
+    if frame == "GCRF":
+        assert np.linalg.norm(by_theta + by_earth) < 0.05 * np.linalg.norm(by_earth)  # it cancels
+        # A small 1-sigma about the same axis: theta and the Earth's rotation as they have moved together.
+        by_one = estimated(with_ground(strip, about(old, 1e-3 * turn), calibration), calibration)
+        turned = [n for n, name in enumerate(by_one.pairs.shared) if is_earth(name)]
+        together = by_one.theta_with_shared[:, turned].sum(axis=1)
+        assert together == pytest.approx(1e-3 * theta, abs=2e-3 * np.abs(1e-3 * theta).max())
+
+
+def about(task: StripTask, turn: Floats) -> StripTask:
+    """The task with such 1-sigmas about the three axes of the Earth, rad, signs included."""
+    return replace(task, orbit=replace(task.orbit, earth=replace(task.orbit.earth, sigma_e_rad=turn)))
+
+
+def on_track(orbit: Orbit, t_s: Floats, p_e: Floats, moved: Floats) -> Floats:
+    """Parts (2,) of a move along the track and to the right of it."""
+    up = ellipsoid_normals(*geodetic_from_ecef(p_e, WGS84)[:2])[0]
+    along = orbit.velocities_e(t_s)[0]
+    along = along - up * (along @ up)
+    along = along / np.linalg.norm(along)
+    return np.array([moved[0] @ along, moved[0] @ np.cross(along, up)])
+
+
+def test_predictions_grow_apart_as_the_iers_states() -> None:
+    # The difference of two days of one table is as uncertain as a prediction over the days between them; the
+    # later table's is the earlier one's less the error of the day to which it was measured.
+    last, days = 60_000, np.array([3, 40, 90])
+    names = [f"{last}/{last + day}" for day in days]
+    sigma = [expected_rotation_error_rad(float(day), 0.0) for day in days]
+    R = correlation_of_predictions(names, names).reshape(3, 3, 3, 3)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        off = np.diag(R[a, :, b])
+        found = sigma[a] ** 2 + sigma[b] ** 2 - 2.0 * off * sigma[a] * sigma[b]
+        assert found == pytest.approx(
+            expected_rotation_error_rad(float(days[b] - days[a]), 0.0) ** 2, rel=1e-9
+        )
+    three = [*names[1:], f"{last + 40}/{last + 90}"]
+    R = correlation_of_predictions(three, three).reshape(3, 3, 3, 3)
+    s = np.array([sigma[1], sigma[2], expected_rotation_error_rad(50.0, 0.0)])
+    left = np.array([-1.0, 1.0, -1.0])  # e(90) - e(40) - e of the later table: nothing
+    for axis in range(3):
+        C = R[:, axis, :, axis] * np.outer(s[:, axis], s[:, axis])
+        assert abs(left @ C @ left) < 1e-9 * C.max()
+
+
+def test_a_located_date_that_was_not_calibrated_shares_what_is_correlated(
+    calibration: DumpCalibration,
+) -> None:
+    # Against draws of the errors of both dates: 200 000, each share good to 0.5 %.
+    here, there = "60000/60020", "60000/60035"
+    R = correlation_of_predictions((here, there), (here, there))
+    a = np.random.default_rng(5).multivariate_normal(np.zeros(6), R, 200_000)
+    by_a = np.array(
+        [[3.0, -1.0, 0.5], [0.2, 2.0, -4.0], [1.0, 0.0, 0.3]]
+    )  # theta by the errors when calibrated
+    theta = a[:, :3] @ by_a.T
+    earth = SavedEarth(predictions=(here,), covariance=np.eye(3), with_theta_rad=by_a)
+    result = SimpleNamespace(cov_theta=by_a @ by_a.T, earth=earth)
+    rotation = SimpleNamespace(prediction=there)
+    found = common_covariance(result, rotation)  # type: ignore[arg-type]
+    drawn = np.cov(np.column_stack([theta, a[:, 3:]]).T)
+    assert found == pytest.approx(drawn, abs=0.01 * np.abs(drawn).max())
