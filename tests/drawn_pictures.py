@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from boresight.pipeline.report.panels import OURS, SERIES
@@ -13,7 +19,7 @@ from boresight.pipeline.report.panels import OURS, SERIES
 FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 
 SERIES_COLOURS = tuple(colour for colour, *_ in SERIES)
-__all__ = ["OURS", "SERIES_COLOURS", "pixels_of_colour", "shows_curves"]
+__all__ = ["OURS", "SERIES_COLOURS", "kept_figures", "numbers", "pixels_of_colour", "shows_curves"]
 
 
 def pixels_of_colour(path: Path, colour: str) -> int:
@@ -27,3 +33,24 @@ def pixels_of_colour(path: Path, colour: str) -> int:
 def shows_curves(path: Path, *colours: str) -> bool:
     """Whether a plot has curves, bars or markers in each of these colours, beside frame and labels."""
     return all(pixels_of_colour(path, colour) >= FEWEST_PX for colour in colours)
+
+
+@contextmanager
+def kept_figures(*modules: ModuleType) -> Iterator[list[Figure]]:
+    """The figures that modules would write, with their numbers; the files are written as well."""
+    kept: list[Figure] = []
+    with pytest.MonkeyPatch.context() as patch:
+        for module in modules:
+            write = module.write_figure
+
+            def keep(path: Path, figure: Figure, write: Callable[..., None] = write, **more: int) -> None:
+                kept.append(figure)
+                write(path, figure, **more)
+
+            patch.setattr(module, "write_figure", keep)
+        yield kept
+
+
+def numbers(text: str) -> list[float]:
+    """All numbers of a line, in order."""
+    return [float(one) for one in re.findall(r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|nan\b)", text)]

@@ -10,7 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command_line import app
-from drawn_pictures import OURS, shows_curves
+from drawn_pictures import OURS, kept_figures, shows_curves
+from matplotlib.dates import date2num
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -18,6 +19,7 @@ from typer.testing import CliRunner
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs, solve_total
+from boresight.features.drift import drift_files
 from boresight.features.drift.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import drift_of_results, named_results
 from boresight.geometry.constants import ARCSEC, DAY_S
@@ -91,7 +93,8 @@ def archive(root, months, rng, *, step_after=None, amplitude=0.0):
 def test_a_step_of_one_arcsec_between_two_months_is_told_with_its_date(tmp_path):
     folders = archive(tmp_path, 12, np.random.default_rng(1), step_after=6)
     out = tmp_path / "out"
-    ran = runner.invoke(app, ["drift", *map(str, reversed(folders)), "--out", str(out)])
+    with kept_figures(drift_files) as figures:
+        ran = runner.invoke(app, ["drift", *map(str, reversed(folders)), "--out", str(out)])
     assert ran.exit_code == 0, ran.output
     assert "the mounting has moved" in ran.stdout
     content = json.loads((out / "drift.json").read_text())
@@ -105,6 +108,33 @@ def test_a_step_of_one_arcsec_between_two_months_is_told_with_its_date(tmp_path)
     rows = list(csv.DictReader((out / "drift.csv").open()))
     assert len(rows) == 36 and rows[0]["utc"] == "2024-01-10T03:00:10Z"
     assert shows_curves(out / "drift.png", OURS)
+    assert_drawn(figures[0].axes, rows, [content["step"]["utc"], *content["step"]["utc_interval"]])
+
+
+def assert_drawn(panels, rows, step):
+    """Each panel has the results of its axis with errors, the smoothed ones in their band, and the step."""
+    best, low, high = (np.datetime64(one.rstrip("Z")) for one in step)
+    for panel, name in zip(panels, "XYZ", strict=True):
+        own = [row for row in rows if row["axis"].upper() == name]
+        when = np.array([row["utc"].rstrip("Z") for row in own], dtype="datetime64[ns]")
+        theta, sigma, smoothed, band = (
+            np.array([float(row[f"{key}_arcsec"]) for row in own])
+            for key in ("theta", "sigma", "smoothed", "smoothed_sigma")
+        )
+        (marks,) = panel.containers
+        days = date2num(when)
+        assert_allclose(np.array(marks.lines[0].get_data(orig=False)), [days, theta], rtol=1e-8)
+        ends = np.array([piece[:, 1] for piece in marks.lines[2][0].get_segments()])
+        assert_allclose(ends, np.column_stack([theta - sigma, theta + sigma]), rtol=1e-7, atol=1e-9)
+        curve = panel.lines[1].get_data(orig=False)
+        assert_allclose(np.array(curve), [days, smoothed], rtol=1e-8)
+        edge = panel.collections[0].get_paths()[0].vertices
+        for k, day in enumerate(days):
+            at = edge[np.abs(edge[:, 0] - day) < 1e-6, 1]
+            assert_allclose([at.min(), at.max()], smoothed[k] + band[k] * np.array([-1.0, 1.0]), atol=1e-8)
+        assert_allclose(panel.lines[-1].get_xdata(orig=False), date2num(best), atol=1e-5)
+        span = panel.patches[0].get_extents().transformed(panel.transData.inverted())
+        assert_allclose([span.x0, span.x1], date2num([low, high]), atol=1e-5)
 
 
 def test_a_mounting_at_rest_is_merged_and_gives_no_alarm(tmp_path):

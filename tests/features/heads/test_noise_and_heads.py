@@ -8,13 +8,13 @@ is stated and its clock is late, which shows as the satellite slews.
 from __future__ import annotations
 
 import json
-import re
 import tomllib
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from command_line import app
+from drawn_pictures import kept_figures, numbers
 from handmade_sentinel2 import write_sentinel2
 from scipy.linalg import toeplitz
 from scipy.signal import freqz, lfilter, periodogram
@@ -85,17 +85,11 @@ def called(*arguments: str) -> tuple[str, dict]:
     return plain.output, answer["result"] if "result" in answer else answer
 
 
-def numbers(text: str) -> list[float]:
-    """All numbers of a line."""
-    return [float(one) for one in re.findall(r"[-+]?\d+\.?\d*(?:e[-+]\d+)?", text)]
-
-
 @pytest.fixture(scope="module")
 def noise(dump, tmp_path_factory):
     """The printed noise, that for programs, its folder, and the figure."""
-    out, figures = tmp_path_factory.mktemp("noise"), []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(head_files, "write_figure", lambda path, figure: figures.append(figure))
+    out = tmp_path_factory.mktemp("noise")
+    with kept_figures(head_files) as figures:
         text, told = called("noise", str(dump), "--out", str(out))
     return text, told, out, figures[0]
 
@@ -228,9 +222,7 @@ def test_the_figure_has_the_allan_deviation_of_record_and_noise(dump, noise):
 @pytest.fixture(scope="module")
 def heads(dump, tmp_path_factory):
     """The printed alignment, that for programs, and the figure."""
-    figures = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(head_files, "write_figure", lambda path, figure: figures.append(figure))
+    with kept_figures(head_files) as figures:
         text, told = called("heads", str(dump), "--out", str(tmp_path_factory.mktemp("heads")))
     (one,) = told["dumps"]
     return text, one, figures[0]

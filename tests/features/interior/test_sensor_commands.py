@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import rasterio
 from command_line import app
-from drawn_pictures import OURS, shows_curves
+from drawn_pictures import OURS, kept_figures, shows_curves
 from typer.testing import CliRunner
 
 from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.interior import interior_files
 from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
@@ -95,7 +96,8 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     result = shutil.copytree(result, tmp_path / "result")
     out = result / "interior"
     asked = ["remote-camera-calibrate", str(result), "--out", str(out), "--curve-length-px", "400", "--json"]
-    told = runner.invoke(app, asked)
+    with kept_figures(interior_files) as figures:
+        told = runner.invoke(app, asked)
     assert told.exit_code == 0, told.output
     content = json.loads((out / "interior.json").read_text())
     parameters = {one["name"]: one for one in content["parameters"]}
@@ -110,3 +112,28 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     before, after = (open_dump(place).line_camera for place in (dump, changed))
     difference, _ = map_difference_px(after, before)
     assert np.sqrt(np.mean(difference**2)) == pytest.approx(content["map_change_rms_px"], rel=0.02)
+    assert_drawn(figures[0].axes, before, after, content["map_sigma_rms_px"])
+
+
+def assert_drawn(panels, before, after, sigma_rms):
+    """The change of the looks, CCD after CCD, above the residuals that it takes out, with its 1-sigma."""
+    upper, lower = np.reshape(panels, (2, 2))
+    first = np.cumsum([0, *(ccd.n_px for ccd in before.ccds)])
+    n, variances = before.n_ccds, []
+    for axis in (0, 1):
+        marks = [panel.lines[0].get_data() for panel in (upper[axis], lower[axis])]
+        assert np.array_equal(marks[0][0], marks[1][0])  # the same targets
+        for c in range(n):
+            x, change = upper[axis].lines[1 + 2 * c].get_data()
+            sample = x - first[c]
+            assert sample.min() == 0.0 and sample.max() == before.ccds[c].n_px - 1
+            looks = [one.directions_from_pixels(c, sample) for one in (before, after)]
+            moved = np.subtract(*(u_c[:, :2] / u_c[:, 2:] for u_c in looks)) / before.pixel_rad
+            assert np.allclose(change, moved[:, axis], atol=0.02)  # px; the looks are of other lengths
+            own = (marks[0][0] >= first[c]) & (marks[0][0] < first[c + 1])
+            taken = (marks[0][1] - marks[1][1])[own]
+            assert np.allclose(taken, np.interp(marks[0][0][own], x, change), atol=0.02)
+            assert not np.any(lower[axis].lines[1 + 2 * c].get_ydata())
+            edge = lower[axis].collections[c].get_paths()[0].vertices
+            variances.append([np.ptp(edge[np.isclose(edge[:, 0], at), 1]) ** 2 / 4.0 for at in x])
+    assert np.sqrt(np.mean(variances)) == pytest.approx(sigma_rms, rel=1e-6)

@@ -1,22 +1,25 @@
 """Scans of the sky: clear of Sun, Moon and Earth by astropy's places; the choice is better than chance."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+import pandas as pd
 import pytest
-from astropy.coordinates import get_body
+from astropy.coordinates import SkyCoord, get_body
 from astropy.time import Time
 from command_line import app
-from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
+from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
 from handmade import ATTITUDE_HEAD
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.planning import scan_files
 from boresight.features.planning.scan_plan import (
     ScanCameras,
     ScanSettings,
@@ -120,10 +123,37 @@ def test_too_narrow_limits_are_an_error_that_says_so():
 
 def test_the_command_writes_its_table_and_picture(tmp_path):
     asked = ["sky-strip-plan", str(MINI), "--candidates", "30", "--hours", "3", "--out", str(tmp_path)]
-    told = CliRunner().invoke(app, asked)
+    with kept_figures(scan_files) as figures:
+        told = CliRunner().invoke(app, asked)
     assert told.exit_code == 0, told.output
     header, *rows = (tmp_path / "scans.csv").read_text().splitlines()
     assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
+    table = pd.read_csv(tmp_path / "scans.csv")
+    sky, steps = figures[0].axes
+    drawn = np.ravel([line.get_data() for line in sky.lines[:2]])
+    assert np.allclose(drawn, table[["ra_deg", "dec_deg"]].to_numpy().ravel())
+    when = Time(table["utc"][0].rstrip("Z"), scale="utc")
+    for line, name in zip(sky.lines[2:], ("sun", "moon"), strict=True):
+        seen = SkyCoord(*np.ravel(line.get_data()) * u.deg)
+        x = get_body(name, when).cartesian.xyz.value
+        assert seen.separation(SkyCoord(*x, representation_type="cartesian")).deg < 0.02
+    lines = [line for line in told.output.splitlines() if re.match(r" +\d+  20\d\d-", line)]
+    for n, axis in enumerate("xyz"):
+        sigma = table[f"sigma_{axis}_arcsec"]
+        assert np.allclose(steps.lines[n].get_data(), [[1, 2], sigma])
+    for row, line in zip(table.itertuples(), lines, strict=True):
+        stated = [row.ra_deg, row.dec_deg, row.scan_angle_deg, row.rate_mrad_s, row.stars]
+        printed = numbers(line)[-11:]
+        assert printed[:5] == pytest.approx(stated, abs=0.051)
+        assert printed[5:8] == pytest.approx([row.sun_deg, row.moon_deg, row.limb_deg], abs=0.51)
+        sigma = [row.sigma_x_arcsec, row.sigma_y_arcsec, row.sigma_z_arcsec]
+        assert printed[8:] == pytest.approx(sigma, abs=5.1e-5)
+        # The attitude beside them: z of frame c to its right ascension, x turned from north to east.
+        R_ci = Rotation.from_quat([row.qx_ci, row.qy_ci, row.qz_ci, row.qw_ci]).as_matrix()
+        z, x = (SkyCoord(*one, representation_type="cartesian") for one in (R_ci[2], R_ci[0]))
+        middle = SkyCoord(row.ra_deg * u.deg, row.dec_deg * u.deg)
+        assert middle.separation(z).deg < 1e-6
+        assert middle.position_angle(x).deg == pytest.approx(row.scan_angle_deg, abs=1e-6)
     assert shows_curves(tmp_path / "scans.png", OURS, *SERIES_COLOURS[:3])
     assert CliRunner().invoke(app, [*asked[:2], "--utc", "tonight"]).exit_code != 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,7 +17,7 @@ from astropy.coordinates import GCRS, SkyCoord, get_sun
 from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
-from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
+from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -26,6 +27,7 @@ from command_line import app
 from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, directions_of, render, star_frame
 
+from boresight.features.sky_images import centroid_report, field_plan, star_camera_report
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -102,13 +104,53 @@ def test_nothing_identified_ends_with_status_1(folder):
 def test_centroids_are_scored_against_a_truth(folder, tmp_path):
     images = sorted(folder.glob("sky*.png"))
     out, plot = tmp_path / "stars.csv", tmp_path / "score.png"
-    done = run(
-        "centroids", *images, "--truth", folder / "truth.csv", "--gain", 40, "--out", out, "--plot", plot
-    )
+    asked = ("--truth", folder / "truth.csv", "--gain", 40, "--out", out, "--plot", plot)
+    scores = []
+    with kept_figures(centroid_report) as figures, pytest.MonkeyPatch.context() as patch:
+        scored = centroid_report.score_centroids
+        patch.setattr(
+            centroid_report, "score_centroids", lambda *a, **k: scores.append(scored(*a, **k)) or scores[0]
+        )
+        done = run("centroids", *images, *asked)
     assert done.exit_code == 0, done.output
-    assert "x bound" in done.stdout and "false detections" in done.stdout
-    assert len(pd.read_csv(out)) > 60
     assert shows_curves(plot, *SERIES_COLOURS[:2])
+    (score,), table, truth = scores, pd.read_csv(out), pd.read_csv(folder / "truth.csv")
+    assert len(table) > 60 and table["file"].nunique() == len(images)
+    rows = done.stdout.splitlines()
+    bins = [numbers(line) for line in rows if re.match(r" +\d+ - +(\d+|inf) ", line)]
+    seen = np.flatnonzero(score.stars)
+    for k, found in zip(seen, bins, strict=True):
+        printed = [score.stars[k], score.found[k] / score.stars[k], score.rms_px[k], score.bound_px[k]]
+        printed += [score.over_bound[k], score.over_bound_error[k], score.chi2[k], score.chi2_error[k]]
+        assert found[-8:] == pytest.approx(printed, abs=5.1e-3)
+        assert found[0] == pytest.approx(score.snr_edges[k], abs=0.51)
+    last = numbers(rows[-1]), np.abs(score.phase_bias_px), score.phase_error_px
+    assert last[0] == pytest.approx([np.nanmax(last[1]), np.nanmax(last[2])], abs=5.1e-5)
+    # Every detection near a star of the truth is off by the errors of its row, and has its flux.
+    pairs = []
+    for name, rows_of in table.groupby("file"):
+        true = truth[truth["file"] == Path(name).name] if "file" in truth else truth
+        for one in rows_of[~rows_of["saturated"] & ~rows_of["blended"]].itertuples():
+            off = np.hypot(true["x_px"] - one.x_px, true["y_px"] - one.y_px)
+            if off.min() < 1.0:
+                star = true.loc[off.idxmin()]
+                C = np.array([[one.sigma_x_px**2, one.cov_xy_px2], [one.cov_xy_px2, one.sigma_y_px**2]])
+                d = np.array([one.x_px - star["x_px"], one.y_px - star["y_px"]])
+                pairs.append((d @ np.linalg.solve(C, d), one.flux_dn / star["flux_dn"], one.snr))
+    distance2, flux, snr = np.array(pairs).T
+    # 60 stars and more: the mean of chi2 of two has a standard error of 0.26, the median of some 0.2
+    assert 1.2 < np.mean(np.minimum(distance2, 12.0)) < 2.9
+    assert np.median(flux[snr > 25.0]) == pytest.approx(1.0, abs=0.03)  # fainter ones are found when bright
+    left, right = figures[0].axes
+    middle = np.sqrt(score.snr_edges[:-1] * np.minimum(score.snr_edges[1:], 2.0 * score.snr_edges[:-1]))
+    for line, values in zip(left.lines, (score.rms_px, score.bound_px)):
+        assert np.array_equal(line.get_ydata(), values, equal_nan=True)
+        assert np.allclose(line.get_xdata(), middle)
+    for axis, container in enumerate(right.containers):
+        x, y = container.lines[0].get_data()
+        assert np.array_equal(y, score.phase_bias_px[:, axis], equal_nan=True)
+        n = len(y)  # the phases of a pixel, from its left edge to its right one, about its centre
+        assert x[0] == pytest.approx(-0.5 + 0.5 / n) and np.allclose(np.diff(x), 1.0 / n)
 
 
 def test_centroids_are_held_to_limits(folder, tmp_path):
@@ -146,13 +188,58 @@ def test_a_truth_without_its_columns_is_named(folder, tmp_path):
     assert "x_px" in str(done.exception)
 
 
+def assert_calibration_is_printed(lines, content):
+    """Each line has the numbers of the report."""
+    sigma, values = np.sqrt(np.diag(content["covariance"])), content["values"]
+    stars, frames, outliers, rms, chi2_dof = numbers(lines[0].replace("chi2/dof", ""))
+    assert (stars, frames, outliers) == (content["stars"], len(content["frames_used"]), content["outliers"])
+    assert rms == pytest.approx(content["rms_px"], abs=5.1e-5)
+    assert chi2_dof == pytest.approx(content["chi2"] / content["dof"], abs=5.1e-3)
+    assert numbers(lines[1])[:3] == pytest.approx([1e3 * values[0], 1e3 * sigma[0], 5.0], abs=5.1e-7)
+    assert numbers(lines[2]) == pytest.approx([*values[1:3], *sigma[1:3]], abs=5.1e-4)
+    for k, name in enumerate(content["parameters"][3:], start=3):
+        found = numbers(next(line for line in lines if line.startswith(name)).removeprefix(name))
+        assert found == pytest.approx([values[k], sigma[k]], rel=0.06)
+    error = content["error_anywhere_95_px"]
+    at = next(k for k, line in enumerate(lines) if line.startswith("error of the map"))
+    assert numbers(lines[at])[1:] == pytest.approx(list(error.values()), abs=5.1e-5)
+    factor = content["sigmas_anywhere_95"]
+    places = [error["middle"] / factor, error["corner"] / factor]
+    assert numbers(lines[at + 1])[1:3] == pytest.approx(places, abs=5.1e-5)
+    assert numbers(lines[at + 1])[3] == pytest.approx(factor, abs=0.051)
+
+
+def assert_map_is_drawn(axes, cells):
+    """Arrows of mean residuals in the middles of cells, the longest nine tenths of one, beside circles."""
+    mean, error, count = (np.array(cells[key]) for key in ("mean_px", "error_px", "count"))
+    circles, arrows = axes.collections
+    rows, columns = count.shape
+    middles = [
+        ((column + 0.5) * CAMERA.width_px / columns, (row + 0.5) * CAMERA.height_px / rows)
+        for row in range(rows)
+        for column in range(columns)
+    ]
+    assert np.allclose(arrows.get_offsets(), middles)
+    seen = count.ravel() > 0
+    assert np.allclose(np.column_stack([arrows.U, arrows.V])[seen], mean.reshape(-1, 2)[seen])
+    side = min(CAMERA.width_px / columns, CAMERA.height_px / rows)
+    longest = np.hypot(*mean.reshape(-1, 2).T).max()
+    assert longest / arrows.scale == pytest.approx(0.9 * side)  # px of the picture
+    assert np.allclose(circles.get_offsets(), np.array(middles)[seen])
+    assert np.allclose(circles.get_widths(), 2.0 * error.ravel()[seen] / arrows.scale)
+    assert axes.get_ylim()[0] > CAMERA.height_px > 0.0 > axes.get_ylim()[1]  # row 0 on top
+
+
 def test_a_camera_is_calibrated_and_then_known(folder, tmp_path):
     images = sorted(folder.glob("sky*.png"))
     out, report, plot = (tmp_path / name for name in ("camera.toml", "report.json", "map.png"))
     files = ("--out", out, "--report", report, "--plot", plot)
-    done = run("star-camera-calibrate", *images, "--fov", 19.0, *files)
+    with kept_figures(star_camera_report) as figures:
+        done = run("star-camera-calibrate", *images, "--fov", 19.0, *files)
     assert done.exit_code == 0, done.output
     content = json.loads(report.read_text())
+    assert_calibration_is_printed(done.stdout.splitlines(), content)
+    assert_map_is_drawn(figures[0].axes[0], content["residual_map"])
     scale = content["values"][0] / 5e-6 / (CAMERA.focal_m / CAMERA.pixel_m)  # the pixel pitch is not known
     assert scale == pytest.approx(1.0, abs=4.0 * np.sqrt(content["covariance"][0][0]) / content["values"][0])
     again = run("identify", "--json", "--camera", out, images[0])
@@ -311,7 +398,8 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     out, plot = tmp_path / "plan.csv", tmp_path / "plan.png"
     utc = "2026-03-01T12:00:00Z"
     given = ("--fov", 18.6, "--frames", 5, "--candidates", 120, "--utc", utc, "--sun-deg", 80)
-    done = run("star-camera-plan", folder / "sky0.png", *given, "--out", out, "--plot", plot)
+    with kept_figures(field_plan) as figures:
+        done = run("star-camera-plan", folder / "sky0.png", *given, "--out", out, "--plot", plot)
     assert done.exit_code == 0, done.output
     table = pd.read_csv(out)
     assert table["image"].tolist() == [1, 2, 3, 4, 5] and shows_curves(plot, OURS)
@@ -319,6 +407,19 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     middle = SkyCoord(table["ra_deg"].to_numpy() * units.deg, table["dec_deg"].to_numpy() * units.deg)
     sun = get_sun(Time(utc.removesuffix("Z"), scale="utc"))
     assert middle.separation(SkyCoord(sun.ra, sun.dec)).deg.min() > 80.0
+    sky, error = figures[0].axes
+    for line, key in zip(error.lines, ("largest_sigma_px", "random_sigma_px"), strict=True):
+        assert np.allclose(line.get_data(), [table["image"], table[key]])
+    # Edges that are drawn are half a detector's height to half its diagonal from the middle of their field.
+    low, high = np.degrees(np.arctan(np.tan(np.radians(9.3)) * np.array([960.0 / 1280.0, 1.25])))
+    drawn = np.concatenate([np.column_stack(line.get_data()) for line in sky.lines])
+    off = SkyCoord(*(drawn.T[:, :, None] * units.deg)).separation(middle[None]).deg
+    assert len(drawn) == 120 * len(table)
+    assert ((off > 0.99 * low) & (off < 1.01 * high)).any(axis=1).all()
+    assert np.allclose(np.sort(off[off > 0.995 * high])[[0]], high, rtol=0.02)
+    for row, printed in zip(table.itertuples(), done.stdout.splitlines()[-7:-2], strict=True):
+        stated = [row.image, row.ra_deg, row.dec_deg, row.roll_deg, row.stars, row.largest_sigma_px]
+        assert numbers(printed) == pytest.approx([*stated, row.random_sigma_px], abs=5.1e-3)
     # the attitudes beside them look the same way: the optical axis is near the image's middle
     axes = Rotation.from_quat(table[["qx_si", "qy_si", "qz_si", "qw_si"]]).inv().apply([0.0, 0.0, 1.0])
     assert np.degrees(np.arccos((axes * middle.cartesian.xyz.value.T).sum(axis=1))).max() < 1.0
