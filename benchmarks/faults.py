@@ -748,7 +748,8 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         new = [-values[0], -values[1], -values[2], values[3]]
         write_text(dump / name, text[: found.start()] + f"quaternion_cs = {new}" + text[found.end() :])
 
-    yield Fault("installation conjugate", "", 1, "", 30.0, installation, ("installation",))
+    own = facts.heads[:1]  # whose file it is
+    yield Fault("installation conjugate", "", 1, "", 30.0, installation, ("installation",), "", own)
 
 
 def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:

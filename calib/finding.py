@@ -34,4 +34,7 @@ class Finding:
     )
     effect_sigma: float = scalar("the same in 1-sigma of theta; NaN: unknown", default=np.nan)
     p_value: float = scalar("probability of as much where nothing is wrong; NaN: not a test", default=np.nan)
+    rivals: tuple[str, ...] = scalar(
+        'other causes, "cause, item", that explain as much: `text` names them behind "or"', default=()
+    )
     targets: tuple[str, ...] = scalar('observations that it explains, "strip/target"', default=())

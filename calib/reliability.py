@@ -17,14 +17,15 @@ the limit of their test. The evidence for a hypothesis is by how much it lowers
 
 each searched anew for its minimum, which is the likelihood of a mixture of good and gross observations. The
 hypothesis of most evidence becomes an unknown and the rest is tested again, three at most. The p-values of
-all hypotheses together keep the stated false-alarm rate (Holm 1979). Where a cause refutes, a further
-one must have a hundredth of its evidence: a linear column leaves something of a large error.
+all hypotheses together keep the stated false-alarm rate (Holm 1979). A further cause must have a hundredth of
+the evidence of those before it, or of the chi-square of their sizes, where that is more: a linear column
+leaves something of a large error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -211,8 +212,8 @@ def examine(
     limits = limits or ReliabilitySettings()
     one = _adjustment(estimate, strips, settings, pixel_rad, star_camera, inputs, table_of)
     tests = _tests(one, limits)
-    findings, last = _causes(one, tests, limits)
-    return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, last)))
+    findings, chosen, last = _causes(one, tests, limits)
+    return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, chosen, last)))
 
 
 def _adjustment(
@@ -313,9 +314,12 @@ def _noncentrality(p: float) -> float:
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
 
 
-def _suspects(one: _Adjustment, last: _Fit) -> Iterator[Contradiction]:
-    """Observations that the last fit rejects, beyond the limit of all of them together."""
-    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.names)))
+def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[Contradiction]:
+    """Observations that the last fit, with the hypotheses `chosen`, rejects: beyond the limit of all of them
+    together, and beyond what the linear form leaves of a large error that concerns them.
+    """
+    left = NOT_LINEAR * (last.size / last.sigma) ** 2 * np.any(one.B[:, :, chosen] != 0.0, axis=1)
+    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.names))) + left.sum(axis=1)
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
         strip_id, _, target_id = one.names[n].rpartition("/")
         yield Contradiction(
@@ -328,15 +332,16 @@ def _suspects(one: _Adjustment, last: _Fit) -> Iterator[Contradiction]:
 
 def _causes(
     one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings
-) -> tuple[list[Finding], _Fit]:
-    """Forward selection: hypotheses that explain more than chance, each beside those before it; and the fit
-    with all of them as unknowns.
+) -> tuple[list[Finding], list[int], _Fit]:
+    """Forward selection: hypotheses that explain more than chance, each beside those before it; their rows,
+    and the fit with all of them as unknowns.
     """
     if not _suspicious(one, tests, limits):
-        return [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0))
+        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0))
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minimum(one, []), 0.0
+    concerned = np.any(one.B != 0.0, axis=1).sum(axis=0)  # observations, by hypothesis
     while len(chosen) < MOST_CAUSES:
         trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
@@ -344,20 +349,21 @@ def _causes(
             break
         most = max(gain.values())
         left = NOT_LINEAR * most  # by which two linear forms of the same large error may differ
-        best = min(
-            h for h in gain if most - gain[h] < EQUAL + left
-        )  # the first of the table, of those that explain as much
+        alike = [h for h in gain if most - gain[h] < EQUAL + left]
+        best = min(alike, key=lambda h: (-concerned[h], h))  # what concerns most, then the first of the table
         p_value = float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2))
         if p_value * (n - len(chosen)) > limits.probability_found:
             break
-        strongest = strongest or most
-        if findings and findings[0].refutes and most < NOT_LINEAR * strongest:
-            break
         rivals = sorted(h for h in gain if most - gain[h] < AMBIGUOUS + left)
+        further = _finding(one, best, trials, rivals, p_value * (n - len(chosen)), before, limits)
+        if most < NOT_LINEAR * strongest:  # what the linear form of a large error leaves is its own harm
+            findings[0] = replace(findings[0], refutes=findings[0].refutes or further.refutes)
+            break
         chosen.append(best)
-        findings.append(_finding(one, best, trials, rivals, p_value * (n - len(chosen) + 1), before, limits))
+        findings.append(further)
         before = trials[best]
-    return findings, before
+        strongest = max(strongest, most, float((before.size[-1] / before.sigma[-1]) ** 2))
+    return findings, chosen, before
 
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:
@@ -471,7 +477,8 @@ def _finding(
     worst = max(harm(n) for n in rivals)
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
-    text += _rivals(h, [one.table[n] for n in rivals if n != best])
+    others = _rivals(h, [one.table[n] for n in rivals if n != best])
+    text += "".join(f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others)
     return Finding(
         cause=h.cause,
         item=h.item,
@@ -485,16 +492,21 @@ def _finding(
         effect_rad=published - fit.theta,
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
+        rivals=tuple(_named(other) for other in others),
         targets=_explained(one, best, before),
     )
 
 
-def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> str:
+def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Other causes that explain as much: the same of other items, then the first of another kind."""
-    alike = [other.item for other in others if other.cause == h.cause][:MOST_RIVALS]
-    another = [f"{other.cause}, {other.item}" for other in others if other.cause != h.cause][:1]
-    named = [*alike, *(another if len(alike) < MOST_RIVALS else ())]
-    return "".join(f"; or {name}" for name in named)
+    alike = [other for other in others if other.cause == h.cause][:MOST_RIVALS]
+    another = [other for other in others if other.cause != h.cause][:1]
+    return [*alike, *(another if len(alike) < MOST_RIVALS else ())]
+
+
+def _named(h: Hypothesis) -> str:
+    """Cause and item of a hypothesis."""
+    return f"{h.cause}, {h.item}"
 
 
 def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[str, ...]:

@@ -253,7 +253,9 @@ def assess(
     found = [_residuals(*one, settings) for one in residuals]
     found += _shares(estimate, settings)
     heads, between = _between_heads(estimate.agreement, settings), _between_strips(estimate, settings)
-    named = any(check.names for check in heads)  # a head that moves sets the strips against one another
+    causes = reliability.findings if reliability else ()
+    # A head that moves, and a cause that refutes, set the strips against one another.
+    named = any(check.names for check in heads) or any(one.refutes for one in causes)
     found += [replace(between, names=()) if named else between, *heads]
     if sigma_installation_rad is not None:
         found.append(_from_start(estimate, sigma_installation_rad, settings))
@@ -273,7 +275,6 @@ def assess(
         weakest_axis_c=vectors[:, -1],
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
-    causes = reliability.findings if reliability else ()
     heads_told = [one for one in _head_findings(heads) if not any(one.item == c.item for c in causes)]
     return verdict.with_findings(heads_told or causes or tuple(_orbit_finding(estimate, found)))
 

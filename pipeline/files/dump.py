@@ -328,8 +328,7 @@ def open_dump(
     every_head = open_heads(root, head, ephemeris.epoch, kernels)
     heads, exposures_twice = exposures_once(every_head)
     covers = _checked_dates(ephemeris, orbit_file, _exposure_times(heads, head), of_strips)
-    for one in heads:
-        check_attitudes(one, orbit, _spans(strips))
+    check_attitudes(heads, orbit, orbit_file, _spans(strips))
     points, of_points = _points(paths.get("points"), head, ground)
     single_points, points_twice = points_once(points, str(head.files.points))
     return Dump(

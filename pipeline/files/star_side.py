@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_aberration import AberrationRemoved, with_all_aberration
-from boresight.geometry.attitude_consistency import find_attitude_fault, off_nadir
+from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
@@ -193,13 +193,34 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch, kernels: 
     )
 
 
-def check_attitudes(head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]) -> None:
-    """`RawDataError` where a head's attitudes during strips of the ground (first and last instant) contradict
-    the orbit, or its line of sight, where that is used, meets the Earth.
+def check_attitudes(
+    heads: Sequence[Head], orbit: Orbit, orbit_file: str, strips: Sequence[tuple[float, float]]
+) -> None:
+    """`RawDataError` where attitudes of heads during strips of the ground (first and last instant) contradict
+    the orbit, or a line of sight that is used meets the Earth. The orbit is named where all of several heads
+    contradict it, and no mistake of theirs explains it.
+    """
+    found = [one for head in heads if (one := _contradiction(head, orbit, strips)) is not None]
+    if 1 < len(heads) == sum(unexplained for _, unexplained in found):
+        raise RawDataError(
+            orbit_file,
+            "positions and velocities",
+            "an orbit with which no head's camera sees the Earth",
+            "the orbit of this satellite at these dates, in the stated frame",
+        )
+    if found:
+        raise found[0][0]
+
+
+def _contradiction(
+    head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]
+) -> tuple[RawDataError, bool] | None:
+    """What is wrong with a head's attitudes or its line of sight, and whether the attitudes contradict the
+    orbit without a usual mistake that explains it.
     """
     source = head.source
     if not isinstance(source, SolvedAttitudes):
-        return
+        return None
     t_s = source.rows.t_s
     begin, end = orbit.span_s
     during = np.zeros(len(t_s), dtype=bool)
@@ -210,16 +231,17 @@ def check_attitudes(head: Head, orbit: Orbit, strips: Sequence[tuple[float, floa
         found = find_attitude_fault(t_s[during], R_si, head.R_cs0, orbit)
         blind_rad = _blind_rad(source, t_s[during], R_si, orbit)
     except OrbitGapError:  # strips that the orbit does not cover are not used, and reported as that
-        return
+        return None
     if found is not None:
-        raise RawDataError(
-            source.file, "quaternions", str(found), "attitudes with which the camera sees the Earth"
-        )
+        expected = "attitudes with which the camera sees the Earth"
+        error = RawDataError(source.file, "quaternions", str(found), expected)
+        return error, found.fault is AttitudeFault.UNRELATED
     if blind_rad is not None:
         direction = ", ".join(f"{value:.4g}" for value in source.line_of_sight_s)
         towards = f"[{direction}], which meets the Earth {np.degrees(blind_rad):.0f} deg off nadir"
         expected = "where this head sees stars, in the axes of its quaternions"
-        raise RawDataError("dump.toml", f"line_of_sight of {head.name}", towards, expected)
+        return RawDataError("dump.toml", f"line_of_sight of {head.name}", towards, expected), False
+    return None
 
 
 def _blind_rad(source: SolvedAttitudes, t_s: Floats, R_si: Rotation, orbit: Orbit) -> float | None:

@@ -178,6 +178,9 @@ def calibrate_dump(
     sighted = _sighted(dump, heads, first, last, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = _examined(dump, found, sighted, error_model, inputs, settings)
+    of_inputs = input_findings(dump, last.tasks, omissions)
+    if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
+        reliability = replace(reliability, findings=(), suspects=())
     verdict = assess(
         found,
         last.strips,
@@ -189,7 +192,7 @@ def calibrate_dump(
     findings = [
         *_explanations(dump, heads, last, found, verdict, reliability, stars, settings),
         *targets_out_of_view(dump, last.tasks, last.matched),
-        *input_findings(dump, last.tasks, omissions),
+        *of_inputs,
         *assumed_motion(last.strips, error_model),
         *earth_findings(earth, dump.earth_file),
     ]
@@ -412,14 +415,16 @@ def _target_findings(
         *exchanged_in_ground(last.tasks, last.matched),
         *exchanged_in_sky(dump, last.sky, last.named, stars, estimate.R_cs),
     ]
-    refuted = any(one.refutes for one in told)  # single items may be what a common cause leaves
     items += [ccd for one in exchanged for ccd in re.findall(r"CCD \d+", one.item)]
+    if any(one.refutes for one in told):  # what is off or lost under a wrong matrix accuses nothing else
+        return exchanged
+    apart = {key: count for key, count in stars.items() if f"strip {key[0]}" not in items}
     return [
         *exchanged,
-        *single_targets([] if refuted else list(suspected), counts_of(last.matched), is_explained=bool(told)),
+        *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
         *lost_targets(last.tasks, last.matched, items),
-        *lost_stars(images, stars, STARS_LOST, items),
-        *([] if refuted else strips_without_stars(dump, last.sky, last.named, stars, strips)),
+        *lost_stars(images, apart, STARS_LOST, items),
+        *strips_without_stars(dump, last.sky, last.named, stars, strips),
     ]
 
 

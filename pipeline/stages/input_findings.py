@@ -92,6 +92,8 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
         slip = re.search(r"([^;]*) would lie in its chip", those[0].reason)
         alike[re.sub(r" \S+ for \S+", "", slip[1]).strip() if slip else ""].append(name)
     common = {words: names for words, names in alike.items() if len(names) > FEWEST}
+    if common and alike.get(""):  # off by what is common, though no slip of digits puts them right
+        common[""] = alike[""]
     for words, names in common.items():
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         fits = f"lie in their chips with {words}" if words else "lie far outside their chips"

@@ -141,10 +141,12 @@ def _split(suspected: Sequence[Suspected], group: Group) -> tuple[list[Suspected
 
 
 def _groups(suspected: Sequence[Suspected], counts: Counts) -> list[Group]:
-    """What more than three targets that are off have in common: strips, CCDs or CCDs in one strip, whichever
-    explains most. The gain of a group is that of the likelihood if it has a share of its own, less a penalty.
+    """What more than three targets that are off have in common: all, strips, CCDs or CCDs in one strip,
+    whichever explains most. The gain of a group is that of the likelihood if it has a share of its own, less
+    a penalty.
     """
     kinds: list[set[Group]] = [
+        {(None, None)},
         {(one.strip_id, None) for one in suspected},
         {(None, one.ccd) for one in suspected},
         {(one.strip_id, one.ccd) for one in suspected},
@@ -178,6 +180,16 @@ def _of_group(group: Group, those: Sequence[Suspected]) -> Finding:
     names = tuple(f"{one.strip_id}/{one.target_id}" for one in those)
     more = " and more" if len(those) > SHOWN else ""
     shown = f"{', '.join([one.target_id for one in those][:SHOWN])}{more}"
+    if strip_id is None and ccd is None:
+        file = "points.csv" if those[0].is_point else "targets.csv"
+        return Finding(
+            cause="look directions or coordinates",
+            item=f"{len(those)} targets of all strips",
+            text="they contradict the rest, and no common cause explains them: check x_offset_mm, y_first_mm "
+            f"in remote_camera.toml, and {file}.",
+            file=f"remote_camera.toml, {file}",
+            targets=names,
+        )
     if strip_id is None:
         images = "ccd in points.csv" if those[0].is_point else "files in strips.csv"
         return Finding(
