@@ -49,7 +49,13 @@ from boresight.pipeline.files.dump import Strip, surface_of
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
 from boresight.pipeline.results.sightings_tables import read_sightings
-from boresight.pipeline.results.strip_model import Calibrated, StripModel, open_calibrated, strip_model
+from boresight.pipeline.results.strip_model import (
+    Calibrated,
+    StripModel,
+    open_calibrated,
+    strip_model,
+    whole_strip_model,
+)
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
 
@@ -96,7 +102,7 @@ def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
     calibrated = _opened(request)
     for strip in () if request.strips else calibrated.dump.strips:
         try:
-            strip_model(calibrated, strip.strip_id)
+            whole_strip_model(calibrated, strip.strip_id)
         except DataNotSufficientError as error:
             yield Remark(f"not exported: {error}")
 
@@ -354,12 +360,12 @@ def _line_times(model: StripModel, epoch: Epoch) -> list[str]:
 def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripModel]:
     """Models of the strips requested, or of all strips that star exposures cover."""
     if wanted:
-        yield from (strip_model(calibrated, name) for name in wanted)
+        yield from (whole_strip_model(calibrated, name) for name in wanted)
         return
     none = True
     for strip in calibrated.dump.strips:
         try:
-            model = strip_model(calibrated, strip.strip_id)
+            model = whole_strip_model(calibrated, strip.strip_id)
         except DataNotSufficientError:  # see `strips_left_out`
             continue
         none = False

@@ -13,7 +13,7 @@ from boresight.pipeline.console.arguments import DumpOption
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
 from boresight.pipeline.files.dump import surface_of
-from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+from boresight.pipeline.results.strip_model import open_calibrated, whole_strip_model
 
 __all__ = ["virtual_ccd_command"]
 
@@ -32,7 +32,7 @@ def virtual_ccd_command(
     Example: boresight virtual-ccd result --strip S01 --out S01.tif
     """
     calibrated = open_calibrated(result, dump)
-    model = strip_model(calibrated, strip)
+    model = whole_strip_model(calibrated, strip)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
     lines, samples = write_virtual_strip(model, surface, out)
     tell(f"{strip}: {lines} lines, {samples} samples -> {out}")

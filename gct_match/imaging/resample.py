@@ -66,7 +66,8 @@ def sample(image: Image, x: Image, y: Image) -> Image:
     """The picture at points x, y (h, w each), by Lanczos interpolation; mirrored beyond its edges.
 
     The points must form a smooth map with steps of about a pixel or less. OpenCV rounds points to 1/32 px;
-    the remainder is added to first order, with derivatives of the resampled picture.
+    the remainder is added to first order, with derivatives of the resampled picture, unless all points lie on
+    one line.
     """
     qx, qy = np.round(x * _GRID) / _GRID, np.round(y * _GRID) / _GRID
     out = cv2.remap(image, qx, qy, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT)
@@ -76,7 +77,10 @@ def sample(image: Image, x: Image, y: Image) -> Image:
     h, w = x.shape
     xu, yu = (x[h // 2, -1] - x[h // 2, 0]) / (w - 1), (y[h // 2, -1] - y[h // 2, 0]) / (w - 1)
     xv, yv = (x[-1, w // 2] - x[0, w // 2]) / (h - 1), (y[-1, w // 2] - y[0, w // 2]) / (h - 1)
-    inverse = np.linalg.inv(np.array([[xu, xv], [yu, yv]], dtype=float)).astype(np.float32)
+    jacobian = np.array([[xu, xv], [yu, yv]], dtype=float)
+    if np.linalg.det(jacobian) == 0.0:
+        return out
+    inverse = np.linalg.inv(jacobian).astype(np.float32)
     dx, dy = x - qx, y - qy
     du = inverse[0, 0] * dx + inverse[0, 1] * dy
     dv = inverse[1, 0] * dx + inverse[1, 1] * dy

@@ -23,6 +23,7 @@ from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, effects_of, settings_from_values
+from boresight.pipeline.stages.coverage import rows_not_covered
 
 __all__ = [
     "Calibrated",
@@ -33,6 +34,7 @@ __all__ = [
     "run_settings_of",
     "strip_model",
     "terrain_sigma_m",
+    "whole_strip_model",
 ]
 
 Array = NDArray[np.float64]
@@ -111,6 +113,16 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
         interpolation=dump.heads[0].interpolation,
     )
     return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs, calibrated.effects), track)
+
+
+def whole_strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
+    """The model of one strip, as `strip_model`, for products of all of its rows. `DataNotSufficientError`
+    also for a strip of which star exposures cover some rows only.
+    """
+    model = strip_model(calibrated, strip_id)
+    if reason := rows_not_covered(model.track.t_s, *calibrated.dump.span_s(model.strip)):
+        raise DataNotSufficientError(f"strip {strip_id}: {reason}")
+    return model
 
 
 def exposures_around(result: SavedResult, dump: Dump, strip: Strip, margin_s: float) -> Ints:

@@ -136,9 +136,13 @@ def _check(
         track = _track(near, result, dump)
         effects = effects_of(_run(result), dump.light)
         model = pushbroom_with(track, strips[strip_id], dump, R_cs, effects)
+        seen = _with_attitude(here, model, track)
+        without += len(here) - len(seen)
+        if not seen:
+            continue
         t_s, places_e = [], []
-        for ccd in sorted({point.ccd for point in here}):
-            those = [point for point in here if point.ccd == ccd]
+        for ccd in sorted({point.ccd for point in seen}):
+            those = [point for point in seen if point.ccd == ccd]
             error, computed_e = _error(those, ccd, model, dump)
             good = np.asarray(np.isfinite(error).all(axis=1))
             without += int((~good).sum())
@@ -166,6 +170,15 @@ def _check(
         north_m=north,
     )
     return checked, without, moving
+
+
+def _with_attitude(
+    points: list[CheckPointRow], model: Pushbroom, track: AttitudeTrack
+) -> list[CheckPointRow]:
+    """The check points of a strip whose lines were read out while star exposures give the attitude."""
+    ccd, line = np.array([point.ccd for point in points]), np.array([point.line for point in points])
+    t_s, (first, last) = model.instants_of_lines(ccd, line), track.span_s
+    return [point for point, t in zip(points, t_s.tolist()) if first <= t <= last]
 
 
 def _against_prediction(

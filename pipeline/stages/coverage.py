@@ -20,6 +20,7 @@ __all__ = [
     "attitudes_in_s",
     "carriers",
     "covered_strips",
+    "rows_not_covered",
     "stated_mountings",
     "turn_to_reference",
 ]
@@ -87,13 +88,14 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
         rows = span_text(dump.epoch, first, last)
         reason = f"{dump.orbit_covers}, without gaps not all of its rows, {rows} (utc_first_row)"
     else:
-        reason = _not_covered(times[near], first, last)
+        reason = rows_not_covered(times[near], first, last)
         if reason and (able := _others_that_cover(dump, first, last)):
             reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
     return Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED) if reason else near
 
 
-def _not_covered(times: Floats, first: float, last: float) -> str:
+def rows_not_covered(times: Floats, first: float, last: float) -> str:
+    """Why exposures at `times` (K,), s, miss rows of a strip from `first` to `last`; empty if they do not."""
     if len(times) < 2:
         return f"{len(times)} usable star exposures around it, 2 are needed; raise run.exposure_margin_s?"
     early = times[0] - 0.5 * (times[1] - times[0]) - first
@@ -109,6 +111,6 @@ def _others_that_cover(dump: Dump, first: float, last: float) -> str:
     for head in dump.heads[1:]:
         if isinstance(head.source, SolvedAttitudes):
             t_s = head.source.rows.t_s
-            if not _not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
+            if not rows_not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
                 return head.name
     return ""
