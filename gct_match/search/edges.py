@@ -87,6 +87,8 @@ def edge_similarity(template: Image, field: Image) -> Image:
 def normalised_correlation(product: Image, template: Image, power: Image) -> Image:
     """Correlations (h, w) from a template's products with fields of mean `power`; small for empty fields."""
     own = np.float32(2.0 * np.mean(np.square(template)))
+    if own == 0.0:  # a template without edges is like nothing
+        return np.zeros_like(product)
     scale = np.maximum(power, _FLOOR * own)
     np.sqrt(scale, out=scale)
     scale *= np.float32(0.5 * template.size) * np.sqrt(own)

@@ -127,10 +127,12 @@ def local_plane(lat_deg: float, lon_deg: float) -> Transformer:
 
 
 def scenes_of(dump: Dump, calibration: DumpCalibration) -> tuple[MapScene, ...]:
-    """The strips of a calibration, grouped by footprints that touch, in order of time."""
+    """The strips of which a CCD sees the ground throughout, grouped by footprints that touch, in order of
+    time.
+    """
     surface, R_cs = surface_of(dump.terrain), calibration.estimate.R_cs
     seen = [_on_ground(replace(task, R_cs=R_cs), surface) for task in calibration.tasks]
-    seen = [one for one in seen if np.isfinite(one.outlines_e).any()]
+    seen = [one for one in seen if np.isfinite(one.outlines_e).all(axis=(1, 2)).any()]
     if not seen:
         return ()
     middles = np.array([np.nanmean(one.outlines_e, axis=(0, 1)) for one in seen])

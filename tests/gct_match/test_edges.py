@@ -70,3 +70,9 @@ def test_ground_full_of_edges_is_no_likelier():
     assert (row, column) == (20, 56)
     mean = template.mean(axis=(1, 2))
     assert surface.max() == pytest.approx(1.0 - mean @ mean / (2.0 * np.mean(template**2)), abs=1e-5)
+
+
+def test_a_template_without_edges_is_like_nothing():
+    empty, field = np.zeros((2, 20, 20), dtype=np.float32), np.zeros((2, 60, 60), dtype=np.float32)
+    with np.errstate(all="raise"):
+        assert (edge_similarity(empty, field) == 0.0).all()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from affine import Affine
+from numpy.typing import NDArray
 from pyproj import Transformer
 
+from boresight.gct_match.imaging.resample import sample
 from boresight.gct_match.predict.template import chip_points
 from boresight.gct_match.records import Chip
 from boresight.geometry.constants import WGS84
@@ -24,3 +27,11 @@ def test_points_of_a_rotated_chip_are_those_of_its_affine_transform() -> None:
     lon, lat = Transformer.from_crs("EPSG:32633", "EPSG:4326", always_xy=True).transform(east, north)
     p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), np.full(3, 310.0), WGS84)
     np.testing.assert_allclose(chip_points(chip, p_e), np.column_stack([column, row]), atol=1e-6)
+
+
+def test_points_on_one_line_are_sampled_without_their_first_order(invented: NDArray):
+    image = invented[:60, :60].astype(np.float32)
+    x = np.broadcast_to(np.arange(10.0, 40.0, dtype=np.float32), (30, 30)).copy()
+    y = np.full((30, 30), 17.0, dtype=np.float32)
+    # all rows see the same row of the picture, at whole pixels: Lanczos has it to rounding
+    assert sample(image, x, y) == pytest.approx(np.broadcast_to(image[17, 10:40], (30, 30)), abs=1e-3)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import rasterio
 import spiceypy
@@ -22,6 +25,8 @@ from typer.testing import CliRunner
 from boresight.features.exports.formats import FORMATS
 from boresight.features.exports.notes import notes_of
 from boresight.geometry.epoch import Epoch
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.spice_attitudes import read_ck
 from boresight.pipeline.files.spice_kernels import Kernels
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -55,6 +60,25 @@ def test_every_file_is_told_with_its_size(exported):
     for name, size in files.items():
         assert any(line.endswith(f"/{name}") and f" {size} bytes" in line for line in told.splitlines())
     assert {line.split()[0] for line in told.splitlines()} == set(OF_ANY_DUMP)
+
+
+def test_a_strip_of_which_some_rows_have_no_exposures_is_left_out_and_told(finished, tmp_path):
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result)
+    table = pq.read_table(result / "sightings" / "exposures.parquet")
+    first, last = open_dump(finished[0]).span_s(open_dump(finished[0]).strips[0])
+    early = pc.less(table["t_s"], 0.5 * (first + last))
+    place = table.column_names.index("usable")
+    pq.write_table(table.set_column(place, "usable", early), result / "sightings" / "exposures.parquet")
+    asked = ["export", str(result), "--dump", str(finished[0]), "--format", "rpc", "--out", str(tmp_path)]
+    ran = runner.invoke(app, asked)
+    missing = "strip s01: star exposures do not cover all of its rows"
+    assert isinstance(ran.exception, DataNotSufficientError) and f"not exported: {missing}" in ran.output
+    ran = runner.invoke(app, [*asked, "--strip", "s01"])
+    assert isinstance(ran.exception, DataNotSufficientError) and missing in str(ran.exception)
+    asked = ["virtual-ccd", str(result), "--dump", str(finished[0]), "--strip", "s01"]
+    ran = runner.invoke(app, [*asked, "--out", str(tmp_path / "s01.tif")])
+    assert isinstance(ran.exception, DataNotSufficientError) and missing in str(ran.exception)
 
 
 def test_spice_turns_as_installation_json_says(exported, installation):

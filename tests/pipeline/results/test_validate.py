@@ -13,8 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.reading import SavedResult, read_saved_result
+from boresight.pipeline.results.strip_model import open_calibrated, strip_model, whole_strip_model
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import true_installation, validation_of
 
@@ -81,6 +83,33 @@ def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(
     narrow = validation_of(with_run(outside, exposure_margin_s=0.1), dump)
     assert len(wide.after.point_id) == 22
     assert len(narrow.after.point_id) == 0 and narrow.without == wide.without + 22
+
+
+def without_the_end(true: SavedResult, dump: Dump) -> SavedResult:
+    """A result of which no exposure after the middle of the strip can be used."""
+    first, last = dump.span_s(dump.strips[0])
+    return replace(true, usable=true.usable & (true.t_exposures_s < 0.5 * (first + last)))
+
+
+def test_check_points_of_rows_without_attitude_have_no_error(known: tuple[Dump, SavedResult]) -> None:
+    dump, true = known
+    whole, part = validation_of(true, dump), validation_of(without_the_end(true, dump), dump)
+    seen = len(part.after.point_id)
+    assert 0 < seen < len(whole.after.point_id)
+    assert part.without == whole.without + len(whole.after.point_id) - seen
+
+
+def test_products_of_a_whole_strip_need_exposures_over_all_of_its_rows(
+    finished: tuple[Path, Path], known: tuple[Dump, SavedResult]
+) -> None:
+    dump, true = known
+    calibrated = open_calibrated(finished[1], finished[0])
+    strip_id = dump.strips[0].strip_id
+    assert whole_strip_model(calibrated, strip_id).strip.strip_id == strip_id
+    part = replace(calibrated, result=without_the_end(true, dump))
+    assert strip_model(part, strip_id).strip.strip_id == strip_id  # for the rows that are covered
+    with pytest.raises(DataNotSufficientError, match=r"s at the end"):
+        whole_strip_model(part, strip_id)
 
 
 def test_check_points_are_held_against_the_prediction(known: tuple[Dump, SavedResult]) -> None:

@@ -1,4 +1,4 @@
-"""Exposures in each other's place are named by their attitudes; clean ones and manoeuvres are left alone."""
+"""Exposures in the wrong place are named by their attitudes; clean ones and manoeuvres are left alone."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def attitudes(seed: int, sigma_arcsec: float = 4.0, turn_s: float | None = None)
     return noise * MOUNTING * Rotation.from_rotvec(np.outer(turned, rate)) * ORBIT.R_oi(TIMES_S)
 
 
-def findings(R_si: Rotation, usable: np.ndarray | None = None):
+def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float = 1e-5):
     stars = tuple(exposure_without_stars(name, t) for name, t in zip(NAMES, TIMES_S.tolist()))
-    solved = solved_attitudes(R_si, np.tile(1e-10 * np.eye(3), (N, 1, 1)))
+    solved = solved_attitudes(R_si, np.tile(sigma_rad**2 * np.eye(3), (N, 1, 1)))
     if usable is not None:
         solved = replace(solved, usable=usable)
     head = HeadSightings(
@@ -70,10 +70,39 @@ def test_a_manoeuvre_has_no_finding():
         assert findings(attitudes(seed, turn_s=TIMES_S[6] + 0.3)) == []
 
 
-def test_one_wrong_attitude_alone_is_no_exchange():
+@pytest.mark.parametrize("wrong", [0, 6, 24])
+def test_one_wrong_attitude_is_named_alone(wrong):
     R_si = attitudes(1).as_matrix()
-    R_si[6] = R_si[6] @ Rotation.from_rotvec([0.01, 0.02, -0.01]).as_matrix()
-    assert findings(Rotation.from_matrix(R_si)) == []
+    R_si[wrong] = R_si[wrong] @ Rotation.from_rotvec([0.01, 0.02, -0.01]).as_matrix()
+    (told,) = findings(Rotation.from_matrix(R_si))
+    assert told.item == f"exposure {NAMES[wrong]}"
+    assert told.text.startswith("off the motion")
+
+
+def test_three_exposures_in_a_circle_are_one_finding():
+    order = np.arange(N)
+    order[[3, 7, 20]] = order[[7, 20, 3]]
+    (told,) = findings(attitudes(5)[order])
+    assert told.item == "exposures x03, x07 and x20"
+
+
+def test_files_that_are_late_by_one_exposure_show_where_the_first_comes_from_elsewhere():
+    (told,) = findings(attitudes(9)[np.roll(np.arange(N), 1)])
+    assert told.item == "exposure x00"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_exposures_without_order_are_told_together(seed):
+    (told,) = findings(attitudes(seed)[np.random.default_rng(seed).permutation(N)])
+    assert told.item == "exposures x00, x01, x02 and 23 more"
+    assert told.text.startswith("attitudes jump")
+
+
+def test_an_attitude_of_few_stars_may_be_further_off():
+    R_si = attitudes(1).as_matrix()
+    R_si[6] = R_si[6] @ Rotation.from_rotvec([0.0, 120.0 * ARCSEC, 0.0]).as_matrix()
+    assert findings(Rotation.from_matrix(R_si))
+    assert findings(Rotation.from_matrix(R_si), sigma_rad=15.0 * ARCSEC) == []
 
 
 def test_exposures_without_attitude_are_passed_over():
