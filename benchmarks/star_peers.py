@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -27,7 +28,8 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SIGMA, SIZE = 1.25, (5120, 3840)
-MOST_NAMING_MS, TETRA3RS_MS = 1.0, 0.9  # 138 stars, on a machine where tetra3rs takes 0.9 ms
+MOST_OVER_TETRA3RS = 1.1  # CPU time of the public call over that of tetra3rs, 88 and more stars
+IN_A_ROW = 20  # lists that each solver names before the next one's turn: a solver alone keeps its caches
 
 
 def worker() -> None:
@@ -347,73 +349,89 @@ def _naming(peers: Peers, folder: Path, attitudes: int) -> None:
 
     from frames import PAPER_CAMERA
     from record import verdict
+    from rendered_sequences import places_of
     from scipy.spatial.transform import Rotation
 
-    from boresight.star_id.catalogue import hipparcos_stars
-    from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
+    from boresight.features.sky_images.identify_images import sky_index
     from boresight.star_id.settings import StarSettings
-    from boresight.star_id.sight import field_of_camera
 
     camera = replace(PAPER_CAMERA, p1=0.0, p2=0.0, q1=0.0, q2=0.0, principal_px=(2559.5, 1919.5))
-    places, settings = hipparcos_stars(8.0).places, StarSettings()
-    index = build_index(places, places.epoch_jyear, equivalent_fov(*SIZE, camera.focal_m / camera.pixel_m))
-    field = field_of_camera(camera, settings)
+    places = places_of(sky_index(camera, None, StarSettings()))  # where stars are today
     print(
-        f"\nnaming, {attitudes} attitudes a scenario, field of view known; error of the centre, arc-seconds"
+        f"\nnaming, {attitudes} attitudes a scenario, field of view known; error of the centre, arc-seconds\n"
+        "boresight: the public call, identify(Stars, camera=camera), with attitude, and covariances;"
+        f" solvers in turn, {IN_A_ROW} lists each"
     )
     print(f"{'':44s} CPU ms  right  wrong  error")
     ratios = {}
     for title, stars, false in (
         ("138 stars", 138, 0),
+        ("88 stars", 88, 0),
         ("138 stars, 50 false", 138, 50),
         ("138 stars, 200 false", 138, 200),
         ("8 stars, 3 false", 8, 3),
     ):
         names = ("boresight", "tetra3rs solve", "cedar-solve")
         score: dict[str, list] = {name: [0, 0, [], []] for name in names}
+        lists, centres = [], []
         for k in range(attitudes):
             rng = np.random.default_rng([3, k])
             R_si = Rotation.random(random_state=rng)
-            xy, sigma = _centroids(camera, R_si, places, rng, stars, false)
-            np.save(folder / "centroids.npy", xy)
-            centre = R_si.inv().apply([0.0, 0.0, 1.0])
+            lists.append(_centroids(camera, R_si, places, rng, stars, false))
+            np.save(folder / f"centroids{k}.npy", lists[-1][0])
+            centres.append(R_si.inv().apply([0.0, 0.0, 1.0]))
+        for first in range(0, attitudes, IN_A_ROW):
             for name, entry in score.items():
-                if name == "boresight":
-                    pointing, cost = _named(camera, field, index, settings, xy, sigma)
-                else:
-                    pointing, cost = peers.run(name, folder / "centroids.npy")
-                entry[3].append(cost)
-                if pointing.size == 3:
-                    miss = np.linalg.norm(pointing - centre) * 206265.0
-                    entry[0] += miss < 120.0
-                    entry[1] += miss >= 120.0
-                    entry[2].append(miss)
+                for k in range(first, min(first + IN_A_ROW, attitudes)):
+                    if name == "boresight":
+                        pointing, cost = _named(camera, *lists[k])
+                    else:
+                        pointing, cost = peers.run(name, folder / f"centroids{k}.npy")
+                    entry[3].append(cost)
+                    if pointing.size == 3:
+                        miss = np.linalg.norm(pointing - centres[k]) * 206265.0
+                        entry[0] += miss < 120.0
+                        entry[1] += miss >= 120.0
+                        entry[2].append(miss)
         for name, (right, wrong, misses, costs) in score.items():
             middle = np.median(misses) if misses else np.nan
             print(f"{title:26s}{name:18s} {np.median(costs):6.2f}  {right:5d}  {wrong:5d}  {middle:5.2f}")
         ratios[title] = np.median(score["boresight"][3]) / np.median(score["tetra3rs solve"][3])
-    limit = MOST_NAMING_MS / TETRA3RS_MS
     for title, ratio in ratios.items():
-        if title.startswith("138"):
-            verdict(f"{title}: CPU over that of tetra3rs {ratio:.2f}, at most {limit:.2f}", ratio <= limit)
+        if not title.startswith("8 "):
+            text = f"{title}: CPU over that of tetra3rs {ratio:.2f}, at most {MOST_OVER_TETRA3RS:.2f}"
+            verdict(text, ratio <= MOST_OVER_TETRA3RS)
 
 
-def _named(camera, field, index, settings, xy, sigma):
-    """Direction of the axis, empty where not identified, and the CPU time of naming alone, ms."""
-    from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
-    from boresight.star_id.identification.identify import NotIdentified, identify_stars
-    from boresight.star_id.sight import tangent_coordinates
+def _named(camera, xy, sigma):
+    """Direction of the axis, empty where not identified, and the CPU time of the public call, ms."""
+    import boresight as bs
 
+    stars = _as_found(camera, xy, sigma)
     start = time.process_time()
-    found = identify_stars(tangent_coordinates(camera, xy), field, index, settings)
+    found = bs.identify(stars, camera=camera)
     cost = 1e3 * (time.process_time() - start)
-    if isinstance(found, NotIdentified):
-        return np.empty(0), cost
-    d = found.detections
-    u_s, J = camera.directions_from_pixels(xy[d]), camera.pixel_jacobian(xy[d])
-    cov = J @ (sigma[d, None, None] ** 2 * np.eye(2)) @ J.transpose(0, 2, 1)
-    fit = fit_attitude(u_s, index.u_i[found.stars], cov, AttitudeSettings(robust=False))
-    return fit.R_si.inv().apply([0.0, 0.0, 1.0]), cost
+    return (found.R_si.inv().apply([0.0, 0.0, 1.0]) if found else np.empty(0)), cost
+
+
+def _as_found(camera, xy, sigma):
+    """Centroids (N, 2) and their errors (N,), px, as `find_stars` gives them."""
+    from dataclasses import replace
+
+    cov, no, flux = sigma[:, None, None] ** 2 * np.eye(2), np.zeros(len(xy), dtype=bool), 1e3 / sigma
+    columns = {"xy_px": xy, "cov_px": cov, "flux_dn": flux, "snr": 1.0 / sigma}
+    columns |= {"saturated": no, "blended": no, "misshapen_px": np.zeros((0, 2))}
+    blank = _blank()
+    listed = replace(blank.star_list, **columns, psf_stars=len(xy))
+    return replace(blank, **columns, size_px=(camera.width_px, camera.height_px), star_list=listed)
+
+
+@cache
+def _blank():
+    """What `find_stars` says of an image of noise."""
+    import boresight as bs
+
+    return bs.find_stars(np.random.default_rng(1).normal(20.0, 2.0, (64, 64)).astype(np.uint8))
 
 
 def _calibrating(peers: Peers, folder: Path, cameras: int) -> None:

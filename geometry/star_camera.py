@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -35,6 +36,8 @@ _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in
 _NEWTON_STEPS = 25
 # Error of the inverse, mm, that counts as exact: the rounding of doubles at 1 m, 2e-16 of it.
 _EXACT_MM = 2e-13
+# Error, px, of the directions at which pixels are derived.
+_SLOPES_ERROR_PX = 1e-5
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
 
 
@@ -90,18 +93,12 @@ class StarCamera:
     @property
     def fov_x_rad(self) -> float:
         """Angle between the middles of the detector's left and right edges."""
-        row = 0.5 * (self.height_px - 1)
-        left, right = self.directions_from_pixels([[-0.5, row], [self.width_px - 0.5, row]])
-        return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
+        return _fov_x(self)
 
     def middle_axes(self) -> Array:
         """Rotation matrix (3, 3) whose columns, in frame s, are right, down and the direction of the image's
         middle; down points away from row 0."""
-        x, y = 0.5 * (self.width_px - 1), 0.5 * (self.height_px - 1)
-        middle, above = self.directions_from_pixels([[x, y], [x, y - 1.0]])
-        up = above - middle * (above @ middle)
-        up /= np.linalg.norm(up)
-        return np.stack([np.cross(middle, up), -up, middle], axis=1)
+        return _middle_axes(self).copy()
 
     def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
         """Mask (N,) of points (N, 2), px, on the detector; its edge is half a pixel beyond the outer
@@ -201,6 +198,24 @@ class StarCamera:
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
         return _normalised(_pairs(ideal * (-1.0 / f_mm))), J
 
+    def pixel_slopes(self, xy_px: ArrayLike) -> Array:
+        """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
+        of pixels (N, 2), to which both rows are normal: the pseudo-inverse of `pixel_jacobian`.
+        """
+        if self.smooth is not None or self.projection != "tangent":
+            J = self.pixel_jacobian(xy_px)
+            M = J.transpose(0, 2, 1) @ J
+            return np.asarray(_inverse_2x2(M) @ J.transpose(0, 2, 1))
+        ideal = self._ideal_mm(_points(xy_px), _SLOPES_ERROR_PX * self.pixel_m * _MM)
+        _, own, other = self._distorted(ideal)
+        t = ideal * (-1.0 / (self.focal_m * _MM))
+        scale = np.sqrt(1.0 + t.real * t.real + t.imag * t.imag) * (-self.focal_m / self.pixel_m)
+        slopes = np.empty((len(t), 2, 3))
+        slopes[:, 0, 0], slopes[:, 1, 1] = scale * (own + other.real), scale * (own - other.real)
+        slopes[:, 0, 1] = slopes[:, 1, 0] = scale * other.imag
+        slopes[:, :, 2] = _pairs(-scale * (own * t + other * t.conj()))
+        return slopes
+
     def opencv_parameters(self) -> OpenCVParameters:
         """Parameters in OpenCV's convention: k1 = q1 f^2, k2 = q2 f^4, p1cv = p2 f, p2cv = p1 f, k3 = q3 f^6
         with f in mm. `ValueError` for a projection or a smooth distortion that it does not know.
@@ -282,6 +297,22 @@ class StarCamera:
         ]
         J, u = np.stack(columns, axis=2) / 0.1, self.directions_from_pixels(xy_px)
         return J - u[:, :, None] * np.einsum("ni,nij->nj", u, J)[:, None]  # a unit vector turns, only
+
+
+@lru_cache(maxsize=4)  # every image of a camera asks
+def _middle_axes(camera: StarCamera) -> Array:
+    x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
+    middle, above = camera.directions_from_pixels([[x, y], [x, y - 1.0]])
+    up = above - middle * (above @ middle)
+    up /= np.linalg.norm(up)
+    return np.stack([np.cross(middle, up), -up, middle], axis=1)
+
+
+@lru_cache(maxsize=4)
+def _fov_x(camera: StarCamera) -> float:
+    row = 0.5 * (camera.height_px - 1)
+    left, right = camera.directions_from_pixels([[-0.5, row], [camera.width_px - 0.5, row]])
+    return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
 
 
 def _radially(z: Complex, f_mm: float, factor: Callable[[Array], Array]) -> Complex:

@@ -191,11 +191,11 @@ class FieldSolution:
 def ra_dec_roll(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float]:
     """Right ascension and declination of an image's centre, and the position angle, east of north, of its up
     direction (towards row 0) there; rad, GCRS axes."""
-    _, down, centre = (R_si.inv().as_matrix() @ camera.middle_axes()).T
-    east = np.cross([0.0, 0.0, 1.0], centre)
-    north = np.cross(centre, east)
-    ra, dec = np.arctan2(centre[1], centre[0]) % (2.0 * np.pi), np.arcsin(centre[2])
-    return float(ra), float(dec), float(np.arctan2(-down @ east, -down @ north))
+    axes_i = R_si.as_matrix().T @ camera.middle_axes()
+    (_, x_down, x), (_, y_down, y), (_, _, z) = axes_i.tolist()
+    ra, dec = math.atan2(y, x) % (2.0 * math.pi), math.asin(min(max(z, -1.0), 1.0))
+    # east is (-y, x, 0), and north, the centre times east, has the component z of down over its length
+    return ra, dec, math.atan2(y * x_down - x * y_down, -float(axes_i[2, 1]))
 
 
 def solve_field(
@@ -262,7 +262,7 @@ def solve_list(
     if _are_no_stars(stars):
         reason = f"{len(stars.snr)} detections without a star's shape, nearly all at the threshold"
         return NotIdentified(f"{reason}: no stars; expose longer, or state the PSF", len(stars.snr))
-    reversed_stars = stars.mirrored(size[0])
+    reversed_stars = None
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
     if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
         attempts = (*attempts, (False, _PASSES, "equidistant"))
@@ -272,7 +272,9 @@ def solve_list(
     for mirrored, passes, projection in attempts:
         if best is not None and projection == "tangent":
             continue
-        seen = reversed_stars if mirrored else stars
+        if mirrored and reversed_stars is None:
+            reversed_stars = stars.mirrored(size[0])
+        seen = reversed_stars if mirrored and reversed_stars is not None else stars
         answer = _identified(
             seen.xy_px,
             size,
@@ -290,11 +292,11 @@ def solve_list(
         elif (solution := _weighted(seen, *answer, index, settings, camera, observer)) is None:
             reasons.append(_without_lens(answer[0]))
         elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
-            best, named = replace(solution, mirrored=mirrored), answer[0]
+            best, named = replace(solution, mirrored=True) if mirrored else solution, answer[0]
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
     if camera is None and best.fov_x_rad > _WIDE_RAD:
-        seen = reversed_stars if best.mirrored else stars
+        seen = stars.mirrored(size[0]) if best.mirrored else stars
         return _of_likelier_projection(best, named, seen, index, settings, observer)
     return best
 
@@ -409,7 +411,7 @@ def _weighted(
     """Solution with each star weighted by its own covariance; None where no lens fits them."""
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
-    return replace(_of_known_camera(stars.centroids, found, camera, index, settings, observer), stars=stars)
+    return _of_known_camera(stars.centroids, found, camera, index, settings, observer, stars)
 
 
 def _of_known_camera(
@@ -419,17 +421,16 @@ def _of_known_camera(
     index: StarIndex,
     settings: StarSettings,
     observer: Observer | None,
+    star_list: StarList | None = None,
 ) -> FieldSolution:
     rows = found.detections
     years = settings.epoch_error_years if observer is None else 0.0
     cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
     xy, u_i = stars.xy_px[rows], star_directions(index, found.stars, observer)
     used = _if_enough(select_for_calibration(stars, rows, found.stars, camera, index, settings))
-    fit = fit_known_camera(camera, xy[used], cov[used], u_i[used])
-    solution = _solution(found, stars.xy_px, camera, index)
-    return replace(
-        solution, R_si=fit.R_si, cov_s=fit.cov_s, fov_x_sigma_rad=0.0, misfit_px=fit.misfit_px, u_i=u_i
-    )
+    fit = fit_known_camera(camera, xy[used], cov[used], u_i[used], found.R_si)
+    measured = {"R_si": fit.R_si, "cov_s": fit.cov_s, "misfit_px": fit.misfit_px, "u_i": u_i}
+    return _solution(found, stars.xy_px, camera, index, fov_x_sigma_rad=0.0, stars=star_list, **measured)
 
 
 def _fitted(
@@ -647,18 +648,22 @@ def _fitted_camera(nominal: StarCamera, distortion: Floats) -> StarCamera:
     return replace(nominal, focal_m=focal_m, p1=-p1 / f_mm, p2=-p2 / f_mm, q1=k1 / f_mm**2)
 
 
-def _solution(found: Identification, xy_px: Floats, camera: StarCamera, index: StarIndex) -> FieldSolution:
-    return FieldSolution(
-        R_si=found.R_si,
-        cov_s=None,
-        camera=camera,
-        fov_x_sigma_rad=np.nan,
-        hip=index.stars.hip.take(found.stars),
-        rows=found.stars,
-        detections=found.detections,
-        xy_px=xy_px.take(found.detections, axis=0),
-        u_i=index.u_i.take(found.stars, axis=0),
-        false_alarm_probability=found.false_alarm_probability,
-        log_false_alarm_probability=found.log_false_alarm_probability,
-        stars=None,
-    )
+def _solution(
+    found: Identification, xy_px: Floats, camera: StarCamera, index: StarIndex, **measured: Any
+) -> FieldSolution:
+    """Solution of an identification; `measured` are its fields that a fit gave."""
+    fields: dict[str, Any] = {
+        "R_si": found.R_si,
+        "cov_s": None,
+        "camera": camera,
+        "fov_x_sigma_rad": np.nan,
+        "hip": index.stars.hip.take(found.stars),
+        "rows": found.stars,
+        "detections": found.detections,
+        "xy_px": xy_px.take(found.detections, axis=0),
+        "u_i": index.u_i.take(found.stars, axis=0),
+        "false_alarm_probability": found.false_alarm_probability,
+        "log_false_alarm_probability": found.log_false_alarm_probability,
+        "stars": None,
+    }
+    return FieldSolution(**(fields | measured))

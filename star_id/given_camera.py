@@ -15,18 +15,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.attitude_estimate import AttitudeSettings, EstimatedAttitude, fit_attitude
 from boresight.geometry.record import Bools, Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field_fit import FieldFit, common_variance
+from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 
 __all__ = ["fit_known_camera"]
 
 
-# Rejection of outliers from the attitude of one image: one good star in 10 000, by the scatter of the
-# stars (`limit_from_scatter`), since they are many and the camera is only roughly known.
-_REJECTION = AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True)
+# Probability of rejecting a good star, by the scatter of all: they are many, and the camera is only roughly
+# known.
+_FALSE_ALARM = 1e-4
 # Squared scale and stretch, in their variances, from which the camera is not as given: 3 degrees of freedom,
 # 2 % of clean images by chance. What is below it biases the roll by up to three times its error.
 _LINEAR_SEEN = 10.0
@@ -43,18 +43,17 @@ _ROUNDS = 4
 _EXPECTED_SCALE = 2e-4
 
 
-def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats) -> FieldFit:
+def fit_known_camera(
+    camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, R_si: Rotation
+) -> FieldFit:
     """Attitude of a calibrated camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3),
-    GCRS.
+    GCRS; `R_si` is good to some pixels.
 
     Outliers are rejected; the covariance is scaled by the reduced chi2 if that exceeds 1. Where the stars
     show that the camera is not as given, the attitude is that of `_departing`.
     """
-    u_s, J = camera.directions_and_jacobian(xy_px)
-    cov_s = J @ cov_px @ J.transpose(0, 2, 1)
-    attitude = fit_attitude(u_s, u_i, cov_s, _REJECTION)
-    residual = u_s - attitude.R_si.apply(u_i)
-    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, residual, J, attitude):
+    attitude = fit_image_attitude(camera.pixel_slopes(xy_px), cov_px, u_i, R_si, _FALSE_ALARM)
+    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, attitude):
         departing = _departing(camera, xy_px, cov_px, u_i, attitude)
         if departing is not None:
             return departing
@@ -62,21 +61,16 @@ def fit_known_camera(camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Flo
     return FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
 
 
-def _is_seen_to_depart(
-    xy_px: Floats, cov_px: Floats, residual: Floats, J: Floats, attitude: EstimatedAttitude
-) -> bool:
-    """Whether chi-square, or a scale and stretch in the residuals (N, 3) of directions, are beyond chance.
+def _is_seen_to_depart(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) -> bool:
+    """Whether chi-square, or a scale and stretch in the residuals of pixels (N, 2), are beyond chance.
 
     With z the star's place from the mean, r its residual, both as complex numbers, and v its variance, the
     estimate of a scale is  sum Re(conj(z) r) / v  over  sum |z|^2 / v,  that of a stretch  sum z r / v.
     """
     if attitude.chi2 - attitude.dof > _EXCESS_SEEN * math.sqrt(2.0 * attitude.dof):
         return True
-    # J^T J is the square of a pixel's angle
-    angle2 = 0.5 * np.einsum("nij,nij->n", J, J)
     weight = attitude.kept / (0.5 * (cov_px[:, 0, 0] + cov_px[:, 1, 1]))
-    weighted = np.einsum("nij,ni->nj", J, residual) * (weight / angle2)[:, None]
-    r = weighted.view(np.complex128)[:, 0]
+    r = attitude.residual_px.view(np.complex128)[:, 0] * weight
     z = np.ascontiguousarray(xy_px).view(np.complex128)[:, 0]
     z = z - weight @ z / weight.sum()
     scale, stretch = np.vdot(z, r).real, z @ r
@@ -84,7 +78,7 @@ def _is_seen_to_depart(
 
 
 def _departing(
-    camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, attitude: EstimatedAttitude
+    camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, attitude: ImageAttitude
 ) -> FieldFit | None:
     """Attitude of the image's centre with what displaces the stars fitted, too; None where it cannot be."""
     R_si, kept = attitude.R_si, attitude.kept
@@ -124,10 +118,10 @@ def _errors(equations: LensEquations) -> LensErrors:
 
 
 def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) -> Bools:
-    """(N,) stars within the limit of `_REJECTION` of the places that are predicted."""
+    """(N,) stars within the limit of `_FALSE_ALARM` of the places that are predicted."""
     predicted, _ = errors.predict(u_s, errors.camera.pixels_from_directions(u_s))
     off = xy_px - predicted
     inverse = np.linalg.inv(cov_px + errors.common_px2 * np.eye(2))
     square = np.nan_to_num(np.einsum("ni,nij,nj->n", off, inverse, off), nan=np.inf)
     scatter = max(1.0, float(np.median(square) / chdtri(2, 0.5)))
-    return square <= scatter * float(chdtri(2, _REJECTION.probability_false_alarm))
+    return square <= scatter * float(chdtri(2, _FALSE_ALARM))

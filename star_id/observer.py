@@ -6,6 +6,8 @@ errors.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -84,11 +86,17 @@ def proper_motion_covariance(
     is wrong by `error_years`, 1 sigma."""
     if error_years == 0.0:
         return np.zeros((len(rows), 2, 2))
-    stars = index.stars.take(rows)
+    moved = -R_si.apply(_motions(index).take(rows, axis=0))[:, :2]
+    moved *= error_years * camera.focal_m / camera.pixel_m
+    return np.asarray(moved[:, :, None] * moved[:, None, :])
+
+
+@lru_cache(maxsize=2)  # every image asks
+def _motions(index: StarIndex) -> Floats:
+    """Proper motions (N, 3) of the index's stars, rad/yr, GCRS axes."""
+    stars = index.stars
     sin_ra, cos_ra, sin_dec = np.sin(stars.ra_rad), np.cos(stars.ra_rad), np.sin(stars.dec_rad)
-    east = np.column_stack([-sin_ra, cos_ra, np.zeros(len(rows))])
+    east = np.column_stack([-sin_ra, cos_ra, np.zeros(len(sin_ra))])
     north = np.column_stack([-sin_dec * cos_ra, -sin_dec * sin_ra, np.cos(stars.dec_rad)])
     along_east = stars.pm_ra_rad_yr * np.cos(stars.dec_rad)
-    motion_i = along_east[:, None] * east + stars.pm_dec_rad_yr[:, None] * north
-    moved = -R_si.apply(motion_i)[:, :2] * (error_years * camera.focal_m / camera.pixel_m)
-    return np.asarray(moved[:, :, None] * moved[:, None, :])
+    return np.asarray(along_east[:, None] * east + stars.pm_dec_rad_yr[:, None] * north)

@@ -23,7 +23,7 @@ from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify_stars
 from boresight.star_id.identification.tangent_plane import FieldOfView
-from boresight.star_id.identification.triangle_index import StarIndex, equivalent_fov
+from boresight.star_id.identification.triangle_index import StarIndex, concatenated_ranges, equivalent_fov
 from boresight.star_id.observer import Observer, star_directions
 from boresight.star_id.settings import StarSettings
 
@@ -208,8 +208,8 @@ def has_reliable_position(
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
     reliable = _contains(_reliable_hip(float(f"{limit_arcsec:.3g}")), index.stars.hip[rows])
-    displaced = _displaced(index, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
-    return np.asarray(reliable & ~displaced[rows])
+    displaced = _displaced(index, rows, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
+    return np.asarray(reliable & ~displaced)
 
 
 @lru_cache(maxsize=4)
@@ -224,15 +224,25 @@ def _contains(ascending: Ints, values: Ints) -> Bools:
     return np.asarray(ascending[at] == values)
 
 
-def _displaced(index: StarIndex, sigma_rad: float, limit_rad: float) -> Bools:
-    """(N,) which stars of the index a neighbour displaces by more than `limit_rad`, for Gaussian images of
-    `sigma_rad`."""
-    near = (index.close_rad < _REACH_SIGMA * sigma_rad).nonzero()[0]
-    pair, d = index.close.take(near, axis=0), index.close_rad.take(near)
-    v_mag = index.stars.v_mag.take(pair)
-    overlap = d * np.exp(-((0.5 * d / sigma_rad) ** 2))
-    displaced = np.zeros(len(index.u_i), dtype=bool)
-    for star, other in ((0, 1), (1, 0)):
-        flux_ratio = 10.0 ** (-0.4 * (v_mag[:, other] - v_mag[:, star]))
-        displaced[pair[flux_ratio * overlap > limit_rad, star]] = True
+def _displaced(index: StarIndex, rows: Ints, sigma_rad: float, limit_rad: float) -> Bools:
+    """(N,) which of the stars `rows` (N,) of the index a neighbour displaces by more than `limit_rad`, for
+    Gaussian images of `sigma_rad`."""
+    start, d, flux_ratio = _neighbours(index)
+    star, pair = concatenated_ranges(start.take(rows), start.take(rows + 1))
+    d, flux_ratio = d.take(pair), flux_ratio.take(pair)
+    overlap = (d < _REACH_SIGMA * sigma_rad) * d * np.exp(-((0.5 * d / sigma_rad) ** 2))
+    displaced = np.zeros(len(rows), dtype=bool)
+    displaced[star[flux_ratio * overlap > limit_rad]] = True
     return displaced
+
+
+@lru_cache(maxsize=2)  # every image of a camera asks
+def _neighbours(index: StarIndex) -> tuple[Ints, Floats, Floats]:
+    """Pairs of close stars by star: star n has the rows start[n]:start[n + 1] of the distances (P,), rad, and
+    of the ratios of the neighbour's flux to its own (P,)."""
+    star, other = np.concatenate([index.close, index.close[:, ::-1]]).T
+    order = np.argsort(star, kind="stable")
+    v_mag = index.stars.v_mag
+    start = np.searchsorted(star[order], np.arange(len(index.u_i) + 1))
+    flux_ratio = 10.0 ** (-0.4 * (v_mag[other] - v_mag[star]))
+    return start, np.tile(index.close_rad, 2)[order], flux_ratio[order]

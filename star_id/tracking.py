@@ -177,7 +177,7 @@ def near_prediction(
         return None
     years = settings.epoch_error_years if observer is None else 0.0
     cov = fits.cov_px[good] + proper_motion_covariance(index, rows[good], camera, motion.R_si, years)
-    fit = fit_known_camera(camera, fits.xy_px[good], cov, u_i[good])
+    fit = fit_known_camera(camera, fits.xy_px[good], cov, u_i[good], motion.R_si)
     return StarFix(fit.R_si, fit.cov_s, seen)
 
 

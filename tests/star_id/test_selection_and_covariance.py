@@ -78,10 +78,10 @@ def fields(n, error_px, rng):
 
 def test_an_outlier_has_no_part_in_the_attitude_of_an_image():
     rng = np.random.default_rng(1)
-    xy, cov, u_i, _ = fields(40, 0.05, rng)
-    without = fit_known_camera(PAPER_CAMERA, xy[1:], cov[1:], u_i[1:])
+    xy, cov, u_i, R_si = fields(40, 0.05, rng)
+    without = fit_known_camera(PAPER_CAMERA, xy[1:], cov[1:], u_i[1:], R_si)
     xy[0] += [0.9, -0.4]  # 20 sigma, yet within the radius of a match
-    found = fit_known_camera(PAPER_CAMERA, xy, cov, u_i)
+    found = fit_known_camera(PAPER_CAMERA, xy, cov, u_i, R_si)
     # rounding; kept, it moves the attitude by 3e-7 rad
     assert (found.R_si * without.R_si.inv()).magnitude() < 1e-12
     assert np.allclose(found.cov_s, without.cov_s, rtol=1e-9, atol=0.0)
@@ -91,7 +91,7 @@ def test_an_outlier_has_no_part_in_the_attitude_of_an_image():
 def test_errors_larger_than_stated_enlarge_the_covariance(error_px):
     rng = np.random.default_rng(2)
     xy, cov, u_i, R_si = fields(300, error_px, rng)
-    known = fit_known_camera(PAPER_CAMERA, xy, cov, u_i)
+    known = fit_known_camera(PAPER_CAMERA, xy, cov, u_i, R_si)
     stars = IdentifiedStars(xy, cov, u_i, np.zeros(300, dtype=np.int64), np.zeros(1))
     plain = replace(PAPER_CAMERA, focal_m=1.0001 * PAPER_CAMERA.focal_m)
     fit = fit_camera(stars, plain, Rotation.concatenate([R_si]), ("focal_m", "q1"))
