@@ -96,10 +96,11 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
         common[""] = alike[""]
     for words, names in common.items():
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        fits = f"lie in their chips with {words}" if words else "lie far outside their chips"
+        far = "lie far outside their chips" if len(names) > 1 else "lies far outside its chip"
+        fits = f"lie in their chips with {words}" if words else far
         yield Finding(
             cause="coordinates",
-            item=f"{len(names)} targets",
+            item=f"{len(names)} target{'s' if len(names) > 1 else ''}",
             text=f"{', '.join(names[:SHOWN])}{more} {fits}: correct lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg",

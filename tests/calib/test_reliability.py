@@ -153,3 +153,39 @@ def test_a_strip_that_was_rejected_whole_still_names_its_clock():
     named = found.findings[0]
     assert (named.cause, named.item, named.unit) == (late.cause, late.item, "ms")
     assert named.value == pytest.approx(20.0, abs=5.0 * named.sigma) and len(named.targets) == 12
+
+
+def test_what_a_large_error_leaves_names_neither_a_further_cause_nor_single_targets():
+    """A column is linear: of a clock 0.2 s off, hundreds of times its sigma, parts in a hundred are left."""
+    table = {(h.cause, h.item): h for h in table_of(5)}
+    late, period = (table[cause, "strip strip0001"] for cause in ("clock of the rows", "row period"))
+    test_of = {(t.cause, t.item): t for t in clean(5)[2].tests}
+    size = 6.0 * test_of[period.cause, period.item].sigma  # would be told by itself
+    strips = injected(injected(drawn(5), late.change_c, 200.0), period.change_c, size)
+    sigma_rad = np.radians(2.5 / 3600.0)  # a pixel: ten times the noise
+    (n,) = [n for n, one in enumerate(strips) if one.strip_id == "strip0001"]
+    u_c = strips[n].ground.u_c.copy()
+    u_c[3] += [0.0, sigma_rad, 0.0]
+    strips[n] = replace(strips[n], ground=replace(strips[n].ground, u_c=u_c))
+    _, found = examined(strips, CalibrationSettings())
+    assert [(one.cause, one.item) for one in found.findings] == [(late.cause, late.item)]
+    assert found.suspects == ()
+    apart = injected(drawn(5), period.change_c, size)
+    assert (period.cause, period.item) in [
+        (one.cause, one.item) for one in examined(apart, CalibrationSettings())[1].findings
+    ]
+
+
+def test_of_causes_that_explain_the_same_the_one_of_most_observations_is_told_and_the_others_listed():
+    """With two strips, the clock of either explains what is between them."""
+    strips, size = drawn(2)[:2], 15.0
+    prepared = [prepare_strip(strip, SETTINGS) for strip in strips]
+    table = hypotheses(HypothesisInputs(prepared, clean(2)[1].R_cs, CAMERAS.pixel_rad))
+    late = next(h for h in table if (h.cause, h.item) == ("clock of the rows", "strip strip0001"))
+    found = examined(injected(strips, late.change_c, size))[1].findings[0]
+    assert found.cause == late.cause
+    assert {found.item} | {one.rpartition(", ")[2] for one in found.rivals} == {
+        "strip strip0000",
+        "strip strip0001",
+    }
+    assert all(f"; or {one.rpartition(', ')[2]}" in found.text for one in found.rivals)

@@ -10,6 +10,8 @@ from scipy.stats import kstest
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.finding import Finding
+from boresight.calib.reliability import Reliability
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -130,6 +132,17 @@ def test_the_strip_that_disagrees_with_the_others_is_named():
         strips[seed] = replace(late, ground=replace(late.ground, u_c=turn.apply(late.ground.u_c)))
         found = check(verdict_on(strips), CheckKind.BETWEEN_STRIPS)
         assert not found.holds and found.names == ((late.strip_id,),)
+
+
+def test_no_strip_is_named_by_a_check_beside_a_cause_that_refutes():
+    strips = drawn(1, strips=6)
+    turn = Rotation.from_rotvec([0.0, 5e-5, 0.0])
+    strips[2] = replace(strips[2], ground=replace(strips[2].ground, u_c=turn.apply(strips[2].ground.u_c)))
+    estimate = calibrate_strips(strips, BOLD, CalibrationSettings())
+    cause = Finding(cause="clock of the exposures", item="all exposures", text="60 ms late.", refutes=True)
+    verdict = assess(estimate, strips, reliability=Reliability((), (cause,), ()))
+    assert check(verdict, CheckKind.BETWEEN_STRIPS).names == ()
+    assert check(assess(estimate, strips), CheckKind.BETWEEN_STRIPS).names != ()
 
 
 def repeated(strip, times):

@@ -19,12 +19,13 @@ from outside import ROOT
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
-from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 sys.path[:0] = [str(ROOT / "benchmarks")]
 faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
+faults_grid = import_module("faults_grid")
 change, edited, later = faults.change, faults.edited, faults.later
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 NO_ABERRATION = "[light]\naberration = false\n\n"
@@ -237,6 +238,40 @@ def test_offsets_of_all_ccds_that_are_zero_are_told_by_ccd_where_no_matrix_is_de
 
     with pytest.raises(DataNotSufficientError, match=r"^place of a CCD, along the track, CCD \d:.*x_offset"):
         told(zero)
+
+
+def test_a_finding_that_leaves_the_choice_between_two_strips_lists_the_other(told):
+    """With two strips, the clock of either explains what is between them: neither is accused."""
+
+    def of_two(dump: Path) -> None:
+        for name, column in (("strips.csv", "id"), ("points.csv", "strip")):
+            header, *rows = faults.table(dump / name)
+            at = header.index(column)
+            faults.write(dump / name, [header, *(row for row in rows if row[at] != "s03")])
+        rows_late("s02", 8e-3, dump)
+
+    (found,) = [one for one in told(of_two).verdict.findings if one.is_fault]
+    assert (found.item, found.rivals) == ("strip s01", ("clock of the rows, strip s02",))
+    assert found.text.endswith("; or strip s02.")
+    as_written = {"rivals": list(found.rivals)}
+    assert faults_grid.leaves_open(as_written, {"s02"}, ["s02", "clock"])
+    assert not faults_grid.leaves_open(as_written, {"s03"}, ["s03", "clock"])
+    assert not faults_grid.leaves_open({"rivals": None}, {"s02"}, ["s02"])
+
+
+def test_an_orbit_that_contradicts_all_heads_alike_is_named_and_no_head(told):
+    """As no mistake of the attitudes explains it: each head by itself would be accused."""
+
+    def mirrored(dump: Path) -> None:
+        def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
+            p[:, 2] *= -1.0
+            v[:, 2] *= -1.0
+
+        faults.states(edit, dump)
+
+    with pytest.raises(RawDataError) as raised:
+        told(mirrored)
+    assert raised.value.file == "orbit.oem" and "STR" not in str(raised.value)
 
 
 def test_the_same_points_under_other_ids_count_once(told, right):

@@ -10,6 +10,7 @@ import pytest
 import rasterio
 from pytest import approx
 
+from boresight.calib.finding import MOST_WORDS
 from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
@@ -99,6 +100,16 @@ def test_many_targets_of_a_strip_are_one_finding():
     off = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
     (found,) = single_targets(off, seen)
     assert found.item == "10 targets in strip s1" and len(found.targets) == 10
+    assert list(single_targets(off, seen, is_explained=True)) == []
+
+
+def test_targets_that_are_off_in_all_strips_are_one_finding_that_accuses_no_strip():
+    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
+    off = [suspected(f"s{k}", f"t{n}", ccd=n % 3) for k in (1, 2, 3) for n in range(9 + k)]
+    (found,) = single_targets(off, seen)
+    assert found.item == "33 targets of all strips" and len(found.targets) == 33
+    assert "x_offset_mm" in found.text and "targets.csv" in found.text
+    assert len(f"{found.cause} {found.item} {found.text}".split()) <= MOST_WORDS
     assert list(single_targets(off, seen, is_explained=True)) == []
 
 

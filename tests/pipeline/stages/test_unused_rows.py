@@ -77,6 +77,19 @@ def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
         assert finding.is_fault and finding.file == "targets.csv"
 
 
+def test_coordinates_that_are_off_together_accuse_no_target_that_a_slip_does_not_explain() -> None:
+    """All 0.36 km off: of most a changed digit would put them right, of one none does."""
+
+    def outside(name: str, reason: str) -> Omission:
+        return Omission("target", f"s01/{name}, CCD 0", "", f"19 px outside; {reason}", Cause.OUTSIDE_CHIP)
+
+    digit = "lon_deg 102.913 for 102.917 (one digit) would lie in its chip; correct targets.csv"
+    far = "0.366 km from the middle of its chip; correct its coordinates or chip"
+    off = [*(outside(f"t{n}", digit) for n in range(5)), outside("t9", far)]
+    assert [one.item for one in outside_chips(off)] == ["5 targets", "1 target"]
+    assert [one.item for one in outside_chips(off[-1:])] == ["target t9"]
+
+
 def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
     calibration: DumpCalibration, finished: tuple[Path, Path]
 ) -> None:
