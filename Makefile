@@ -49,7 +49,7 @@ docs: install
 # Those of real data are drawn where these are (scripts/figures/real_mission.py).
 pictures: install
 	$(BIN)/python scripts/refresh_tutorial.py
-	for figure in frames plan report sky_trace star_path strip_form strip_timing target_path terminal; do \
+	for figure in frames plan report sky_trace star_camera_plan star_path strip_form strip_timing target_path terminal; do \
 	  $(BIN)/python scripts/figures/$$figure.py || exit 1; done
 
 clean:

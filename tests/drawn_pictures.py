@@ -18,8 +18,20 @@ from boresight.pipeline.report.panels import OURS, SERIES
 
 FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 
+# Two pictures of one drawing: sides of their blocks, px; difference of a block's mean grey, of 255, that
+# rounding does not make; share of blocks that may differ by more, as by a last digit that a label rounds.
+BLOCK_PX, GREY_LEVELS, FEW_BLOCKS = 8, 16.0, 0.002
+
 SERIES_COLOURS = tuple(colour for colour, *_ in SERIES)
-__all__ = ["OURS", "SERIES_COLOURS", "kept_figures", "numbers", "pixels_of_colour", "shows_curves"]
+__all__ = [
+    "OURS",
+    "SERIES_COLOURS",
+    "kept_figures",
+    "numbers",
+    "pixels_of_colour",
+    "same_picture",
+    "shows_curves",
+]
 
 
 def pixels_of_colour(path: Path, colour: str) -> int:
@@ -54,3 +66,18 @@ def kept_figures(*modules: ModuleType) -> Iterator[list[Figure]]:
 def numbers(text: str) -> list[float]:
     """All numbers of a line, in order."""
     return [float(one) for one in re.findall(r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|nan\b)", text)]
+
+
+def same_picture(one: Image.Image, other: Image.Image) -> bool:
+    """Whether two pictures show the same, but for rounding: of one size, and alike in nearly all blocks."""
+    if one.size != other.size:
+        return False
+    a, b = (_blocks(np.asarray(picture.convert("L")).astype(float)) for picture in (one, other))
+    return bool((np.abs(a - b) > GREY_LEVELS).mean() <= FEW_BLOCKS)
+
+
+def _blocks(grey: np.ndarray) -> np.ndarray:
+    """Mean grey values of blocks; a last part of a block is left out."""
+    rows, columns = (n // BLOCK_PX for n in grey.shape)
+    whole = grey[: rows * BLOCK_PX, : columns * BLOCK_PX]
+    return whole.reshape(rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""The picture of docs/plan.md from its example: `python scripts/figures/plan.py`."""
+"""The picture of docs/plan.md from its example: `python scripts/figures/plan.py [FOLDER]`."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ import re
 import tempfile
 from pathlib import Path
 
+from style import IMAGES
+
 from boresight.features.planning.campaign_plan import Plan, forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
 
-DOCS = Path(__file__).parents[2] / "docs"
+PAGE = Path(__file__).parents[2] / "docs" / "plan.md"
 
 
 def example() -> Plan:
     """The plan that the page shows."""
-    found = re.search(r"```toml\n(.*?)```", (DOCS / "plan.md").read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"
@@ -25,7 +27,7 @@ def example() -> Plan:
 def main() -> None:
     found = forecast_plan(example())
     figure = plot_forecast(found.table, None, found.by_targets, found.without)
-    figure.savefig(DOCS / "images" / "plan.png", dpi=110, bbox_inches="tight")
+    figure.savefig(IMAGES / "plan.png", dpi=110, bbox_inches="tight")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""Two versions of a drawing, for light and for dark pages: `draw(NAME, paint)` writes
-docs/images/NAME-light.svg and NAME-dark.svg, with transparent ground and text as outlines.
+"""Two versions of a drawing, for light and for dark pages: `draw(NAME, paint)` writes NAME-light.svg and
+NAME-dark.svg, with transparent ground and text as outlines, into docs/images or, with `python FIGURE.py
+FOLDER`, into that folder.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +16,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-IMAGES = Path(__file__).parents[2] / "docs" / "images"
+# Where pictures go: the folder that is named, or that of the pages.
+IMAGES = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[2] / "docs" / "images"
 
 
 @dataclass(frozen=True)
@@ -50,4 +53,4 @@ def draw(name: str, paint: Callable[[Ink], Figure]) -> None:
             path = IMAGES / f"{name}-{version}.svg"
             figure.savefig(path, transparent=True, bbox_inches="tight", metadata={"Date": None})
             plt.close(figure)
-        print(path.relative_to(IMAGES.parents[1]), path.stat().st_size, "bytes")
+        print(path, path.stat().st_size, "bytes")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,9 +12,7 @@ from style import Ink, draw
 
 from boresight.gct_match.records import TargetMatch
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 
@@ -25,9 +22,7 @@ ERROR_SCALE = 1000.0
 
 def best_match() -> tuple[StripTask, TargetMatch, np.ndarray]:
     """A strip's most precise target, starting from the pre-launch matrix, and its chip."""
-    with tempfile.TemporaryDirectory() as folder:
-        store = UnitStore(Path(folder))
-        tasks, _ = strips_to_match(open_dump(FIXTURE), Settings(), store, InOrder())
+    tasks, _ = strips_to_match(open_dump(FIXTURE), Settings())
     task = tasks[0]
     found, _ = strip_matches(task)
     assert found is not None

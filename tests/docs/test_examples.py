@@ -9,6 +9,8 @@ from pathlib import Path
 
 import matplotlib
 import pytest
+from drawn_pictures import same_picture
+from PIL import Image
 
 MOST_LINES = 40  # of code, without comments
 ROOT = Path(__file__).parents[2]
@@ -44,6 +46,8 @@ def test_example_prints_what_the_site_shows(
     printed, expected = (list(map(float, NUMBER.findall(text))) for text in (out, shown))
     # the last digit may differ between versions of NumPy and OpenCV; probabilities by their exponents
     assert printed == pytest.approx(expected, rel=0.02, abs=2e-3)
-    assert [file.name for file in tmp_path.iterdir()] == [
-        file.name for file in (ROOT / "docs" / "images").glob(f"example_{path.stem}.*")
-    ]
+    kept = sorted((ROOT / "docs" / "images").glob(f"example_{path.stem}.*"))
+    assert sorted(file.name for file in tmp_path.iterdir()) == [file.name for file in kept]
+    for file in kept:
+        with Image.open(file) as shown, Image.open(tmp_path / file.name) as drawn:
+            assert same_picture(shown, drawn), file.name

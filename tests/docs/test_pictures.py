@@ -1,4 +1,4 @@
-"""Pictures of the sheets to be signed show what the present code prints."""
+"""Pictures of the report and of the sheets to be signed show what the present code prints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from boresight.pipeline.report.pdf import chromium
 
 ROOT = Path(__file__).parents[2]
 # By its path: other modules of that folder have the names of modules of tests.
-ABOUT = runpy.run_path(str(ROOT / "scripts" / "figures" / "report.py"))["ABOUT"]
+MADE_BY = runpy.run_path(str(ROOT / "scripts" / "figures" / "report.py"))
 # What differs from run to run, or with the fonts of a machine: the block of identity, the foot of each page.
 OF_THE_RUN = re.compile(r"Which result this is.*?(?=Rcs: takes)|boresight result \w+|\d+ of \d+", re.DOTALL)
 NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:e[+\N{MINUS SIGN}-]\d+)?")
@@ -48,13 +48,34 @@ def numbers(text: str) -> list[tuple[float, float]]:
     return found
 
 
+def assert_alike(kept: str, now: str, name: str) -> None:
+    """The same words, and numbers that differ by rounding alone."""
+    assert words(kept) == words(now)
+    for (a, allowed), (b, _) in zip(numbers(kept), numbers(now), strict=True):
+        assert abs(a - b) <= allowed * (1 + 1e-9), f"{name}: {a}, now {b}"
+
+
+@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: the picture is not compared")
+def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(
+    demo: Path, tmp_path: Path
+) -> None:
+    result = tmp_path / "demo-result"
+    shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
+    ran = CliRunner().invoke(app, ["validate", str(result), "--dump", str(ROOT / "fixtures" / "mini")])
+    assert ran.exit_code == 0, ran.output
+    now = MADE_BY["words_of"](result / "report.html", tmp_path)
+    assert "Consistent: 8 of 8 checks hold" in now and "check point" in now
+    with Image.open(ROOT / "docs" / "images" / "report.png") as picture:
+        assert_alike(picture.text["Description"], now, "report.png")
+
+
 @pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
 def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(
     demo: Path, tmp_path: Path
 ) -> None:
     result = tmp_path / "demo-result"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
-    (tmp_path / "about.toml").write_text(ABOUT)
+    (tmp_path / "about.toml").write_text(MADE_BY["ABOUT"])
     asked = ["report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf"]
     for command in (["validate", result, "--dump", ROOT / "fixtures" / "mini"], asked):
         ran = CliRunner().invoke(app, [str(one) for one in command])
@@ -64,6 +85,4 @@ def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(
         with Image.open(ROOT / "docs" / "images" / f"signed-{n}.png") as picture:
             kept = shown_in(picture.text["Description"])
         now = shown_in(pages[n - 1].extract_text())
-        assert words(kept) == words(now)
-        for (a, allowed), (b, _) in zip(numbers(kept), numbers(now), strict=True):
-            assert abs(a - b) <= allowed * (1 + 1e-9), f"signed-{n}.png: {a}, now {b}"
+        assert_alike(kept, now, f"signed-{n}.png")

@@ -1,0 +1,25 @@
+"""The picture of docs/star-half.md of planned fields, by the command that the page shows:
+`python scripts/figures/star_camera_plan.py [FOLDER]`.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from style import IMAGES
+
+PAGE = Path(__file__).parents[2] / "docs" / "star-half.md"
+
+
+def main() -> None:
+    found = re.search(r"\$ boresight (star-camera-plan --size .*)", PAGE.read_text(encoding="utf-8"))
+    assert found is not None
+    plot = IMAGES / "star_camera_plan.png"
+    subprocess.run([sys.executable, "-m", "boresight", *found[1].split(), "--plot", plot], check=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""Figures of the pages show what the present code draws: their texts, numbers, lines and pictures."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from drawn_pictures import same_picture
+from PIL import Image
+
+ROOT = Path(__file__).parents[2]
+IMAGES = ROOT / "docs" / "images"
+SCRIPTS = ROOT / "scripts" / "figures"
+SVG = ("frames", "sky_trace", "star_path", "strip_form", "strip_timing", "target_path")
+PNG = ("plan", "star_camera_plan")
+# Pictures that are compared elsewhere, or cannot be drawn here, and why.
+OTHERS = {
+    r"example_.*\.png": "tests/docs/test_examples.py",
+    r"report\.png|signed-\d\.png": "tests/docs/test_pictures.py",
+    r"terminal-.*\.svg": "tests/docs/test_demo_numbers.py",
+    r"real_.*\.svg": "their data are too large for the repository (scripts/figures/real_mission.py)",
+}
+NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?")
+# Other processors round sums in another order: three units of the last digit of what is printed
+# (test_demo_numbers.py), and a place moves by far less than a quarter of a point, a fifth of a line's width.
+LAST_DIGITS, PLACE_PT = 3.0, 0.25
+
+
+def drawn(name: str, folder: Path) -> None:
+    ran = subprocess.run(
+        [sys.executable, SCRIPTS / f"{name}.py", folder], capture_output=True, text=True, cwd=ROOT
+    )
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_every_picture_is_compared_with_the_present_code_or_has_a_reason() -> None:
+    drawn_here = {f"{name}-{version}.svg" for name in SVG for version in ("light", "dark")}
+    drawn_here |= {f"{name}.png" for name in PNG}
+    present = {path.name for path in IMAGES.iterdir() if path.is_file()}
+    others = {name for name in present if any(re.fullmatch(one, name) for one in OTHERS)}
+    assert drawn_here | others == present and not drawn_here & others
+
+
+@pytest.mark.parametrize("name", SVG)
+def test_drawing_shows_what_the_present_code_draws(name: str, tmp_path: Path) -> None:
+    drawn(name, tmp_path)
+    for version in ("light", "dark"):
+        kept, now = (read_svg(folder / f"{name}-{version}.svg") for folder in (IMAGES, tmp_path))
+        assert [NUMBER.sub("#", text) for text in kept.texts] == [NUMBER.sub("#", t) for t in now.texts]
+        for (a, allowed), (b, _) in zip(numbers(kept.texts), numbers(now.texts), strict=True):
+            assert abs(a - b) <= allowed, f"{name}: {a}, now {b}"
+        assert kept.shapes == now.shapes
+        assert np.abs(np.array(kept.places) - now.places).max() <= PLACE_PT
+        assert all(same_picture(a, b) for a, b in zip(kept.pictures, now.pictures, strict=True))
+
+
+@pytest.mark.parametrize("name", PNG)
+def test_picture_shows_what_the_present_code_draws(name: str, tmp_path: Path) -> None:
+    drawn(name, tmp_path)
+    with Image.open(IMAGES / f"{name}.png") as kept, Image.open(tmp_path / f"{name}.png") as now:
+        assert same_picture(kept, now)
+
+
+def test_another_curve_or_text_is_another_drawing(tmp_path: Path) -> None:
+    """The comparison sees a line that ends elsewhere by half a point, a word and a number."""
+    text = (IMAGES / "strip_timing-light.svg").read_text(encoding="utf-8")
+    (tmp_path / "a.svg").write_text(text.replace("<!-- row of target j -->", "<!-- row of target k -->"))
+    (found,) = {
+        (a, b)
+        for a, b in zip(read_svg(IMAGES / "strip_timing-light.svg").texts, read_svg(tmp_path / "a.svg").texts)
+        if a != b
+    }
+    assert found == ("row of target j", "row of target k")
+    moved = re.sub(r'd="M ([\d.]+)', lambda m: f'd="M {float(m[1]) + 0.5}', text)
+    (tmp_path / "b.svg").write_text(moved)
+    kept, now = (read_svg(path).places for path in (IMAGES / "strip_timing-light.svg", tmp_path / "b.svg"))
+    assert np.abs(np.array(kept) - now).max() == pytest.approx(0.5)
+    with Image.open(IMAGES / "plan.png") as one, Image.open(IMAGES / "plan.png") as other:
+        grey = np.asarray(other.convert("L")).copy()
+        grey[200:206, 100:220] = 0  # a further line
+        assert same_picture(one, other) and not same_picture(one, Image.fromarray(grey))
+
+
+class Drawing:
+    """What an SVG of Matplotlib shows: texts, kinds of shapes, their numbers, and raster pictures in it."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+        self.shapes: list[str] = []
+        self.places: list[float] = []
+        self.pictures: list[Image.Image] = []
+
+
+def read_svg(path: Path) -> Drawing:
+    """The drawing in a file. Outlines of letters are left out: the text stands in a comment before them."""
+    found = Drawing()
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    for element in shown(ET.parse(path, parser).getroot()):
+        if element.tag is ET.Comment:
+            found.texts.append(str(element.text).strip())
+            continue
+        found.shapes.append(str(element.tag).rpartition("}")[2])
+        for key, value in element.attrib.items():
+            name = key.rpartition("}")[2]
+            if name in ("d", "x", "y", "points", "width", "height", "transform"):
+                found.places += map(float, re.findall(r"-?\d+(?:\.\d+)?(?:e-?\d+)?", value))
+            elif name == "href" and value.startswith("data:"):
+                raw = base64.b64decode("".join(value.partition(",")[2].split()))
+                found.pictures.append(Image.open(io.BytesIO(raw)))
+    return found
+
+
+def shown(element: ET.Element) -> Iterator[ET.Element]:
+    """Elements in their order; of a text its comment alone."""
+    yield element
+    for child in element:
+        if str(element.get("id", "")).startswith("text_") and child.tag is not ET.Comment:
+            continue
+        yield from shown(child)
+
+
+def numbers(texts: list[str]) -> Iterator[tuple[float, float]]:
+    """Numbers of texts, each with the difference that is allowed."""
+    for one in NUMBER.findall(" ".join(texts)):
+        yield float(one.replace("\N{MINUS SIGN}", "-")), LAST_DIGITS * 10.0 ** -len(one.partition(".")[2])
