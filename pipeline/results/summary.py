@@ -14,6 +14,8 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
@@ -41,7 +43,7 @@ Array = NDArray[np.float64]
 MOST_REASONS = 8
 UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.NO_TARGET)  # told after what went wrong
 # Most blind spots that the console names; installation.json has all.
-MOST_BLIND = 3
+MOST_BLIND = 6
 # Regular expression of the size at the beginning of a reason such as "4.2 sigma from ...".
 SIGMAS = re.compile(r"([0-9.]+) sigma ")
 REASON_WORDS = {  # of causes that counts alone do not explain
@@ -60,7 +62,7 @@ def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, 
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
     lines += blind_lines(blind_spots_json(found.verdict))
-    lines += _estimate_lines(found.estimate, ground_m_per_rad(found.strips, found.camera))
+    lines += _estimate_lines(found.estimate, found.strips, found.camera)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines(found.omissions))
 
@@ -77,7 +79,7 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
     lines += blind_lines(blind_spots_json(joint.verdict))
     lines.append(f"jointly from {len(of_dumps)} dumps:")
     camera = next(iter(of_dumps.values())).camera
-    lines += _estimate_lines(joint.estimate, ground_m_per_rad(joint.strips, camera))
+    lines += _estimate_lines(joint.estimate, joint.strips, camera)
     lines += _doubt_lines(joint.estimate, ())
     return "\n".join(lines + omission_lines(joint.omissions))
 
@@ -120,7 +122,9 @@ def unit_effect(one: Mapping[str, Any]) -> str:
     """What one unit of an error does to the axis that it moves most: "1 ms: 2.8″ Y"."""
     effect = np.abs(np.array(one["effect_rad"])) / ARCSEC
     axis = int(np.argmax(effect))
-    return f"1 {one['unit']}: {effect[axis]:.2g}″ {'XYZ'[axis]}"
+    told = f"{effect[axis]:.0f}" if effect[axis] >= 10.0 else f"{effect[axis]:.2g}"
+    amount = "all of it" if one["unit"] == "times" else f"1 {one['unit']}"
+    return f"{amount}: {told}″ {'XYZ'[axis]}"
 
 
 def _equal_names(group: Sequence[str]) -> str:
@@ -128,8 +132,11 @@ def _equal_names(group: Sequence[str]) -> str:
     return " = ".join(group[:3]) + (f" = ... ({len(group)} in all)" if len(group) > 3 else "")
 
 
-def _estimate_lines(estimate: InstallationEstimate, m_per_rad: Array) -> list[str]:
-    """Matrix, angles in arc-seconds, and their 1 sigma in metres on the ground (`m_per_rad` (3,))."""
+def _estimate_lines(
+    estimate: InstallationEstimate, strips: Sequence[StripSightings], camera: LineSensor
+) -> list[str]:
+    """Matrix, angles in arc-seconds, their 1 sigma in metres on the ground, and what they come from."""
+    m_per_rad = ground_m_per_rad(strips, camera)
     matrix, sigma = estimate.R_cs.as_matrix(), estimate.sigma_theta
     lines = ["R_cs ="]
     lines += ["  [" + "  ".join(f"{value:+.12f}" for value in row) + "]" for row in matrix]
@@ -140,9 +147,10 @@ def _estimate_lines(estimate: InstallationEstimate, m_per_rad: Array) -> list[st
     ]
     if np.isfinite(m_per_rad).all():  # scans of the sky see no ground
         lines.append(_row("1 sigma on the ground, m", sigma * m_per_rad, ".2f"))
+    n = estimate.n_strips
     lines += [
         f"{'from':26s}{estimate.n_exposures} exposures with {estimate.n_stars} stars, "
-        f"{estimate.n_strips} strips with {estimate.n_targets} targets",
+        f"{n} {'strip' if n == 1 else 'strips'} with {_seen(estimate, strips)}",
         f"{'chi2 / dof':26s}{estimate.chi2:.1f} / {estimate.dof}",
     ]
     for n, head in enumerate(estimate.heads if len(estimate.heads) > 1 else ()):
@@ -154,6 +162,13 @@ def _estimate_lines(estimate: InstallationEstimate, m_per_rad: Array) -> list[st
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines
+
+
+def _seen(estimate: InstallationEstimate, strips: Sequence[StripSightings]) -> str:
+    """How many targets strips of the ground show, stars those of the sky, or both together."""
+    of_ground = {bool(np.isfinite(one.ground.range_m).any()) for one in strips if len(one.ground.range_m)}
+    kinds = {True: "targets", False: "stars"}
+    return f"{estimate.n_targets} {' and '.join(kinds[kind] for kind in sorted(of_ground, reverse=True))}"
 
 
 def _doubt_lines(estimate: InstallationEstimate, said: Collection[str]) -> list[str]:

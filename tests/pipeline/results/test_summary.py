@@ -13,7 +13,12 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.estimate import Rejected, WhyRejected
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.results.summary import calibration_summary, unit_effect, verdict_lines
+from boresight.pipeline.results.summary import (
+    _seen,
+    calibration_summary,
+    unit_effect,
+    verdict_lines,
+)
 from boresight.pipeline.stages.calibrate import rejections_of
 
 EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
@@ -106,11 +111,32 @@ def test_each_head_has_the_sigma_of_its_own_axes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("effect_arcsec", "words"), [((0.25, -2.75, 1.0), "2.8″ Y"), ((-4.0, 3.0, 1.0), "4″ X")]
+    ("effect_arcsec", "unit", "words"),
+    [
+        ((0.25, -2.75, 1.0), "ms", "1 ms: 2.8″ Y"),
+        ((-4.0, 3.0, 1.0), "px", "1 px: 4″ X"),
+        ((3.0, 1.0, -104.4), "px", "1 px: 104″ Z"),
+        ((0.5, 0.0, 0.0), "times", "all of it: 0.5″ X"),
+    ],
 )
-def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most(effect_arcsec: Any, words: str) -> None:
-    spot = {"effect_rad": [one * ARCSEC for one in effect_arcsec], "unit": "ms"}
-    assert unit_effect(spot) == f"1 ms: {words}"
+def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most(
+    effect_arcsec: Any, unit: str, words: str
+) -> None:
+    spot = {"effect_rad": [one * ARCSEC for one in effect_arcsec], "unit": unit}
+    assert unit_effect(spot) == words
+
+
+@pytest.mark.parametrize(
+    ("ranges_m", "words"),
+    [
+        ([[6e5, np.nan]], "7 targets"),
+        ([[np.nan, np.nan], []], "7 stars"),
+        ([[np.nan], [5e5]], "7 targets and stars"),
+    ],
+)
+def test_stars_of_scans_are_not_called_targets(ranges_m: Any, words: str) -> None:
+    strips = [SimpleNamespace(ground=SimpleNamespace(range_m=np.array(one))) for one in ranges_m]
+    assert _seen(SimpleNamespace(n_targets=7), strips) == words
 
 
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
