@@ -1,8 +1,8 @@
 """Mutations drawn by chance from the source, so that no list can be tuned to the tests: `mutants.py --draw`.
 
 A mutation changes one expression: a sign, a factor, a transposition or inverse, a term that is dropped, a
-count by one, axes that are exchanged, degrees of freedom, a unit. Text, types, messages and checks of
-arguments are left alone. The tests that run are the nearest ones: those that import the module, of the same
+count by one, axes that are exchanged, degrees of freedom, a unit. Text, types, messages, checks of
+arguments and widths of lines in figures are left alone. The tests that run are the nearest ones: those that import the module, of the same
 room first.
 """
 
@@ -19,6 +19,18 @@ __all__ = ["Change", "changes_of", "drawn_changes", "nearest_tests"]
 ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
 WITHOUT_NUMBERS = ("pipeline/console", "pipeline/report/templates")
 MOST_TESTS = 4  # files
+LOOKS = (
+    "lw",
+    "ms",
+    "alpha",
+    "fontsize",
+    "linewidth",
+    "linewidths",
+    "capsize",
+    "handlelength",
+    "ncols",
+    "dpi",
+)
 UNITS = {"ARCSEC": "1.0", "radians": "degrees", "degrees": "radians"}
 
 
@@ -102,6 +114,8 @@ def _numbers(tree: ast.AST) -> Iterator[ast.expr]:
             yield node
         for name, value in ast.iter_fields(node):
             if name in ("annotation", "returns", "decorator_list"):
+                continue
+            if name == "value" and isinstance(node, ast.keyword) and node.arg in LOOKS:
                 continue
             values = value if isinstance(value, list) else [value]
             todo += [one for one in values if isinstance(one, ast.AST)]

@@ -13,8 +13,6 @@ from pathlib import Path
 
 __all__ = ["LineTests"]
 
-MOST_CPU_S = 100.0  # of the tests of one mutation
-
 
 @dataclass(frozen=True)
 class LineTests:
@@ -31,9 +29,9 @@ class LineTests:
         told = json.loads(path.read_text(encoding="utf-8"))
         return LineTests(root, told["commit"], told["cpu_s"], told["lines"])
 
-    def of(self, file: str, start: int) -> list[str]:
-        """Tests that run the statement at a character of a file, the quickest first; those of a statement
-        that is run on import are all that run something of the file.
+    def of(self, file: str, start: int, most_cpu_s: float) -> list[str]:
+        """Tests that run the statement at a character of a file, the quickest first, as many as a
+        time allows; those of a statement that is run on import are all that run something of the file.
         """
         source = (self.root / file).read_text(encoding="utf-8")
         first, last = _statement(source, start)
@@ -44,14 +42,14 @@ class LineTests:
             found.update(known.get(str(former.get(line)), ()))
         if not found and _is_of_the_module(source, start):
             found.update(test for tests in known.values() for test in tests)
-        return self._affordable(sorted(found, key=lambda test: (self.cpu_s[test], test)))
+        return self._affordable(sorted(found, key=lambda test: (self.cpu_s[test], test)), most_cpu_s)
 
-    def _affordable(self, tests: list[str]) -> list[str]:
-        """The first of some tests, as many as `MOST_CPU_S` allows."""
+    def _affordable(self, tests: list[str], most_cpu_s: float) -> list[str]:
+        """The first of some tests, as many as a time allows, but one at least."""
         taken, chosen = 0.0, []
         for test in tests:
             taken += self.cpu_s[test]
-            if chosen and taken > MOST_CPU_S:
+            if chosen and taken > most_cpu_s:
                 break
             chosen.append(test)
         return chosen

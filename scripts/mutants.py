@@ -202,14 +202,16 @@ def record(rows: Sequence[tuple[Mutant, bool, float]], seconds: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def drawn(seed: int, count: int, room: str, lines: LineTests | None) -> list[Mutant]:
+def drawn(seed: int, count: int, room: str, lines: LineTests | None, most_cpu_s: float) -> list[Mutant]:
     """Mutations drawn by a seed, each with the tests that run its line, or the nearest; a whole file is
     replaced.
     """
     found = []
     for change in drawn_changes(ROOT, seed, count, room):
         source = (ROOT / change.file).read_text(encoding="utf-8")
-        tests = tuple(lines.of(change.file, change.start)) if lines else nearest_tests(ROOT, change.file)
+        tests = nearest_tests(ROOT, change.file)
+        if lines:
+            tests = tuple(lines.of(change.file, change.start, most_cpu_s))
         place = change.file.partition("/")[0]
         found.append(Mutant(place, str(change), change.file, source, change.applied(source), tests))
     return found
@@ -255,10 +257,11 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=40, help="how many are drawn")
     parser.add_argument("--room", default="", help="draw from the modules of this room only")
     parser.add_argument("--lines", type=Path, help="trace of all tests (traced_tests.py)")
+    parser.add_argument("--cpu", type=float, default=100.0, help="s of tests of a line, the quickest first")
     options = parser.parse_args()
     if options.draw is not None:
         lines = LineTests.read(options.lines, ROOT) if options.lines else None
-        return try_drawn(drawn(options.draw, options.count, options.room, lines))
+        return try_drawn(drawn(options.draw, options.count, options.room, lines, options.cpu))
     chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
     if wrong := [text for mutant in chosen for text in faults(mutant)]:
         print("\n".join(wrong))
