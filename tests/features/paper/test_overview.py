@@ -90,3 +90,97 @@ def test_the_page_needs_no_other_file(page: str):
 )
 def test_a_verdict_compares_sizes(ours: float, paper: float, verdict: str):
     assert verdict_of(ours, paper) == verdict
+
+
+def pooled(table: pd.DataFrame, method: str) -> float:
+    """rms over bound, over all cells and axes of a method."""
+    rows = table[table["method"] == method]
+    return float(np.sqrt(np.mean((rows["rms_arcsec"] / rows["bound_arcsec"]) ** 2)))
+
+
+def test_errors_are_as_large_as_their_bounds(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
+    tables, _ = all_run
+    # 24 to 48 squares: the root of their mean is within 0.65 and 1.4 but once in 1000
+    for name, method in (("grid", "information"), ("table4", "information"), ("table4", "strips")):
+        assert 0.65 < pooled(tables[name], method) < 1.4, name
+    assert 0.5 < pooled(tables["grid"], "strips") < 1.4
+    for name in ("grid", "table4"):
+        assert 1.2 < pooled(tables[name], "wang") < 4.0  # three times on the weak axis
+        own = tables[name][tables[name]["method"] == "information"]
+        assert own["nees"].mean() == pytest.approx(3.0, abs=2.0)  # of ten runs and more
+        assert (tables[name]["mean_arcsec"].abs() <= tables[name]["rms_arcsec"]).all()
+    frames = tables["convergence"]
+    assert 0.4 < pooled(frames, "information") < 1.6  # errors of more and more frames are alike
+    assert ((frames["error_arcsec"] / frames["rms_arcsec"]).abs() < np.sqrt(2.0) + 1e-9).all()  # of two runs
+    first, last = (frames[frames["frames"] == n]["bound_arcsec"].to_numpy() for n in (1, 20))
+    assert np.allclose(first / last, np.sqrt(20.0), rtol=0.15)  # frames differ in stars and targets
+    # The rms of figures 5 and 6 is about nothing, the mean that of both runs: their difference to one run.
+    other = 2.0 * frames["mean_arcsec"] - frames["error_arcsec"]
+    expected = np.sqrt(0.5 * (frames["error_arcsec"] ** 2 + other**2))
+    assert np.allclose(frames["rms_arcsec"], expected, rtol=1e-9)
+
+
+def test_waves_are_those_stated_and_their_residuals_those_of_a_polynomial(
+    all_run: tuple[dict[str, pd.DataFrame], Path],
+) -> None:
+    tables, _ = all_run
+    shown, fitted = tables["figure4"], tables["figure8"]
+    off = (shown["measured_arcsec"] - shown["attitude_arcsec"]) / shown["sigma_arcsec"]
+    assert np.std(off) == pytest.approx(1.0, abs=0.13)  # 363 of them: 3.5 standard errors
+    # 30 stars of 0.06 px of 6.4 um behind 100 mm across the axis, of which the mounting turns a part
+    across = 0.06 * 6.4e-6 / 0.1 / np.sqrt(30.0) * 648_000.0 / np.pi
+    assert shown[shown["axis"] == "roll"]["sigma_arcsec"].iloc[0] == pytest.approx(across, rel=0.03)
+    for name, part in shown.groupby("axis"):
+        wave = fitted[(fitted["axis"] == name) & (fitted["span_s"] == 24.0) & (fitted["order"] == 3)]
+        every = wave[np.isclose(np.round(wave["t_s"] * 5.0), wave["t_s"] * 5.0)]
+        apart = every["wave_arcsec"].to_numpy() - part["attitude_arcsec"].to_numpy()
+        assert np.ptp(apart) < 1e-9 and part["attitude_arcsec"].mean() == pytest.approx(0.0, abs=1e-9)
+        assert 2.5 < wave["wave_arcsec"].abs().max() <= 12.0
+    for (_, order, _), part in fitted.groupby(["span_s", "order", "axis"]):
+        wave = part["wave_arcsec"].to_numpy()
+        poly = np.polynomial.Legendre.fit(part["t_s"], wave, order)
+        assert np.allclose(part["residual_arcsec"], wave - poly(part["t_s"].to_numpy()), atol=1e-6)
+
+
+def test_printed_table_4_has_the_rms_of_its_rows(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
+    tables, page = all_run
+    table, text = tables["table4"], (page.parent / "table4.txt").read_text(encoding="utf-8")
+
+    def rms(method: str, axis: str, column: str) -> float:
+        rows = table[(table["method"] == method) & (table["axis"] == axis)]
+        return float(np.sqrt(np.mean(rows[column] ** 2)))
+
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("axis     ours"))
+    for line, axis in zip(lines[at + 1 : at + 4], "XYZ"):
+        expected = [rms("information", axis, f"{key}_arcsec") for key in ("rms", "bound", "paper")]
+        expected += [rms("wang", axis, "rms_arcsec"), rms("strips", axis, "rms_arcsec")]
+        expected += [rms("strips", axis, "bound_arcsec"), rms("wang", axis, "paper_arcsec")]
+        assert line.startswith(axis)
+        assert [float(one) for one in re.findall(r"\d+\.\d+", line)] == pytest.approx(expected, abs=5.1e-5)
+    gains = next(k for k, line in enumerate(lines) if line.startswith("Wang's error over ours"))
+    for line, axis in zip(lines[gains + 1 : gains + 4], "XYZ"):
+        wang = rms("wang", axis, "rms_arcsec")
+        ratio = [wang / rms(one, axis, "rms_arcsec") for one in ("information", "strips")]
+        ratio.append(rms("wang", axis, "paper_arcsec") / rms("information", axis, "paper_arcsec"))
+        assert [float(one) for one in re.findall(r"\d+\.\d+", line)] == pytest.approx(ratio, abs=0.051)
+
+
+def test_printed_table_5_has_its_rows_and_their_mean_gain(
+    all_run: tuple[dict[str, pd.DataFrame], Path],
+) -> None:
+    tables, page = all_run
+    table, text = tables["table5"], (page.parent / "table5.txt").read_text(encoding="utf-8")
+    rows = table.pivot_table(index=["sigma_s_px", "direction"], columns="method", values=["rms_m", "paper_m"])
+    floor = table.groupby(["sigma_s_px", "direction"])["floor_m"].first()
+    printed = re.findall(r"^  (0\.\d+)  (\w+) +(\S+) +(\S+) +(\S+) \| +(\S+) +(\S+)$", text, re.MULTILINE)
+    assert len(printed) == len(rows) == 22
+    for sigma, direction, *values in printed:
+        row = rows.loc[(float(sigma), direction)]
+        expected = [row["rms_m"]["information"], row["rms_m"]["wang"], floor[(float(sigma), direction)]]
+        expected += [row["paper_m"]["information"], row["paper_m"]["wang"]]
+        assert [float(value) for value in values] == pytest.approx(expected, abs=5.1e-3)
+    gain = [float((rows[key]["wang"] - rows[key]["information"]).mean()) for key in ("rms_m", "paper_m")]
+    found = re.search(r"(\d+) check points a run; gain .* ours (\S+) m, paper (\S+) m", text)
+    assert found is not None and found[1] == "20"
+    assert [float(found[2]), float(found[3])] == pytest.approx(gain, abs=5.1e-3)
