@@ -13,6 +13,7 @@ from command_line import app
 from drawn_pictures import OURS, kept_figures, shows_curves
 from matplotlib.dates import date2num
 from numpy.testing import assert_allclose
+from recorded_numbers import assert_recorded, numbers_in
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -108,6 +109,8 @@ def test_a_step_of_one_arcsec_between_two_months_is_told_with_its_date(tmp_path)
     rows = list(csv.DictReader((out / "drift.csv").open()))
     assert len(rows) == 36 and rows[0]["utc"] == "2024-01-10T03:00:10Z"
     assert shows_curves(out / "drift.png", OURS)
+    recorded = {f"{n}": [float(row[n]) for row in rows] for n in rows[0] if n.endswith("arcsec")}
+    assert_recorded("drift", recorded | {"printed": numbers_in(ran.stdout)})
     assert_drawn(figures[0].axes, rows, [content["step"]["utc"], *content["step"]["utc_interval"]])
 
 

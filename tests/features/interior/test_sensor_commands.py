@@ -9,6 +9,7 @@ import pytest
 import rasterio
 from command_line import app
 from drawn_pictures import OURS, kept_figures, shows_curves
+from recorded_numbers import assert_recorded
 from typer.testing import CliRunner
 
 from boresight.features.geolocate.virtual_ccd import VirtualStrip
@@ -79,6 +80,8 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
         lat, lon = np.radians([place.y]), np.radians([place.x])
         off = ecef_from_geodetic(lat, lon, np.array([place.z]), WGS84)[0] - expected
         assert np.linalg.norm(off) < 1e-6  # m
+    grid = [[place.col, place.row, place.x, place.y, place.z] for place in places]
+    assert_recorded("virtual_ccd", {"image": stitched, "places": grid})
     assert stitched.shape == (model.strip.lines, virtual.width_px)
     assert np.isnan(stitched).mean() < 0.1  # lines at both ends that staggered CCDs did not see
     middle = model.strip.lines // 2
@@ -100,6 +103,8 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
         told = runner.invoke(app, asked)
     assert told.exit_code == 0, told.output
     content = json.loads((out / "interior.json").read_text())
+    values = {key: [one[key] for one in content["parameters"]] for key in ("value", "sigma")}
+    assert_recorded("interior", values | {"map": [content["map_change_rms_px"], content["map_sigma_rms_px"]]})
     parameters = {one["name"]: one for one in content["parameters"]}
     assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
     assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])

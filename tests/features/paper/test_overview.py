@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
+from recorded_numbers import assert_recorded, columns_of, numbers_in
 
 from boresight.features.paper.geometry_search import GeometrySearch
 from boresight.features.paper.paper_page import run_all, verdict_of
@@ -90,6 +91,14 @@ def test_the_page_needs_no_other_file(page: str):
 )
 def test_a_verdict_compares_sizes(ours: float, paper: float, verdict: str):
     assert verdict_of(ours, paper) == verdict
+
+
+def test_tables_are_those_recorded(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
+    tables, page = all_run
+    for name, table in tables.items():
+        text = (page.parent / f"{name}.txt").read_text(encoding="utf-8")
+        printed = numbers_in(text.partition("CPU")[2].partition("\n")[2])
+        assert_recorded(f"experiment_{name}", columns_of(table) | {"printed": printed})
 
 
 def pooled(table: pd.DataFrame, method: str) -> float:

@@ -14,6 +14,7 @@ from astropy.time import Time
 from command_line import app
 from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
 from handmade import ATTITUDE_HEAD
+from recorded_numbers import assert_recorded, columns_of
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -129,6 +130,7 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
     header, *rows = (tmp_path / "scans.csv").read_text().splitlines()
     assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
     table = pd.read_csv(tmp_path / "scans.csv")
+    assert_recorded("scans", columns_of(table))
     sky, steps = figures[0].axes
     drawn = np.ravel([line.get_data() for line in sky.lines[:2]])
     assert np.allclose(drawn, table[["ra_deg", "dec_deg"]].to_numpy().ravel())

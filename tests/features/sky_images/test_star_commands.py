@@ -18,6 +18,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
+from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -115,6 +116,7 @@ def test_centroids_are_scored_against_a_truth(folder, tmp_path):
     assert done.exit_code == 0, done.output
     assert shows_curves(plot, *SERIES_COLOURS[:2])
     (score,), table, truth = scores, pd.read_csv(out), pd.read_csv(folder / "truth.csv")
+    assert_recorded("centroids", columns_of(table))
     assert len(table) > 60 and table["file"].nunique() == len(images)
     rows = done.stdout.splitlines()
     bins = [numbers(line) for line in rows if re.match(r" +\d+ - +(\d+|inf) ", line)]
@@ -403,6 +405,7 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     assert done.exit_code == 0, done.output
     table = pd.read_csv(out)
     assert table["image"].tolist() == [1, 2, 3, 4, 5] and shows_curves(plot, OURS)
+    assert_recorded("star_camera_plan", columns_of(table))
     assert (table["largest_sigma_px"] < table["random_sigma_px"]).all()
     middle = SkyCoord(table["ra_deg"].to_numpy() * units.deg, table["dec_deg"].to_numpy() * units.deg)
     sun = get_sun(Time(utc.removesuffix("Z"), scale="utc"))
