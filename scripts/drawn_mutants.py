@@ -1,9 +1,9 @@
 """Mutations drawn by chance from the source, so that no list can be tuned to the tests: `mutants.py --draw`.
 
 A mutation changes one expression: a sign, a factor, a transposition or inverse, a term that is dropped, a
-count by one, axes that are exchanged, degrees of freedom, a unit. Text, types, messages, checks of
-arguments and widths of lines in figures are left alone. The tests that run are the nearest ones: those that import the module, of the same
-room first.
+count by one, axes that are exchanged, degrees of freedom, a unit. Text, types, messages, checks of arguments
+and widths of lines in figures are left alone. Without a trace of all tests the nearest ones are asked: those
+that import the module, of the same room first.
 """
 
 from __future__ import annotations

@@ -115,7 +115,13 @@ def is_killed(mutant: Mutant, tree: Path) -> bool:
     return bool(killer(mutant, tree, mutant.tests))
 
 
-def killer(mutant: Mutant, tree: Path, tests: Sequence[str], without: Collection[str] = ()) -> str:
+def killer(
+    mutant: Mutant,
+    tree: Path,
+    tests: Sequence[str],
+    without: Collection[str] = (),
+    most_cpu_s: float = LONGEST_CPU_S,
+) -> str:
     """The first of some tests, but those in `without`, that fails with the mutation made in `tree`; else "".
     The tree is restored afterwards.
     """
@@ -123,15 +129,15 @@ def killer(mutant: Mutant, tree: Path, tests: Sequence[str], without: Collection
     sound, times = path.read_text(encoding="utf-8"), path.stat()
     path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
     try:
-        return first_failure([*tests, *(f"--deselect={one}" for one in without)], tree)
+        return first_failure([*tests, *(f"--deselect={one}" for one in without)], tree, most_cpu_s)
     finally:
         path.write_text(sound, encoding="utf-8")
         os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as its compiled form says
 
 
-def first_failure(tests: Sequence[str], tree: Path) -> str:
+def first_failure(tests: Sequence[str], tree: Path, most_cpu_s: float = LONGEST_CPU_S) -> str:
     """The first of some tests that fails in a tree, or a file that cannot be imported; "" where all pass."""
-    return failure(tests, tree, most_cpu_s=LONGEST_CPU_S, most_s=LONGEST_S)
+    return failure(tests, tree, most_cpu_s=int(most_cpu_s), most_s=LONGEST_S)
 
 
 def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
@@ -217,7 +223,7 @@ def drawn(seed: int, count: int, room: str, lines: LineTests | None, most_cpu_s:
     return found
 
 
-def try_drawn(chosen: Sequence[Mutant]) -> int:
+def try_drawn(chosen: Sequence[Mutant], most_cpu_s: float) -> int:
     """Print each drawn mutation with its outcome, and the rates by room. A test that also fails without a
     mutation kills none: it is left out, and the others are asked.
     """
@@ -227,7 +233,7 @@ def try_drawn(chosen: Sequence[Mutant]) -> int:
         import_libraries(tree)
         for mutant in chosen:
             begun, test = time.perf_counter(), ""
-            while mutant.tests and (test := killer(mutant, tree, mutant.tests, unsound)):
+            while mutant.tests and (test := killer(mutant, tree, mutant.tests, unsound, most_cpu_s)):
                 if test.endswith(NO_END) or not first_failure([test], tree):
                     break
                 unsound.add(test)
@@ -261,7 +267,8 @@ def main() -> int:
     options = parser.parse_args()
     if options.draw is not None:
         lines = LineTests.read(options.lines, ROOT) if options.lines else None
-        return try_drawn(drawn(options.draw, options.count, options.room, lines, options.cpu))
+        mutations = drawn(options.draw, options.count, options.room, lines, options.cpu)
+        return try_drawn(mutations, 20.0 + 4.0 * options.cpu)
     chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
     if wrong := [text for mutant in chosen for text in faults(mutant)]:
         print("\n".join(wrong))
