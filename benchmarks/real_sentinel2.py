@@ -28,6 +28,7 @@ from scipy.stats import chi2, f
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.features.exports.refining import fit_correction
+from boresight.features.heads.alignment import heads_alone
 from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
@@ -42,7 +43,7 @@ from boresight.pipeline.files.dump import open_dump, read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.head_records import heads_alone, noise_of_heads
+from boresight.pipeline.stages.head_records import noise_of_heads
 
 DATA = Path(__file__).parents[1] / ".." / "shared" / "data"
 # IERS Bulletin A of 24 October 2019, which the operator's software used

@@ -1,4 +1,4 @@
-"""The heads of a dump by themselves: their noise, and their alignment, from the whole record of attitudes."""
+"""The heads of a dump by themselves: their noise from the whole record of attitudes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.alignment import HeadAlignment, HeadTrack, align_heads, carried_to, common_instants
+from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
 from boresight.calib.noise_spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
@@ -19,11 +18,10 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import covered_instants, sight_head
 
-__all__ = ["LOWEST_HZ", "HeadNoise", "HeadsAlone", "attitude_signal", "heads_alone", "noise_of_heads"]
+__all__ = ["HeadNoise", "attitude_signal", "head_track", "noise_of_heads", "noise_of_tracks"]
 
 LOWEST_HZ = 0.5  # of a single head: slower motion is the satellite's
 PIECE_S = 10.0  # length over which errors count as constant, where the dump has no longer strip
-LEAST_ORBIT = 0.25  # of an orbit that a record must span for a term of the position in it
 
 
 @record(kw_only=True)
@@ -35,22 +33,12 @@ class HeadNoise:
     fit: NoiseFit = scalar("noise with errors")
 
 
-@record(kw_only=True)
-class HeadsAlone:
-    """Alignments of the heads of a dump with its reference head."""
-
-    reference: str = scalar("name of the reference head")
-    noise: HeadNoise = scalar("their noise")
-    alignments: tuple[HeadAlignment, ...] = scalar("of each further head")
-    stated: tuple[Rotation, ...] = scalar("R_sh of the same heads by the pre-launch matrices")
-
-
 def noise_of_heads(dump: Dump, settings: Settings, lowest_hz: float = LOWEST_HZ) -> HeadNoise:
     """Noise of a dump's heads: by their differences, or of a single one above the motion's frequencies.
 
     `DataNotSufficientError` for a record that is too short or has too many gaps.
     """
-    return _noise(dump, [_track(dump, head, settings)[0] for head in dump.heads], lowest_hz)
+    return noise_of_tracks(dump, [head_track(dump, head, settings)[0] for head in dump.heads], lowest_hz)
 
 
 def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Signal] | None:
@@ -63,42 +51,15 @@ def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Si
         return None
     try:
         if len(solved) == len(dump.heads) > 1:
-            tracks = [_track(dump, head, settings)[0] for head in solved]
+            tracks = [head_track(dump, head, settings)[0] for head in solved]
             return tuple(track.name for track in tracks), _differences(dump, tracks)
-        track = _track(dump, solved[0], settings)[0]
+        track = head_track(dump, solved[0], settings)[0]
         return (track.name,), _single(track, LOWEST_HZ)
     except (DataNotSufficientError, ValueError):  # too short, or no common instants: no signal
         return None
 
 
-def heads_alone(dump: Dump, settings: Settings) -> HeadsAlone:
-    """Alignment of the further heads of a dump with its reference head.
-
-    `DataNotSufficientError` for a single head, and for heads without attitudes at common instants.
-    """
-    if len(dump.heads) < 2:
-        raise DataNotSufficientError(
-            "the dump has one star camera, an alignment needs two ([[star_cameras]])"
-        )
-    tracks = [_track(dump, head, settings) for head in dump.heads]
-    noise = _noise(dump, [track for track, _ in tracks], LOWEST_HZ)
-    reference, alignments = tracks[0][0], []
-    for n, (track, temperature) in enumerate(tracks[1:], start=1):
-        pair = noise.fit.heads[0], noise.fit.heads[n]
-        try:
-            found = align_heads(reference, track, pair, _terms(dump, track, temperature), noise.fit.mean_s)
-        except ValueError as error:
-            raise DataNotSufficientError(str(error)) from error
-        alignments.append(found)
-    return HeadsAlone(
-        reference=reference.name,
-        noise=noise,
-        alignments=tuple(alignments),
-        stated=tuple(dump.R_cs0.inv() * head.R_cs0 for head in dump.heads[1:]),
-    )
-
-
-def _track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Floats | None]:
+def head_track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Floats | None]:
     """All attitudes of a head that the orbit covers, and its temperatures."""
     if isinstance(head.source, SolvedAttitudes):
         rows = head.source.rows
@@ -116,7 +77,8 @@ def _track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Float
     return HeadTrack(name=head.name, t_s=t_s, R_hi=R_hi, R_oi=dump.orbit.R_oi(t_s)), None
 
 
-def _noise(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float) -> HeadNoise:
+def noise_of_tracks(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float = LOWEST_HZ) -> HeadNoise:
+    """As `noise_of_heads`, of tracks in the order of the dump's heads."""
     longest = max(
         (strip.lines * strip.row_period_s for strip in (*dump.strips, *dump.sky_strips)), default=0.0
     )
@@ -154,17 +116,3 @@ def _differences(dump: Dump, tracks: Sequence[HeadTrack]) -> Signal:
         mean = (R_si * R_hi.inv() * R_sh.inv()).as_rotvec()
         moved.append((R_hi, Rotation.from_rotvec(np.median(mean, axis=0)) * R_sh))
     return difference_signal(R_si, moved, pieces_of(reference.t_s[rows]))
-
-
-def _terms(dump: Dump, track: HeadTrack, temperature: Floats | None) -> dict[str, Floats]:
-    """Quantities that an alignment may change with, where the record spans enough of them."""
-    terms = {"hour": track.t_s / 3600.0}
-    latitude = np.unwrap(argument_of_latitude(*dump.orbit.states_i(track.t_s)))
-    if np.ptp(latitude) > 2.0 * np.pi * LEAST_ORBIT:
-        terms |= {
-            "cos(argument of latitude)": np.cos(latitude),
-            "sin(argument of latitude)": np.sin(latitude),
-        }
-    if temperature is not None and np.ptp(temperature) > 0.1:
-        terms["degree Celsius"] = temperature
-    return terms

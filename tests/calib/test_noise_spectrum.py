@@ -1,4 +1,4 @@
-"""Noise of heads from their record, and the alignment between heads, against the noise that was drawn."""
+"""Noise of heads from their record against the noise that was drawn."""
 
 from __future__ import annotations
 
@@ -8,45 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
 
-from boresight.calib.alignment import HeadTrack, align_heads, carried_to, common_instants
+from boresight.calib.head_tracks import carried_to, common_instants
 from boresight.calib.noise_spectrum import Signal, allan_deviation, difference_signal, fit_noise, pieces_of
-from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.simulator.head_attitudes import correlated_noise
-
-ARCSEC = np.pi / 648_000.0
-STEP, ROWS = 0.1, 930  # the record of Sentinel-2A's trackers
-T = STEP * np.arange(ROWS)
-R_SH = Rotation.from_euler("xyz", [50.0, 20.0, -70.0], degrees=True)
-WHITE = np.array([[0.6, 0.9, 6.0], [0.9, 0.7, 6.8]])
-CORRELATED = np.array([[0.4, 0.7, 4.7], [0.7, 0.35, 4.9]])
-TIME = np.array([[0.5, 0.8, 1.2], [1.2, 0.4, 0.9]])
-NOISE = [
-    AttitudeNoise(
-        white_rad=w * ARCSEC, correlated_rad=a * ARCSEC, correlation_time_s=tau, constant_rad=np.zeros(3)
-    )
-    for w, a, tau in zip(WHITE, CORRELATED, TIME)
-]
-
-
-def errors(rng: np.random.Generator, head: int) -> np.ndarray:
-    slow = correlated_noise(CORRELATED[head], TIME[head], ROWS, STEP, rng)
-    return ARCSEC * (WHITE[head] * rng.standard_normal((ROWS, 3)) + slow)
-
-
-def tracks(
-    rng: np.random.Generator, late_s: float = 0.0, slew_rad_s2: float = 0.0
-) -> tuple[HeadTrack, HeadTrack]:
-    """Two heads on a satellite that follows its orbit, or slews about a lopsided axis."""
-
-    def motion(t: np.ndarray) -> Rotation:
-        angle = np.outer(0.5 * slew_rad_s2 * t**2, [0.6, -0.5, 0.62])
-        return Rotation.from_rotvec(angle) * Rotation.from_rotvec(np.outer(t, [0.0, 1.1e-3, 0.0]))
-
-    nominal = Rotation.from_rotvec(np.outer(T, [0.0, 1.1e-3, 0.0]))
-    a = Rotation.from_rotvec(errors(rng, 0)) * motion(T)
-    b = Rotation.from_rotvec(errors(rng, 1)) * R_SH.inv() * motion(T - late_s)
-    return HeadTrack(name="A", t_s=T, R_hi=a, R_oi=nominal), HeadTrack(name="B", t_s=T, R_hi=b, R_oi=nominal)
 
 
 def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
@@ -94,30 +59,6 @@ def test_record_without_a_long_piece_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="50 rows, 64 are needed"):
         fit_noise(signal, 26.0)
-
-
-def test_alignment_and_its_covariance_hold() -> None:
-    nees, runs = 0.0, 60
-    for seed in range(runs):
-        found = align_heads(
-            *tracks(np.random.default_rng(100 + seed)), (NOISE[0], NOISE[1]), {"hour": T / 3600}, 10.0
-        )
-        error = (found.R_sh * R_SH.inv()).as_rotvec()
-        nees += error @ np.linalg.solve(found.covariance_s, error)
-        assert abs(found.angle_rad - np.arccos(R_SH.apply([0, 0, 1])[2])) < 6.0 * found.sigma_angle_rad
-        drift = found.terms[0]
-        assert np.all(np.abs(drift.value) < 5.0 * drift.sigma)
-    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
-    assert low < nees < high
-
-
-def test_time_offset_shows_when_the_satellite_slews() -> None:
-    late = 0.012  # s
-    noise = (NOISE[0], NOISE[1])
-    slewing = align_heads(*tracks(np.random.default_rng(7), late, slew_rad_s2=1e-4), noise, {}, 10.0)
-    assert abs(slewing.time_offset_s - late) < 4.0 * slewing.sigma_time_offset_s < 0.004
-    steady = align_heads(*tracks(np.random.default_rng(7), late), noise, {}, 10.0)
-    assert steady.sigma_time_offset_s > 0.05
 
 
 def test_attitudes_between_instants_are_carried_by_the_smoothed_motion() -> None:

@@ -13,29 +13,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.noise_spectrum import pieces_of
+from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.stages.head_records import HeadNoise, head_track, noise_of_tracks
 
-__all__ = ["AlignmentTerm", "HeadAlignment", "HeadTrack", "align_heads", "carried_to", "common_instants"]
+__all__ = ["AlignmentTerm", "HeadAlignment", "HeadsAlone", "align_heads", "heads_alone"]
 
 # Most blocks of time into which the differences of two heads are averaged; bounds the time of the fit.
 MOST_BLOCKS = 300
-SMOOTHING_S = 2.0  # over which the rate of the motion is found that carries an attitude to a close instant
-
-
-@record(kw_only=True)
-class HeadTrack:
-    """Attitudes of one head over a record."""
-
-    name: str = scalar("name of the head")
-    t_s: Floats = array("K", "instants, TAI seconds since the dump's epoch, increasing")
-    R_hi: Rotation = scalar("(K,) GCRS to the head")
-    R_oi: Rotation = scalar("(K,) GCRS to the orbital frame")
+LEAST_ORBIT = 0.25  # of an orbit that a record must span for a term of the position in it
 
 
 @record(kw_only=True)
@@ -65,30 +59,41 @@ class HeadAlignment:
     block_sigma: Floats = array("B, 3", "its 1-sigma by the noise model")
 
 
-def common_instants(reference: HeadTrack, other: HeadTrack) -> tuple[Ints, Ints]:
-    """Rows (M,) of both heads that are nearest to one another, at most half a step apart."""
-    step, _ = pieces_of(reference.t_s)
-    right = np.clip(np.searchsorted(reference.t_s, other.t_s), 1, len(reference.t_s) - 1)
-    nearer_left = other.t_s - reference.t_s[right - 1] < reference.t_s[right] - other.t_s
-    nearest = np.where(nearer_left, right - 1, right)
-    rows = np.flatnonzero(np.abs(reference.t_s[nearest] - other.t_s) <= 0.5 * step + 1e-9)
-    return nearest[rows], rows
+@record(kw_only=True)
+class HeadsAlone:
+    """Alignments of the heads of a dump with its reference head."""
+
+    reference: str = scalar("name of the reference head")
+    noise: HeadNoise = scalar("their noise")
+    alignments: tuple[HeadAlignment, ...] = scalar("of each further head")
+    stated: tuple[Rotation, ...] = scalar("R_sh of the same heads by the pre-launch matrices")
 
 
-def carried_to(track: HeadTrack, rows: Ints, t_s: Floats, R_oi: Rotation) -> Rotation:
-    """Attitudes of rows (M,), each carried to a close instant (M,) by the smoothed motion around it."""
+def heads_alone(dump: Dump, settings: Settings) -> HeadsAlone:
+    """Alignment of the further heads of a dump with its reference head.
 
-    D = track.R_hi * track.R_oi.inv()
-    away = t_s - track.t_s[rows]
-    step, pieces = pieces_of(track.t_s)
-    rate = np.zeros((len(track.t_s), 3))
-    window = 2 * int(0.5 * SMOOTHING_S / step) + 1
-    for piece in pieces:
-        if np.any(away) and window >= 5 and piece.stop - piece.start >= window:
-            middle = D[(piece.start + piece.stop) // 2]
-            rotvec = (D[piece] * middle.inv()).as_rotvec()
-            rate[piece] = scipy.signal.savgol_filter(rotvec, window, 2, deriv=1, delta=step, axis=0)
-    return Rotation.from_rotvec(rate[rows] * away[:, None]) * D[rows] * R_oi
+    `DataNotSufficientError` for a single head, and for heads without attitudes at common instants.
+    """
+    if len(dump.heads) < 2:
+        raise DataNotSufficientError(
+            "the dump has one star camera, an alignment needs two ([[star_cameras]])"
+        )
+    tracks = [head_track(dump, head, settings) for head in dump.heads]
+    noise = noise_of_tracks(dump, [track for track, _ in tracks])
+    reference, alignments = tracks[0][0], []
+    for n, (track, temperature) in enumerate(tracks[1:], start=1):
+        pair = noise.fit.heads[0], noise.fit.heads[n]
+        try:
+            found = align_heads(reference, track, pair, _terms(dump, track, temperature), noise.fit.mean_s)
+        except ValueError as error:
+            raise DataNotSufficientError(str(error)) from error
+        alignments.append(found)
+    return HeadsAlone(
+        reference=reference.name,
+        noise=noise,
+        alignments=tuple(alignments),
+        stated=tuple(dump.R_cs0.inv() * head.R_cs0 for head in dump.heads[1:]),
+    )
 
 
 def align_heads(
@@ -228,3 +233,17 @@ def _angle(R_sh: Rotation) -> tuple[float, Floats]:
     z, other = np.array([0.0, 0.0, 1.0]), R_sh.apply([0.0, 0.0, 1.0])
     normal = np.cross(z, other)
     return float(np.arctan2(np.linalg.norm(normal), z @ other)), normal / np.linalg.norm(normal)
+
+
+def _terms(dump: Dump, track: HeadTrack, temperature: Floats | None) -> dict[str, Floats]:
+    """Quantities that an alignment may change with, where the record spans enough of them."""
+    terms = {"hour": track.t_s / 3600.0}
+    latitude = np.unwrap(argument_of_latitude(*dump.orbit.states_i(track.t_s)))
+    if np.ptp(latitude) > 2.0 * np.pi * LEAST_ORBIT:
+        terms |= {
+            "cos(argument of latitude)": np.cos(latitude),
+            "sin(argument of latitude)": np.sin(latitude),
+        }
+    if temperature is not None and np.ptp(temperature) > 0.1:
+        terms["degree Celsius"] = temperature
+    return terms
