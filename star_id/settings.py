@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from boresight.geometry.record import check_numbers, record, scalar
 
-from boresight.geometry.record import check_numbers, record, scalar, value_text
-
-__all__ = ["CentroidMethod", "StarSettings"]
-
-CentroidMethod = Literal["fit", "window"]
+__all__ = ["StarSettings"]
 
 
 @record(kw_only=True)
@@ -21,7 +17,6 @@ class StarSettings:
     gain_e_per_dn: float | None = scalar("None: from the residuals of the stars themselves", default=None)
     psf_sigma_px: float | None = scalar("None: estimated from the image", default=None)
     smear_px: tuple[float, float] | None = scalar("motion (column, row), px; None: estimated", default=None)
-    centroid_method: CentroidMethod = scalar('"fit" of the PSF, or "window": first moments', default="fit")
     max_stars: int = scalar("brightest detections kept; more stars only cost time", default=600)
 
     # Identification
@@ -40,11 +35,6 @@ class StarSettings:
     max_photocentre_shift_px: float = scalar("limit for displaced stars, px", default=0.02)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.centroid_method, str) or self.centroid_method not in get_args(CentroidMethod):
-            methods = " or ".join(get_args(CentroidMethod))
-            raise ValueError(
-                f"StarSettings.centroid_method must be {methods}, got {value_text(self.centroid_method)}"
-            )
         check_numbers(
             self, any_value=("saturation_dn",), zero=("epoch_error_years", "max_photocentre_shift_px")
         )

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -34,9 +33,6 @@ def centroids_command(
     ] = None,
     psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
     gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
-    method: Annotated[
-        Literal["fit", "window"] | None, typer.Option(help="A fit of the PSF, or first moments in a window.")
-    ] = None,
     dark: Dark = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
     plot: Annotated[
@@ -64,11 +60,16 @@ def centroids_command(
         raise wrong_usage("--max-x-bound, --min-complete and --junit need --truth")
     if plot is not None and truth is None:
         raise wrong_usage("--plot needs --truth")
-    stars = star_settings(settings)
-    if method is not None:
-        stars = replace(stars, centroid_method=method)
     score = score_images(
-        images, truth, stars, psf_sigma_px=psf_sigma_px, gain=gain, dark=dark, out=out, plot=plot, say=tell
+        images,
+        truth,
+        star_settings(settings),
+        psf_sigma_px=psf_sigma_px,
+        gain=gain,
+        dark=dark,
+        out=out,
+        plot=plot,
+        say=tell,
     )
     if score is None:
         return Answer()

@@ -73,13 +73,6 @@ class StarFits:
         """The fits at indices (M,) or of a mask (N,)."""
         return StarFits(**{name: getattr(self, name)[index] for name in _COLUMNS})
 
-    def with_rows(self, index: Ints, rows: StarFits) -> StarFits:
-        """The fits with those at `index` (M,) replaced by `rows`."""
-        columns = {name: getattr(self, name).copy() for name in _COLUMNS}
-        for name, values in columns.items():
-            values[index] = getattr(rows, name)
-        return StarFits(**columns)
-
 
 # Fields of `StarFits`, which all have a row a star.
 _COLUMNS = tuple(field.name for field in fields(StarFits))

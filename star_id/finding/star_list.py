@@ -24,7 +24,6 @@ from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosa
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
-from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
@@ -305,9 +304,7 @@ def _fits_of(
     pixels, offset = found.xy_px[rows], found.offset_px[rows]
     pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
     psf, counts = found.psf, Counts(found.gain_e_per_dn, saturation)
-    in_windows = settings.centroid_method == "window" and psf.shape is None
-    centroids = _windowed_or_fitted if in_windows else fit_stars
-    fits = centroids(image, pixels, offset, background, psf, counts)
+    fits = fit_stars(image, pixels, offset, background, psf, counts)
     star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
@@ -361,15 +358,6 @@ def _spread_over_image(xy_px: NDArray[Any], most: int, shape: tuple[int, ...]) -
     rank = np.empty(len(cell), dtype=np.int64)
     rank[order] = np.arange(len(cell)) - first[cell[order]]
     return np.sort(np.argsort(rank, kind="stable")[:most])
-
-
-def _windowed_or_fitted(
-    image: NDArray[Any], pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
-) -> StarFits:
-    """Windowed centroids; PSF fits for saturated stars, whose middle pixels are lost."""
-    stars = windowed_centroids(image, pixels, offset, background, psf, counts)
-    full = np.flatnonzero(stars.saturated)
-    return stars.with_rows(full, fit_stars(image, pixels[full], offset[full], background, psf, counts))
 
 
 def _detections(

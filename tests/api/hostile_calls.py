@@ -205,7 +205,6 @@ def stars_found_with(
     saturation_dn: Any = None,
     gain_e_per_dn: Any = None,
     psf_sigma_px: Any = None,
-    centroid_method: Any = "fit",
     max_stars: Any = 600,
 ) -> bs.Stars:
     """Stars by hostile settings."""
@@ -214,7 +213,6 @@ def stars_found_with(
         saturation_dn=saturation_dn,
         gain_e_per_dn=gain_e_per_dn,
         psf_sigma_px=psf_sigma_px,
-        centroid_method=centroid_method,
         max_stars=max_stars,
     )
     return bs.find_stars(image, settings=settings)

@@ -18,7 +18,6 @@ from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.centroid import Counts, fit_stars
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.windowed_centroid import windowed_centroids
 from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
 from boresight.star_id.observer import Observer, proper_motion_covariance
@@ -181,8 +180,7 @@ def test_blended_stars_of_a_list_are_not_selected(index):
     assert every.sum() > 20 and (some == every & ~blended).all() and (every & blended).any()
 
 
-@pytest.mark.parametrize("method", [fit_stars, windowed_centroids])
-def test_the_covariance_is_larger_along_the_smear(method):
+def test_the_covariance_is_larger_along_the_smear():
     rng, size, smear = np.random.default_rng(6), 600, (6.0, 0.0)
     x, y = np.meshgrid(np.arange(30, size - 30, 40), np.arange(30, size - 30, 40))
     xy = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.5, 0.5, (x.size, 2))
@@ -190,7 +188,7 @@ def test_the_covariance_is_larger_along_the_smear(method):
     pixels = np.rint(xy).astype(np.int64)
     sky = Background(np.full((3, 3), 20.0), np.full((3, 3), 2.0), size, size)
     psf = Psf(1.25, 1.25, smear, size, size)
-    fits = method(image, pixels, xy - pixels, sky, psf, Counts(gain_e_per_dn=40.0, saturation_dn=np.inf))
+    fits = fit_stars(image, pixels, xy - pixels, sky, psf, Counts(gain_e_per_dn=40.0, saturation_dn=np.inf))
     error, variance = fits.xy_px - xy, np.einsum("nii->ni", fits.cov_px)
     assert (variance[:, 0] > 1.5 * variance[:, 1]).all()  # 1.25 px and hypot(1.25, 6 / sqrt(12)) px wide
     # 196 stars: 10 % (1 sigma) on each axis

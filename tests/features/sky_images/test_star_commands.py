@@ -167,21 +167,6 @@ def test_centroids_are_held_to_limits(folder, tmp_path):
     assert run("centroids", images[0], "--max-x-bound", 1.1).exit_code == 2  # without a truth
 
 
-def test_the_method_of_the_centroids_may_be_chosen(folder, tmp_path):
-    tables = []
-    for method in ("fit", "window"):
-        out = tmp_path / f"{method}.csv"
-        done = run("centroids", folder / "sky0.png", "--method", method, "--out", out)
-        assert done.exit_code == 0, done.output
-        tables.append(pd.read_csv(out))
-    fit, window = (table.set_index(table["x_px"].round()) for table in tables)
-    both = fit.join(window, rsuffix="_window", how="inner")
-    assert len(both) > 0.9 * len(fit)
-    shift = (both["x_px"] - both["x_px_window"]) / both["sigma_x_px"]
-    assert 0.0 < np.median(np.abs(shift)) < 0.3  # standard errors: other sums of the same noise
-    assert run("centroids", folder / "sky0.png", "--method", "unknown").exit_code == 2
-
-
 def test_a_truth_without_its_columns_is_named(folder, tmp_path):
     (tmp_path / "truth.csv").write_text("x,y\n1,2\n")
     done = CliRunner().invoke(
