@@ -31,8 +31,7 @@ from boresight.geometry.starlight import (
 )
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Strip
-from boresight.pipeline.stages.match_pictures import NO_PICTURES
-from boresight.pipeline.stages.strip import MatchedTargets
+from boresight.pipeline.stages.strip import MatchedTargets, measured_points
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.fit import LEAST_GAIN
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -242,21 +241,10 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
 
 
 def as_matched(named: NamedStars) -> MatchedTargets:
-    """The named stars as targets matched in a strip: without pictures, with NaN where matching gives a
-    number.
-    """
-    found, J = named.found.take(named.rows), len(named.rows)
-    return MatchedTargets(
-        strip_id=named.strip_id,
-        target_id=named.names,
-        ccd=found.ccd,
-        xy_px=found.xy_px,
-        cov_px=found.cov_px,
-        correlation=np.full(J, np.nan),
-        probability_wrong=named.probability_wrong,
-        predicted_px=np.full((J, 2), np.nan),
-        pictures=(NO_PICTURES,) * J,
-        omissions=(),
+    """The named stars as targets measured in a strip."""
+    found = named.found.take(named.rows)
+    return measured_points(
+        named.strip_id, named.names, found.ccd, found.xy_px, found.cov_px, named.probability_wrong
     )
 
 

@@ -53,6 +53,7 @@ __all__ = [
     "footprint_e",
     "ground_sightings",
     "match_strip_targets",
+    "measured_points",
     "no_matches",
     "orbit_around",
     "predicted_again",
@@ -177,22 +178,43 @@ def _contradicting(match: TargetMatch, distance: float) -> Contradicting:
     )
 
 
+def measured_points(
+    strip_id: str,
+    target_id: Texts,
+    ccd: Ints,
+    xy_px: Floats,
+    cov_px: Floats,
+    probability_wrong: Floats | None = None,
+) -> MatchedTargets:
+    """Image points (N, 2) of a strip, with covariances (N, 2, 2), that no template was matched to: without
+    pictures, with NaN where matching would give a number.
+    """
+    n = len(ccd)
+    unknown = np.full(n, np.nan)
+    return MatchedTargets(
+        strip_id=strip_id,
+        target_id=target_id,
+        ccd=ccd,
+        xy_px=xy_px,
+        cov_px=cov_px,
+        correlation=unknown,
+        probability_wrong=unknown if probability_wrong is None else probability_wrong,
+        predicted_px=np.full((n, 2), np.nan),
+        pictures=(NO_PICTURES,) * n,
+        omissions=(),
+    )
+
+
 def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
     """The positions of a strip that contradict the others, as matched targets of it."""
     rows, n = matched.contradicting, len(matched.contradicting)
     xx, xy, yy = np.array([one.cov_px for one in rows], dtype=float).reshape(n, 3).T
-    unknown = np.full(n, np.nan)
-    return MatchedTargets(
-        strip_id=matched.strip_id,
-        target_id=np.array([one.target_id for one in rows], dtype=str),
-        ccd=np.array([one.ccd for one in rows], dtype=np.int64),
-        xy_px=np.array([one.xy_px for one in rows], dtype=float).reshape(n, 2),
-        cov_px=np.stack([xx, xy, xy, yy], axis=1).reshape(n, 2, 2),
-        correlation=unknown,
-        probability_wrong=unknown,
-        predicted_px=np.full((n, 2), np.nan),
-        pictures=(NO_PICTURES,) * n,
-        omissions=(),
+    return measured_points(
+        matched.strip_id,
+        np.array([one.target_id for one in rows], dtype=str),
+        np.array([one.ccd for one in rows], dtype=np.int64),
+        np.array([one.xy_px for one in rows], dtype=float).reshape(n, 2),
+        np.stack([xx, xy, xy, yy], axis=1).reshape(n, 2, 2),
     )
 
 
@@ -202,27 +224,13 @@ def no_matches(omission: Omission) -> MatchedTargets:
 
 
 def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
-    """The matched targets of a strip, and the points measured in it by others: without pictures, with NaN
-    where matching would give a number.
-    """
-    n = len(points.ccd)
-    unknown = np.full(n, np.nan)
-    measured = MatchedTargets(
-        strip_id=matched.strip_id,
-        target_id=np.array([target.target_id for target in points.targets], dtype=str),
-        ccd=points.ccd,
-        xy_px=points.xy_px,
-        cov_px=points.cov_px,
-        correlation=unknown,
-        probability_wrong=unknown,
-        predicted_px=np.full((n, 2), np.nan),
-        pictures=(NO_PICTURES,) * n,
-        omissions=(),
-    )
-    names = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
+    """The matched targets of a strip, and the points measured in it by others."""
+    names = np.array([target.target_id for target in points.targets], dtype=str)
+    measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
+    columns = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
     rows = {
         name: np.concatenate([getattr(matched, name), getattr(measured, name)])
-        for name in names
+        for name in columns
         if name != "pictures"
     }
     return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
