@@ -67,7 +67,7 @@ class _DatedResult:
     pair: InformationPairs  # of theta and of the camera's distortion
     R_cs0: Rotation
     utc: tuple[str, ...]  # of its strips
-    cos_sin: Array  # (2,) mean over the strips; NaN where not known
+    cos_sin: Array  # (2,) mean over the strips
     alike: dict[str, Any]  # what must be the same in all results, where it is known
 
 
@@ -183,22 +183,20 @@ def _read(name: str, path: Path) -> _DatedResult:
     if pair.shared:
         stated = saved.installation.get("settings", {}).get("calibration", {})
         alike |= {f"settings.calibration.{key}": stated.get(key) for key in OF_DISTORTION}
-    passes = path / "sightings" / "passes.parquet"
-    if passes.is_file():
-        table = read_sightings(path, "passes", "utc_middle argument_of_latitude_rad camera")
-        utc = tuple(table.column("utc_middle").to_pylist())
-        u = column(table, "argument_of_latitude_rad")
-        cameras = sorted(set(table.column("camera").to_pylist()))
-        try:
-            Epoch.from_utc(min(utc)).seconds_from_utc(utc)
-        except ValueError as error:
-            raise RawDataError(str(passes), "utc_middle", str(error), "UTC times of strips") from error
-        # A digest is only comparable between results of one version of the program.
-        alike[f"camera of version {saved.installation.get('version')}"] = cameras
-        cos_sin = np.array([np.cos(u).mean(), np.sin(u).mean()])
-        return _DatedResult(name, pair, R_cs0, utc, cos_sin, alike)
-    utc = _date_of_exposures(path, context, saved.t_exposures_s)
-    return _DatedResult(name, pair, R_cs0, utc, np.full(2, np.nan), alike)
+    table = read_sightings(path, "passes", "utc_middle argument_of_latitude_rad camera")
+    utc = tuple(table.column("utc_middle").to_pylist())
+    u = column(table, "argument_of_latitude_rad")
+    try:
+        Epoch.from_utc(min(utc)).seconds_from_utc(utc)
+    except ValueError as error:
+        file = str(path / "sightings" / "passes.parquet")
+        raise RawDataError(file, "utc_middle", str(error), "UTC times of strips") from error
+    # A digest is only comparable between results of one version of the program.
+    alike[f"camera of version {saved.installation.get('version')}"] = sorted(
+        set(table.column("camera").to_pylist())
+    )
+    cos_sin = np.array([np.cos(u).mean(), np.sin(u).mean()])
+    return _DatedResult(name, pair, R_cs0, utc, cos_sin, alike)
 
 
 def _context(path: Path) -> dict[str, Any]:
@@ -206,18 +204,6 @@ def _context(path: Path) -> dict[str, Any]:
     if not file.is_file():
         return {}
     return read_json(file)
-
-
-def _date_of_exposures(path: Path, context: dict[str, Any], t_s: Array) -> tuple[str, ...]:
-    """The date of a result of an earlier version, from its report's notes."""
-    expected = "the table that `calibrate` writes; calibrate the dump once more, its finished units are found"
-    if "epoch_utc" not in context or not len(t_s):
-        raise RawDataError(str(path / "sightings" / "passes.parquet"), "file", "nothing", expected)
-    try:
-        epoch = Epoch.from_utc(str(context["epoch_utc"]))
-        return (epoch.utc_from_seconds(float(t_s.mean()))[0],)
-    except ValueError as error:
-        raise RawDataError(str(path), "epoch_utc", str(error), expected) from error
 
 
 def _check_alike(first: _DatedResult, other: _DatedResult) -> None:

@@ -107,8 +107,7 @@ def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
 
 
 def sigma_on_ground(installation: dict[str, Any]) -> tuple[Number, ...]:
-    """1-sigma about X, Y, Z as metres on the ground; not known in a result of an older version."""
-    per_rad = installation.get("ground_m_per_rad", [None] * 3)
+    """1-sigma about X, Y, Z as metres on the ground; not known where no strip sees it."""
     return tuple(
         number_from(
             installation,
@@ -118,7 +117,7 @@ def sigma_on_ground(installation: dict[str, Any]) -> tuple[Number, ...]:
             scale=float("nan") if lever is None else lever,
             root=True,
         )
-        for i, lever in enumerate(per_rad)
+        for i, lever in enumerate(installation["ground_m_per_rad"])
     )
 
 

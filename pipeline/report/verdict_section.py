@@ -59,14 +59,14 @@ class BlindRow:
 
 @record(kw_only=True)
 class VerdictView:
-    """The verdict of installation.json; `outcome` is "not assessed" where it has none (older versions)."""
+    """The verdict of installation.json."""
 
-    outcome: str = scalar('value of `calib.verdict.Outcome`, or "not assessed"')
+    outcome: str = scalar("value of `calib.verdict.Outcome`")
     sentence: str = scalar("the outcome in one line, as on the console")
     checks: tuple[CheckRow, ...] = scalar("all checks")
-    false_alarm: Number | None = scalar("probability that consistent data are refuted")
+    false_alarm: Number = scalar("probability that consistent data are refuted")
     weakest_axis: str = scalar("X, Y or Z: the axis of c nearest to the direction with the largest 1-sigma")
-    weakest_arcsec: Number | None = scalar("that 1-sigma")
+    weakest_arcsec: Number = scalar("that 1-sigma")
     direction: tuple[Number, ...] = scalar("unit vector of that direction, frame c")
     blind: tuple[BlindRow, ...] = scalar("errors that the data cannot show, or show too late", default=())
 
@@ -103,24 +103,14 @@ class VerdictView:
 
 def verdict_view(installation: dict[str, Any], source: str = "installation.json") -> VerdictView:
     """The verdict in the content of the file `source`."""
-    verdict = installation.get("verdict")
-    if verdict is None:
-        return VerdictView(
-            outcome="not assessed",
-            sentence="not assessed: the version that wrote this result computed no verdict; calibrate again",
-            checks=(),
-            false_alarm=None,
-            weakest_axis="",
-            weakest_arcsec=None,
-            direction=(),
-        )
+    verdict = installation["verdict"]
 
     def number(key: str, form: str, scale: float = 1.0) -> Number:
         return number_from(installation, source, f"verdict.{key}", form, scale=scale)
 
     return VerdictView(
         outcome=str(verdict["outcome"]),
-        sentence=str(verdict.get("sentence", verdict["outcome"])),
+        sentence=str(verdict["sentence"]),
         checks=tuple(
             CheckRow(
                 kind=str(check["kind"]),
@@ -130,7 +120,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
                 p_value=number(f"checks.{n}.p_value", ".2g"),
                 limit=number(f"checks.{n}.limit", ".2g"),
                 holds=bool(check["holds"]),
-                is_caution=bool(check.get("is_caution", False)),
+                is_caution=bool(check["is_caution"]),
                 look_at=tuple(map(str, check["look_at"])),
                 names=tuple(" = ".join(map(str, group)) for group in check["names"]),
             )

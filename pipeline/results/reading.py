@@ -66,9 +66,7 @@ class SavedResult:
     exposure_id: list[str] = array("K", "ids of the identified exposures")
     t_exposures_s: Floats = array("K", "their times, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
-    covariance_s: Floats = array(
-        "K, 3, 3", "covariance of their errors, frame s, rad²; NaN in results of earlier versions"
-    )
+    covariance_s: Floats = array("K, 3, 3", "covariance of their errors, frame s, rad²")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
     earth: SavedEarth = scalar(
         "errors of predicted Earth orientation; none where it was measured", default=NO_EARTH
@@ -104,7 +102,7 @@ def read_saved_result(result: Path) -> SavedResult:
     if dumps_in(result):
         table = arrow_rows([], sightings_schema("exposures"))
     else:
-        table = read_sightings(result, "exposures", "exposure_id t_s R_si usable")
+        table = read_sightings(result, "exposures", "exposure_id t_s R_si covariance_s usable")
     try:
         R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
     except ValueError as error:
@@ -117,7 +115,7 @@ def read_saved_result(result: Path) -> SavedResult:
         exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
         t_exposures_s=column(table, "t_s"),
         R_si=R_si,
-        covariance_s=_covariances(result, len(table)),
+        covariance_s=list_values(table, "covariance_s", 3, 3),
         usable=column(table, "usable").astype(bool),
         earth=_earth(content, name),
     )
@@ -140,14 +138,6 @@ def _earth(content: dict[str, Any], file: str) -> SavedEarth:
         covariance=_numbers(saved, "covariance", (n, n), file),
         with_theta_rad=_numbers(saved, "covariance_with_theta_rad", (3, n), file),
     )
-
-
-def _covariances(result: Path, count: int) -> Floats:
-    """Covariances (K, 3, 3) of the attitudes of a result's `count` exposures; NaN where it has none."""
-    try:
-        return list_values(read_sightings(result, "exposures", "covariance_s"), "covariance_s", 3, 3)
-    except RawDataError:  # the other columns were read: earlier versions wrote no such column
-        return np.full((count, 3, 3), np.nan)
 
 
 def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:

@@ -61,7 +61,7 @@ def requirement_lines(requirement: Mapping[str, Any], installation: Mapping[str,
 
 def _judged(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
     sigma_rad = np.sqrt(np.diag(np.array(installation["covariance_rad2"])))
-    per_rad: Sequence[float | None] = installation.get("ground_m_per_rad") or [None] * 3
+    per_rad: Sequence[float | None] = installation["ground_m_per_rad"]
     on_ground = sigma_rad * np.array([np.nan if value is None else value for value in per_rad])
     verdict = (installation.get("verdict") or {}).get("outcome", "not assessed")
     cases = (("arcsec", "arcsec about each axis", sigma_rad / ARCSEC), ("m", "m on the ground", on_ground))

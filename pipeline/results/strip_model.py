@@ -22,7 +22,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
-from boresight.pipeline.run.settings import RunSettings, effects_of, settings_from_values
+from boresight.pipeline.run.settings import RunSettings, settings_from_values
 from boresight.pipeline.stages.coverage import rows_not_covered
 
 __all__ = [
@@ -63,14 +63,9 @@ class StripModel:
 
 def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
     """A finished result with its dump: the one given, or else the one that the run's notes name. Of several
-    dumps, one must be given; it comes with the joint matrix. `RawDataError` for a result without covariances
-    of the attitudes, of an earlier version.
+    dumps, one must be given; it comes with the joint matrix.
     """
     folder, saved = read_for_dump(result, dump)
-    if np.isnan(saved.covariance_s).any():
-        file = str(folder / "sightings" / "exposures.parquet")
-        expected = "that of `calibrate`; calibrate anew"
-        raise RawDataError(file, "column covariance_s", "no such column", expected)
     run = run_settings_of(saved, str(result / "installation.json"))
     root = dump if dump is not None else _noted_dump(result)
     check_dump_of(folder, root)
@@ -79,7 +74,7 @@ def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = 
         result=saved,
         dump=opened,
         attitude_covariance_s=saved.covariance_s,
-        effects=effects_of(run, opened.light),
+        effects=opened.light,
         sigma_terrain_m=terrain_sigma_m(opened),
         exposure_margin_s=run.exposure_margin_s,
     )

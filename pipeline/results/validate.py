@@ -31,7 +31,6 @@ from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
-from boresight.pipeline.run.settings import RunSettings, effects_of
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 
@@ -134,8 +133,7 @@ def _check(
             without += len(here)
             continue
         track = _track(near, result, dump)
-        effects = effects_of(_run(result), dump.light)
-        model = pushbroom_with(track, strips[strip_id], dump, R_cs, effects)
+        model = pushbroom_with(track, strips[strip_id], dump, R_cs, dump.light)
         seen = _with_attitude(here, model, track)
         without += len(here) - len(seen)
         if not seen:
@@ -184,23 +182,18 @@ def _with_attitude(
 def _against_prediction(
     after: CheckPoints, strips: list[StripMoves], result: SavedResult, dump: Dump
 ) -> tuple[RmsTest, ...]:
-    """The errors along and across the track, tested; none without check points, or without covariances of
-    the attitudes, as in results of earlier versions.
-    """
-    if not len(after.along_m) or np.isnan(result.covariance_s).any():
+    """The errors along and across the track, tested; none without check points."""
+    if not len(after.along_m):
         return ()
     covariance = predicted_covariance(strips, common_covariance(result, dump.orbit.earth), dump)
     errors = (after.along_m, after.across_m)
     return tuple(map(rms_test, DIRECTIONS, errors, covariance))
 
 
-def _run(result: SavedResult) -> RunSettings:
-    return run_settings_of(result, "installation.json")
-
-
 def _exposures(strip: Strip, result: SavedResult, dump: Dump) -> Ints:
     """Rows of the result's exposures around a strip, by the margin of its settings."""
-    return exposures_around(result, dump, strip, _run(result).exposure_margin_s)
+    margin_s = run_settings_of(result, "installation.json").exposure_margin_s
+    return exposures_around(result, dump, strip, margin_s)
 
 
 def _track(near: Ints, result: SavedResult, dump: Dump) -> AttitudeTrack:

@@ -18,7 +18,6 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import VerdictSettings
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import Errors
@@ -30,7 +29,6 @@ __all__ = [
     "RunSettings",
     "Settings",
     "calibration_settings",
-    "effects_of",
     "read_settings",
     "settings_from_tables",
 ]
@@ -53,9 +51,6 @@ class RunSettings:
     settled_px: float = (
         2.0  # a strip whose targets are all this close to where they were predicted is not matched again
     )
-    geometric_light_time: bool = True  # light time from ground to satellite
-    aberration: bool = True  # by the satellite's velocity
-    refraction: bool = True  # of the atmosphere
 
     def __post_init__(self) -> None:
         if self.passes < 1:
@@ -125,15 +120,6 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
         "ccd_px": tuple(camera.n_px(ccd) for ccd in range(camera.n_ccds)),
     }
     return CalibrationSettings(**(stated | dict(settings.calibration)))
-
-
-def effects_of(run: RunSettings, light: LightEffects) -> LightEffects:
-    """Effects on light to be modelled: those that neither the user's settings nor the dump leave out."""
-    return LightEffects(
-        light_time=run.geometric_light_time and light.light_time,
-        aberration=run.aberration and light.aberration,
-        refraction=run.refraction and light.refraction,
-    )
 
 
 def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, section: str) -> Record:

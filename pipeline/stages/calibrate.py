@@ -34,7 +34,7 @@ from boresight.pipeline.files.dump import Dump, bundled_table, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.run.settings import Settings, calibration_settings, effects_of
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
@@ -537,7 +537,7 @@ def _strip_tasks(
             R_si=attitudes_in_s(head, near, heads[0], mountings),
             R_cs=R_cs,
             sigma_installation_rad=np.asarray(sigma_rad, dtype=float),
-            effects=effects_of(run, dump.light),
+            effects=dump.light,
             targets=(),
             chips=(),
             terrain=dump.terrain,

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +58,7 @@ def write_result(folder, t_s, theta, *, phase=0.0, camera="c0", mission="m", ver
         "exposure_id": ["e1", "e2"],
         "t_s": [0.0, 20.0],
         "R_si": fixed_list(np.tile(np.eye(3), (2, 1, 1))),
+        "covariance_s": fixed_list(np.tile(1e-12 * np.eye(3), (2, 1, 1))),
         "usable": [True, True],
     }
     passes = {
@@ -236,19 +236,6 @@ def test_an_orbit_term_is_fitted_when_asked_for(tmp_path):
     term = json.loads((tmp_path / "out/drift.json").read_text())["orbit_phase"]
     # 1 sigma is 0.2" sqrt(2/12) = 0.08"
     assert term["cosine_rad"][1] / ARCSEC == pytest.approx(2.0, abs=0.35)
-
-
-def test_a_result_of_an_earlier_version_is_dated_by_its_reports_notes(tmp_path):
-    folders = archive(tmp_path, 3, np.random.default_rng(5))
-    (folders[1] / "sightings/passes.parquet").unlink()
-    found = drift_of(folders, REST)
-    # exposures at 0 and 20 s of its epoch, as the strips of the others
-    assert_allclose(found.drift.series.t_s, 30 * DAY_S * np.arange(3) + 10.0, atol=1e-6)
-    with pytest.raises(DataNotSufficientError, match="orbit phase of 1 calibrations is not known"):
-        drift_of(folders, DriftSettings(orbit_phase=True))
-    shutil.rmtree(folders[1] / "evidence")
-    with pytest.raises(RawDataError, match=r"passes\.parquet.*calibrate the dump once more"):
-        drift_of(folders, REST)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import bundled_table, open_dump
-from boresight.pipeline.run.settings import RunSettings, effects_of
 
 LOOKS = """
 model = "look tables"
@@ -75,13 +74,10 @@ def test_damaged_look_tables_are_refused(tmp_path, old, new, file, field):
 def test_effects_that_the_dump_leaves_out_are_left_out(tmp_path):
     write_handmade_dump(tmp_path / "dump")
     head = tmp_path / "dump" / "dump.toml"
-    run = RunSettings(aberration=False)
-    assert effects_of(run, open_dump(tmp_path / "dump").light).light_time
+    assert open_dump(tmp_path / "dump").light.light_time
     head.write_text(head.read_text() + "\n[light]\nlight_time = false\nrefraction = false\n")
-    effects = effects_of(RunSettings(), open_dump(tmp_path / "dump").light)
+    effects = open_dump(tmp_path / "dump").light
     assert (effects.light_time, effects.aberration, effects.refraction) == (False, True, False)
-    effects = effects_of(run, open_dump(tmp_path / "dump").light)
-    assert (effects.light_time, effects.aberration, effects.refraction) == (False, False, False)
 
 
 def test_the_missions_own_earth_orientation_turns_the_earth(tmp_path):

@@ -177,6 +177,7 @@ def _write_result(result: Path) -> None:
         "exposure_id": ["e1", "e2"],
         "t_s": [0.0, 20.0],
         "R_si": fixed_list(np.tile(np.eye(3), (2, 1, 1))),
+        "covariance_s": fixed_list(np.tile(1e-12 * np.eye(3), (2, 1, 1))),
         "usable": [True, True],
     }
     pq.write_table(pa.table(exposures), result / "sightings/exposures.parquet", write_page_checksum=True)
