@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.constants import WGS84
-from boresight.geometry.each import Each
 from boresight.geometry.geodesy import (
     distances_to_shell,
     geodetic_along_paths,
@@ -93,7 +92,6 @@ class TerrainGrid:
         transform: ArrayLike,
         crs: str,
         geoid: Geoid | None,
-        each: Each = map,
     ) -> TerrainGrid:
         """Surface from a raster of heights.
 
@@ -109,8 +107,6 @@ class TerrainGrid:
             Any horizontal CRS that PROJ understands, as WKT or "EPSG:32650".
         geoid : Geoid or None
             Geoid that the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid.
-        each : callable, optional
-            Applies a function to blocks of rows, as `map` does, perhaps in several threads.
 
         Raises
         ------
@@ -126,9 +122,9 @@ class TerrainGrid:
         if a * e == b * d:
             raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
-            heights = _above_ellipsoid(heights, (a, b, c, d, e, f), crs, geoid, each)
+            heights = _above_ellipsoid(heights, (a, b, c, d, e, f), crs, geoid)
         local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
-        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights, each), local_map)
+        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Height above the ellipsoid, m, bilinear, elementwise; NaN at missing data or outside."""
@@ -327,7 +323,7 @@ def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array
 
 
 def _above_ellipsoid(
-    heights: NDArray[np.float32], transform: tuple[float, ...], crs: str, geoid: Geoid, each: Each
+    heights: NDArray[np.float32], transform: tuple[float, ...], crs: str, geoid: Geoid
 ) -> NDArray[np.float32]:
     """Heights above the ellipsoid (rows, columns) of heights above mean sea level, in blocks of rows."""
     a, b, c, d, e, f = transform
@@ -335,8 +331,7 @@ def _above_ellipsoid(
     to_map = _to_map(crs)
     found = np.empty_like(heights)
     at_once = max(1, 2**20 // columns)
-
-    def convert(first: int) -> None:
+    for first in range(0, rows, at_once):
         row, column = np.arange(first, min(first + at_once, rows)) + 0.5, np.arange(columns) + 0.5
         if to_map is None and not b and not d:
             undulation = geoid.undulation_on_grid_m(np.radians(e * row + f), np.radians(a * column + c))
@@ -348,9 +343,6 @@ def _above_ellipsoid(
             undulation = geoid.undulation_m(np.radians(lat), np.radians(lon))
         part = slice(first, first + at_once)
         np.add(heights[part], undulation, out=found[part], casting="same_kind")
-
-    for _ in each(convert, range(0, rows, at_once)):
-        pass
     return found
 
 

@@ -13,14 +13,12 @@ BIT 13, 253.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from boresight.geometry.each import Each
 from boresight.geometry.record import Floats, record, scalar
 
 __all__ = [
@@ -77,9 +75,9 @@ class HeightBounds:
     rise_m: tuple[Floats, ...] = scalar("per level: greatest rise of the ground over one pixel likewise")
 
 
-def bounds_of_heights(heights: NDArray[np.float32], each: Each = map) -> HeightBounds:
-    """Bounds of a grid of heights (rows, columns), m, NaN = no data. `each` computes blocks of rows."""
-    bands = each(partial(_finest_bounds, heights), range(0, len(heights), _BAND))
+def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
+    """Bounds of a grid of heights (rows, columns), m, NaN = no data."""
+    bands = [_finest_bounds(heights, first) for first in range(0, len(heights), _BAND)]
     low, high, rise = (np.concatenate(parts) for parts in zip(*bands))
     lowest, highest = float(low.min()), float(high.max())
     levels, size = [], _TILE

@@ -12,8 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property, partial
-from importlib import import_module
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.no_result import write_no_result
 from boresight.pipeline.report.page import write_report
-from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -64,7 +62,6 @@ from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 
 log = logging.getLogger("boresight.commands")
-MOST_AHEAD = 256  # images of which the overviews, of some 80 kB each, wait in memory
 
 __all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
 
@@ -140,7 +137,7 @@ def run_dump(
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([dump], request.settings)
         required = _keep_stated(out, request)
-        if _is_finished(out, inputs, request, executor):
+        if _is_finished(out, inputs, request):
             if required and request.report:
                 _draw(out, executor)
             return _finished(out)
@@ -159,9 +156,9 @@ def run_dumps(
     with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
         required = _keep_stated(out, request)
-        if _is_finished(out, inputs, request, executor):
+        if _is_finished(out, inputs, request):
             if required and request.report:
-                _draw_dumps(out)
+                write_dumps_report(out)
             return _finished(out)
         return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
 
@@ -204,7 +201,7 @@ def _jointly_calibrated(
     text = "\n".join([text, *_required(out)])
     if request.report:
         write_joint_evidence(out, joint)
-        _draw_dumps(out)
+        write_dumps_report(out)
     verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
     return RunOutcome(text, frozenset(verdict.outcome for verdict in verdicts), _is_met(out))
 
@@ -220,18 +217,15 @@ def _calibrated(
 ) -> DumpCalibration:
     begin_result(out)
     make_own_folder(out / "work")
-    inputs.know_images(executor, exposures=False)  # exposures are read once, where their stars are found
-    overviews: dict[tuple[str, int], Any] = {}
     try:
-        with _overviews_ahead(dump, request, executor, overviews):
-            found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+        found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
     except DataNotSufficientError as error:
         if request.report:
             write_no_result(out, dump, error)
         raise
-    with executor.beside(partial(write_sightings, out, found)):
-        if request.report:
-            _write_evidence(out, dump, found, request, executor, overviews)
+    write_sightings(out, found)
+    if request.report:
+        write_evidence(out, dump, found, request.settings, executor)
     write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
@@ -240,43 +234,8 @@ def _calibrated(
     return found
 
 
-@contextmanager
-def _overviews_ahead(
-    dump: Dump, request: RunRequest, executor: Executor, made: dict[tuple[str, int], Any]
-) -> Iterator[None]:
-    """A block of code; overviews of strips for the report, by strip and CCD, as many as a processor without
-    other work could make meanwhile.
-    """
-    if not request.report:
-        yield
-        return
-
-    tasks = overview_tasks(dump.strips, request.settings.match)[:MOST_AHEAD]
-    with executor.ahead(overview, tasks) as finished:
-        yield
-    made |= {(tasks[n].strip_id, tasks[n].ccd): one for n, one in finished.items()}
-
-
-def _write_evidence(
-    out: Path,
-    dump: Dump,
-    found: DumpCalibration,
-    request: RunRequest,
-    executor: Executor,
-    overviews: Mapping[tuple[str, int], Any],
-) -> None:
-    with executor.beside(partial(write_evidence, out, dump, found, request.settings, executor, overviews)):
-        # Loads Matplotlib, which the page needs next, while other processes make the evidence, which takes
-        # twice as long. An import at the top would delay every run without a report.
-        import_module("boresight.pipeline.report.page_figures")
-
-
 def _draw(out: Path, executor: Executor) -> None:
     write_report(out, executor=executor if isinstance(executor, Processes) else None)
-
-
-def _draw_dumps(out: Path) -> None:
-    write_dumps_report(out)
 
 
 def _required(out: Path) -> list[str]:
@@ -288,14 +247,13 @@ def _is_met(out: Path) -> bool:
     return is_met(saved_requirement(out), read_saved_result(out).installation)
 
 
-def _is_finished(out: Path, inputs: RunInputs, request: RunRequest, executor: Executor) -> bool:
+def _is_finished(out: Path, inputs: RunInputs, request: RunRequest) -> bool:
     """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
     needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
     if not all((out / name).is_file() for name in needed):
         return False
     with suppress(RawDataError):
         if kept := read_json(out / "run.json", "run.json").get("inputs"):
-            inputs.know_images(executor, exposures=True)
             return bool(kept == inputs.digest())
     return False
 

@@ -51,7 +51,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.workers import executor_for, processors
+from boresight.pipeline.run.workers import executor_for
 from boresight.pipeline.stages.joint import open_dumps
 from boresight.version import commit
 
@@ -144,7 +144,7 @@ def calibrate_command(
         after_joint=tuple(map(function_at, context.obj if len(dumps) > 1 else ())),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
-    outcome = _run(dumps, out, request, executor_on, allow_stale_eop, processors(workers))
+    outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
@@ -192,16 +192,15 @@ def _run(
     request: RunRequest,
     executor_on: Callable[[list[Dump]], AbstractContextManager[Executor]],
     allow_stale_eop: bool,
-    threads: int,
 ) -> RunOutcome:
-    """Open one dump or several, with so many threads, and carry them through."""
+    """Open one dump or several, and carry them through."""
     if len(dumps) == 1:
         with _warnings_reported():
-            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop, threads=threads)
+            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
         with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
             return run_dump(out, one, str(dumps[0]), request, executor, progress)
     with _warnings_reported():
-        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop, threads=threads)
+        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
     opened = [named.dump for named in several]
     with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
         return run_dumps(out, several, request, executor, progress)

@@ -10,7 +10,6 @@ import errno
 import hashlib
 import os
 import stat
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -26,7 +25,6 @@ __all__ = [
     "identity_of",
     "limited_content",
     "open_regular",
-    "read_ahead",
     "remember_digest",
     "small_content",
     "with_identity",
@@ -97,17 +95,6 @@ def remember_digest(path: Path, identity: Identity, digest: str) -> None:
     if len(_digests) >= MOST_DIGESTS:
         del _digests[next(iter(_digests))]  # the oldest
     _digests[path, identity] = digest
-
-
-def read_ahead(path: Path) -> None:
-    """Have the system read a small file of this machine while another is computed on; leave others."""
-    with suppress(OSError, AttributeError):  # systems without such advice; what is no file its reader reports
-        stream = os.open(path, os.O_RDONLY | _NO_WAIT)  # opening a FIFO would block
-        try:
-            if os.fstat(stream).st_size <= KEPT_BYTES:
-                os.posix_fadvise(stream, 0, 0, os.POSIX_FADV_WILLNEED)
-        finally:
-            os.close(stream)
 
 
 def check_regular(path: Path, file: str, expected: str) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import html
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -260,7 +259,6 @@ def open_dump(
     root: str | os.PathLike[str] | Dump,
     *,
     allow_stale_eop: bool = False,
-    threads: int = 1,
     sky_alone: bool = False,
 ) -> Dump:
     """A dump read and checked: cameras, orbit, exposures, strips, targets; images are not decoded.
@@ -272,8 +270,6 @@ def open_dump(
         dump is returned as it is.
     allow_stale_eop : bool
         Accept dates after the end of the Earth-orientation table, with a warning.
-    threads : int
-        How many read the terrain.
     sky_alone : bool
         For what needs no ground: targets, points and terrain are not read and may be missing.
 
@@ -349,7 +345,7 @@ def open_dump(
         targets=surveyed.targets,
         chips=_chips(root, rows, str(head.files.targets)),
         points=_points_of(single_points, strips),
-        terrain=NO_TERRAIN if sky_alone else _terrain(root, head, (surveyed, *of_points), threads),
+        terrain=NO_TERRAIN if sky_alone else _terrain(root, head, (surveyed, *of_points)),
         star_catalogue=_star_catalogue(paths.get("star_catalogue"), head, sky_strips),
         orbit_covers=covers,
         omissions=(*omitted, *twice, *sky_twice, *exposures_twice, *points_twice),
@@ -699,7 +695,7 @@ def _chips(root: Path, rows: Sequence[schema.TargetRow], file: str) -> tuple[Chi
 
 
 def _terrain(
-    root: Path, head: schema.DumpFile, known: Sequence[SurveyedPoints], threads: int
+    root: Path, head: schema.DumpFile, known: Sequence[SurveyedPoints]
 ) -> TerrainFiles | TargetHeights:
     if head.files.terrain is None or head.terrain is None:
         lat, lon, heights = (np.concatenate([getattr(one, name) for one in known]) for name in PLACE)
@@ -707,7 +703,7 @@ def _terrain(
     names = tuple(head.files.terrain)
     paths = tuple(path_inside(root, name, file="dump.toml", field="files.terrain") for name in names)
     terrain = TerrainFiles(names, paths, head.terrain.height_kind)
-    surface_of(terrain, threads)  # an invalid file is reported before hours of work
+    surface_of(terrain)  # an invalid file is reported before hours of work
     return terrain
 
 
@@ -720,37 +716,26 @@ def _star_catalogue(path: Path | None, head: schema.DumpFile, sky: Sequence[Stri
     return table
 
 
-def surface_of(terrain: TerrainFiles | TargetHeights, threads: int = 1) -> Surface:
+def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:
     """The surface of the Earth. A terrain file is read once in each process, as long as it stays the same."""
     if isinstance(terrain, TargetHeights):
         return terrain
-    return _read_terrain(_Reading(terrain, tuple(map(identity_of, terrain.paths)), threads))
-
-
-@dataclass(frozen=True, slots=True)
-class _Reading:
-    """Files of a terrain as they are now, and how many threads read them, which changes nothing."""
-
-    terrain: TerrainFiles
-    identities: tuple[Identity, ...]
-    threads: int = field(compare=False)
+    return _read_terrain(terrain, tuple(map(identity_of, terrain.paths)))
 
 
 @lru_cache(maxsize=1)
-def _read_terrain(reading: _Reading) -> TerrainGrid | TerrainTiles:
-    terrain, rasters, left = reading.terrain, [], MAX_TERRAIN_PIXELS
+def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> TerrainGrid | TerrainTiles:
+    rasters, left = [], MAX_TERRAIN_PIXELS
     for file, path in zip(terrain.files, terrain.paths):
-        grid = read_grid(path, file, max_pixels=left, threads=reading.threads)
+        grid = read_grid(path, file, max_pixels=left)
         rasters.append(Raster(grid.values, grid.transform, grid.crs))
         left -= grid.values.size
     geoid = egm96() if terrain.height_kind == "egm96" else None
     try:
-        with ThreadPoolExecutor(reading.threads) as pool:
-            each = pool.map if reading.threads > 1 else map
-            grids = tuple(
-                TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid, each)
-                for one in joined(rasters, MAX_TERRAIN_PIXELS)
-            )
+        grids = tuple(
+            TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid)
+            for one in joined(rasters, MAX_TERRAIN_PIXELS)
+        )
     except ValueError as error:
         raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
     return grids[0] if len(grids) == 1 else TerrainTiles(grids)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -47,8 +46,6 @@ MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a w
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
 # Mean radius of the Earth, m: turns pixels in degrees into metres where only their size matters.
 EARTH_RADIUS_M = 6.371e6
-MANY_PIXELS = 2**20  # of an image that several threads read: 30 ms
-MOST_THREADS = 8  # and files open at once
 _BANDS = (1, 2, 3, 4)  # grey, colours, either with opacity
 _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_PAM_ENABLED": "NO",
@@ -164,33 +161,12 @@ def _bits(image: Any, file: str) -> int:
     return depth
 
 
-def _read_window(image: Any, file: str, window: Window, out: NDArray[Any] | None = None) -> NDArray[Any]:
+def _read_window(image: Any, file: str, window: Window) -> NDArray[Any]:
     try:
-        return image.read(1, window=window, out=out)
+        return image.read(1, window=window)
     except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
         where = f"rows {window.row_off}..{window.row_off + window.height - 1}"
         raise RawDataError(file, where, str(error), "pixels that decode") from error
-
-
-def _read_band(image: Any, path: Path, file: str, threads: int) -> NDArray[Any]:
-    """The first band, whole. Of a large image each thread reads a part of the rows from a file of its own."""
-    if threads == 1 or image.width * image.height < MANY_PIXELS or isinstance(path, StoredPath):
-        return _read_window(image, file, Window(0, 0, image.width, image.height))
-    rows, pixels = image.block_shapes[0][0], np.empty((image.height, image.width), image.dtypes[0])
-    threads, blocks = min(threads, MOST_THREADS), -(-image.height // rows)
-    ends = [min(blocks * n // threads * rows, image.height) for n in range(threads + 1)]
-    with ExitStack() as files:
-        opened = [image, *(files.enter_context(open_geotiff(path, file)) for _ in range(threads - 1))]
-
-        def read(n: int) -> None:
-            top, below = ends[n], ends[n + 1]
-            if top < below:
-                window = Window(0, top, image.width, below - top)
-                _read_window(opened[n], file, window, pixels[top:below])
-
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(read, range(threads)))
-    return pixels
 
 
 @record
@@ -266,12 +242,10 @@ class GridImage:
     crs: str = scalar("coordinate reference system as WKT")
 
 
-def read_grid(
-    path: Path, file: str, *, max_pixels: int, first_band: bool = False, threads: int = 1
-) -> GridImage:
+def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = False) -> GridImage:
     """A GeoTIFF with CRS and transform: a chip or a terrain model. `RawDataError` if it is none.
 
-    It must have one band; with `first_band` the first of several is read. Large ones are read by `threads`.
+    It must have one band; with `first_band` the first of several is read.
     """
     with open_geotiff(path, file) as image:
         if image.width * image.height > max_pixels:
@@ -290,7 +264,7 @@ def read_grid(
             or not np.isfinite(tuple(image.transform)).all()
         ):
             raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
-        raw = _read_band(image, path, file, threads)
+        raw = _read_window(image, file, Window(0, 0, image.width, image.height))
         with np.errstate(over="ignore"):  # beyond 3e38 becomes infinite, which is no value
             values = raw.astype(np.float32, copy=False)
         if image.nodata is not None and np.isfinite(image.nodata):

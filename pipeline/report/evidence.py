@@ -18,7 +18,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -55,7 +55,6 @@ from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
-from boresight.pipeline.report.strip_overview import Overview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.writing import write_json
@@ -81,12 +80,10 @@ def write_evidence(
     calibration: DumpCalibration,
     settings: Settings,
     executor: Executor | None = None,
-    overviews: Mapping[tuple[str, int], Overview] | None = None,
 ) -> list[Finding]:
     """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
 
-    `executor` makes what takes longest; default: this process. `overviews` of images that are made already,
-    by strip and CCD, are not made again.
+    `executor` makes what takes longest; default: this process.
     """
     folder, executor = result / "evidence", executor or InOrder()
     make_own_folder(folder)
@@ -109,7 +106,7 @@ def write_evidence(
         "ground": ground,
         "unmatched": unmatched,
         "allan": _allan(dump, settings),
-        "map": scene_pictures(scenes, dump, calibration, executor, overviews or {}),
+        "map": scene_pictures(scenes, dump, calibration, executor),
     }
     for name, table in tables.items():
         write_whole(

@@ -8,7 +8,7 @@ strip's rigorous model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -30,7 +30,7 @@ from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
-from boresight.pipeline.report.strip_overview import Overview, OverviewTask, overview
+from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
@@ -329,16 +329,10 @@ def scene_pictures(
     dump: Dump,
     calibration: DumpCalibration,
     executor: Executor,
-    overviews: Mapping[tuple[str, int], Overview],
 ) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip.
-
-    `overviews` are those that are made already, by strip and CCD.
-    """
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
     views = [
-        _View(
-            scene=replace(scene, strips=()), strip=one, ccd=ccd, overview=overviews.get((one.strip_id, ccd))
-        )
+        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd)
         for scene in scenes
         for one in scene.strips
         for ccd in one.task.strip.images.ccds
@@ -410,7 +404,6 @@ class _View:
     scene: MapScene = scalar("plane of the map")
     strip: StripOnGround = scalar("strip with its model")
     ccd: int = scalar("number of the CCD")
-    overview: Overview | None = scalar("its image, reduced; None: not made yet", default=None)
 
 
 def _quicklook(view: _View) -> NDArray[np.float32]:
@@ -431,9 +424,7 @@ def _quicklook(view: _View) -> NDArray[np.float32]:
     lines, samples = images.shape(ccd)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     with suppress(RawDataError):  # reported as an omission
-        seen = view.overview or overview(
-            OverviewTask(strip_id=one.strip_id, images=images, ccd=ccd, settings=one.task.settings)
-        )
+        seen = overview(images, ccd, one.task.settings)
         x, y = (
             (at - first) / pitch for at, first, pitch in zip((sample, line), seen.first_px, seen.pitch_px)
         )

@@ -11,10 +11,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 from distributed import Client, KilledWorker, get_worker, wait
 
@@ -22,8 +22,8 @@ from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.run.digests import library_versions, program_digest
 from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.program import library_versions, program_digest
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 
@@ -98,8 +98,6 @@ def _require(expected: Fingerprint) -> None:
 class OnCluster:
     """An executor with a dask client. Outcomes come back in the order of the items."""
 
-    at_once: ClassVar[int] = 0  # all is computed elsewhere
-
     client: Any = scalar("a `distributed.Client`")
     address: str = scalar("address of the scheduler")
     expected: Fingerprint = scalar("fingerprint that a worker must have")
@@ -124,16 +122,6 @@ class OnCluster:
     def share(self, count: int) -> InOrder:
         """The worker's own process."""
         return InOrder()
-
-    def beside(self, function: Callable[[], object]) -> AbstractContextManager[None]:
-        """A block of code, and the function after it, in this process."""
-        return InOrder().beside(function)
-
-    def ahead(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item]
-    ) -> AbstractContextManager[dict[int, Outcome]]:
-        """A block of code, and no outcome: the workers are for units."""
-        return InOrder().ahead(function, items)
 
 
 class _Run:

@@ -1,4 +1,4 @@
-"""Digests of what a result depends on: arrays, settings, content of files, source code, library versions."""
+"""Digests of what a result depends on: arrays, settings, content of files, source code."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import hashlib
 import importlib.util
 import platform
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from functools import cache
 from importlib import metadata
@@ -18,11 +18,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline import __version__
-from boresight.pipeline.files.content import Identity, content_digest, remember_digest, with_identity
-from boresight.pipeline.run.executor import Executor
-from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.files.content import content_digest
 
-__all__ = ["digest", "files_in", "know_contents", "library_versions", "numerical_program", "program_digest"]
+__all__ = ["digest", "files_in", "numerical_program", "numerical_versions", "sources_of"]
 
 # Import statement of a module: `from` what, which names; or `import` what.
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
@@ -55,23 +53,6 @@ def files_in(value: Any) -> Iterator[Path]:
     elif isinstance(value, (tuple, list)):
         for one in value:
             yield from files_in(one)
-
-
-def know_contents(files: Sequence[Path], executor: Executor) -> None:
-    """Have processes of this machine, if the executor has any, read files, so that `digest` knows their
-    content here and in processes that are forked from this one."""
-    if not isinstance(executor, Processes):
-        return
-    for path, found in zip(files, executor.map(_read, files, lambda n, one: None)):
-        if found is not None:
-            remember_digest(path, *found)
-
-
-def _read(path: Path) -> tuple[Identity, str] | None:
-    try:
-        return with_identity(path)
-    except OSError:  # `digest` says so
-        return None
 
 
 def _feed(state: Any, value: Any) -> None:
@@ -115,27 +96,18 @@ def _feed_file(state: Any, path: Path) -> None:
 
 
 @cache
-def program_digest(*modules: str) -> str:
-    """Version of the program, and a digest of everything installed that results of `modules` depend on.
-
-    These are the sources of the modules and of all that they import from the same package, the data files
-    beside these, and the versions of the libraries. A package's name stands for all modules in it.
-    """
-    sources = {name: source for root in modules for name, source in _sources(root).items()}
-    return f"{__version__} {digest(sources, library_versions())}"
-
-
-@cache
 def numerical_program(*modules: str) -> str:
-    """As `program_digest`, with the libraries of numbers only and no data files: for what reads no file."""
-    sources = {name: text for root in modules for name, text in _sources(root).items() if type(text) is bytes}
-    return f"{__version__} {digest(sources, _numerical_versions())}"
+    """Version of the program, and a digest of the sources of `modules`, of all that they import from the same
+    package, and of the libraries of numbers: for what reads no file.
+    """
+    sources = {name: text for name, text in sources_of(*modules).items() if type(text) is bytes}
+    return f"{__version__} {digest(sources, numerical_versions())}"
 
 
-def _sources(root: str) -> dict[str, Any]:
-    """Source of a module (or of all in a package) and of its imports; paths of the data files beside them."""
+def sources_of(*modules: str) -> dict[str, Any]:
+    """Sources of modules (or of all in packages) and of their imports; paths of data files beside them."""
     sources: dict[str, Any] = {}
-    todo = _with_submodules(root)
+    todo = [name for root in modules for name in _with_submodules(root)]
     while todo:
         name = todo.pop()
         if name in sources or (module := _module(name)) is None:
@@ -161,15 +133,8 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
     return source, imported, data
 
 
-@cache
-def library_versions() -> dict[str, str]:
-    """Versions of Python and of the libraries whose numbers enter the results."""
-    from boresight.pipeline.run.linked_libraries import linked_versions  # with GDAL 0.1 s to load
-
-    return _numerical_versions() | linked_versions()
-
-
-def _numerical_versions() -> dict[str, str]:
+def numerical_versions() -> dict[str, str]:
+    """Versions of Python and of the libraries of numbers that are in Python."""
     return {"python": platform.python_version()} | {name: _version(name) for name in DISTRIBUTIONS}
 
 

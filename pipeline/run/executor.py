@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 __all__ = ["Executor", "InOrder"]
 
@@ -16,10 +15,6 @@ Outcome = TypeVar("Outcome")
 class Executor(Protocol):
     """Applies a function to many items, in this process or in others."""
 
-    @property
-    def at_once(self) -> int:
-        """Items that this machine computes at the same time."""
-
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
@@ -28,24 +23,10 @@ class Executor(Protocol):
     def share(self, count: int) -> Executor:
         """What each of `count` items has for its own parts, where it is computed."""
 
-    def beside(self, function: Callable[[], object]) -> AbstractContextManager[None]:
-        """A block of code beside which the function runs, in another process or after it; both have ended
-        when it is left.
-        """
-
-    def ahead(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item]
-    ) -> AbstractContextManager[dict[int, Outcome]]:
-        """A block of code, while a processor without other work applies the function to items, in their
-        order, as far as it comes; once the block has been left, the outcomes by the numbers of their items.
-        """
-
 
 @dataclass(frozen=True, slots=True)
 class InOrder:
     """Applies the function in this process, one item after another."""
-
-    at_once: ClassVar[int] = 1
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
@@ -60,16 +41,3 @@ class InOrder:
     def share(self, count: int) -> InOrder:
         """This process."""
         return self
-
-    @contextmanager
-    def beside(self, function: Callable[[], object]) -> Iterator[None]:
-        """A block of code, and the function after it."""
-        yield
-        function()
-
-    @contextmanager
-    def ahead(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item]
-    ) -> Iterator[dict[int, Outcome]]:
-        """A block of code, and no outcome: one process has no time to spare."""
-        yield {}

@@ -10,17 +10,15 @@ from __future__ import annotations
 
 import ctypes
 import multiprocessing
-import os
 import signal
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, SpawnContext
-from operator import call
 from typing import Any, TypeVar
 
 from boresight.pipeline.errors import WorkerError
@@ -30,12 +28,9 @@ __all__ = ["FORKS", "Processes"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
-Life = Callable[[Connection, Callable[[Any], Any], Sequence[Any]], None]  # pipe, function, items
 
 # Times that the process of one unit may die before the run ends: memory may be short once.
 MAX_DEATHS = 3
-LOWEST_PRIORITY = 19  # gets a processor that no other process wants, and 1.5 % of one beside another process
-PATIENCE_S = 3.0  # for what it has finished, and is just doing
 DIED = (EOFError, ConnectionError)  # of a pipe whose other end is closed
 # Other systems have no fork, or have libraries that do not survive one.
 START: ForkContext | SpawnContext = (
@@ -49,11 +44,6 @@ class Processes:
     """An executor of `count` processes, which are started for each list of items."""
 
     count: int
-
-    @property
-    def at_once(self) -> int:
-        """One item a process."""
-        return self.count
 
     def map(
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
@@ -106,47 +96,6 @@ class Processes:
         """An equal share of the processes; the item's own process where that is one or none."""
         return Processes(self.count // count) if 0 < 2 * count <= self.count else InOrder()
 
-    @contextmanager
-    def beside(self, function: Callable[[], object]) -> Iterator[None]:
-        """A block of code, while the function runs in a process; should that die, it runs here after it."""
-        process = _Process(call, [function])
-        try:
-            process.begin(0)
-            yield
-            try:
-                _, error = process.pipe.recv()
-            except DIED:
-                function()
-                return
-            if error is not None:
-                raise error
-        finally:
-            process.stop()
-
-    @contextmanager
-    def ahead(
-        self, function: Callable[[Item], Outcome], items: Sequence[Item]
-    ) -> Iterator[dict[int, Outcome]]:
-        """A block of code, while a process of the lowest priority applies the function to items, in their
-        order, as far as it comes; once the block has been left, the outcomes by the numbers of their items.
-
-        An item without outcome failed, or was not reached. There is none where the system has no forked
-        processes, or where other programs take the processors for longer than `PATIENCE_S` at the end.
-        """
-        outcomes: dict[int, Outcome] = {}
-        if not items or not FORKS:
-            yield outcomes
-            return
-        process = _Process(function, items, _work_ahead)
-        try:
-            yield outcomes
-            with suppress(*DIED):
-                process.pipe.send(None)
-                if process.pipe.poll(PATIENCE_S):
-                    outcomes |= process.pipe.recv()
-        finally:
-            process.stop()
-
 
 def _return_free_memory() -> None:
     """Return freed heap to the system: a forked process that uses it again would get a copy of every page."""
@@ -161,11 +110,10 @@ class _Process:
         self,
         function: Callable[[Any], Any],
         items: Sequence[Any],
-        life: Life | None = None,
     ) -> None:
         self.pipe, other_end = multiprocessing.Pipe()
         ends = other_end, self.pipe
-        self.process = START.Process(target=_begin, args=(*ends, life or _serve, function, items))
+        self.process = START.Process(target=_serve, args=(*ends, function, items))
         self.process.start()
         other_end.close()
         self.unit = -1
@@ -181,41 +129,23 @@ class _Process:
         self.pipe.close()
 
 
-def _begin(
+def _serve(
     pipe: Connection,
     far_end: Connection,
-    life: Life,
     function: Callable[[Any], Any],
     items: Sequence[Any],
 ) -> None:
+    """Compute the units received over the connection, until the other end closes."""
     far_end.close()  # or this process itself would keep the pipe open
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process receives it too and stops the others
     sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__  # those of a progress bar may stay locked
     with suppress(*DIED):
-        life(pipe, function, items)
-
-
-def _serve(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
-    """Compute the units received over the connection, until the other end closes."""
-    while True:
-        unit = pipe.recv()
-        answer: tuple[Any, Exception | None]
-        try:
-            answer = function(items[unit]), None
-        except Exception as error:
-            error.add_note(traceback.format_exc())
-            answer = None, error
-        pipe.send(answer)
-
-
-def _work_ahead(pipe: Connection, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
-    """Compute the items in their order until the other end asks for the outcomes so far, or closes."""
-    os.nice(LOWEST_PRIORITY)
-    outcomes = {}
-    for n, item in enumerate(items):
-        if pipe.poll():
-            break
-        with suppress(Exception):  # whoever needs the outcome computes it and sees the error
-            outcomes[n] = function(item)
-    pipe.recv()
-    pipe.send(outcomes)
+        while True:
+            unit = pipe.recv()
+            answer: tuple[Any, Exception | None]
+            try:
+                answer = function(items[unit]), None
+            except Exception as error:
+                error.add_note(traceback.format_exc())
+                answer = None, error
+            pipe.send(answer)

@@ -13,8 +13,8 @@ from typing import Any
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.run.digests import digest, files_in, know_contents, program_digest
-from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.digests import digest, files_in
+from boresight.pipeline.run.program import program_digest
 from boresight.pipeline.run.settings import Settings
 
 __all__ = ["RunInputs", "inputs_of"]
@@ -34,14 +34,6 @@ class RunInputs:
             return ""
         contents = [_content(dump) | {"errors": dump.errors.model_dump()} for dump in self.dumps]
         return digest(contents, self.settings, program_digest("boresight.pipeline.calibration_run"))
-
-    def know_images(self, executor: Executor, *, exposures: bool) -> None:
-        """Have processes of the executor read images of strips, or of exposures too, for their digests."""
-        strips = [strip for dump in self.dumps for strip in (*dump.strips, *dump.sky_strips)]
-        images = [path for strip in strips for path in strip.images.paths.values()]
-        if exposures:
-            images += [exposure.path for dump in self.dumps for exposure in dump.exposures]
-        know_contents(images, executor)
 
 
 def inputs_of(dumps: Sequence[Dump], settings: Settings) -> RunInputs:

@@ -11,7 +11,7 @@ from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
 
-__all__ = ["executor_for", "processors"]
+__all__ = ["executor_for"]
 
 SMALL_JOB_PIXELS = 20_000_000  # one full-size exposure: a second of work
 
@@ -43,12 +43,10 @@ def executor_for(
         with on_cluster(scheduler, probes, wait_s, say) as executor:
             yield executor
         return
-    count = processors(workers) if workers is not None or pixels >= SMALL_JOB_PIXELS else 1
+    count = workers or (_processors() if pixels >= SMALL_JOB_PIXELS else 1)
     yield InOrder() if count == 1 else Processes(count)
 
 
-def processors(workers: int | None) -> int:
-    """Number of processes of a run: `workers`, or as many as this machine lends to the program."""
-    if workers is not None:
-        return workers
+def _processors() -> int:
+    """Number of processors that this machine lends to the program."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

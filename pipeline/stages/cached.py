@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.files.content import Identity, read_ahead, remember_digest, with_identity
+from boresight.pipeline.files.content import Identity, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
-from boresight.pipeline.run.digests import digest, files_in, program_digest
+from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.program import program_digest
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 from boresight.pipeline.stages.unit_log import log_unit
@@ -62,23 +62,14 @@ class StageRunner:
         an unforeseen error becomes. `folder` is that of the entries in the store. With `in_parts` the stage
         gets, after its task, an executor for parts of it: fewer tasks than processes are divided.
         """
-        at_once = self.executor.at_once
-        later = iter(tasks[at_once:] if at_once else ())
-
-        def expect(count: int) -> None:
-            for task in islice(later, count):
-                for path in files_in(task):
-                    read_ahead(path)
 
         def ended(n: int, unit: Unit) -> None:
             for content in unit.contents:
                 remember_digest(*content)
             log_unit(folder, unit.outcome, unit.computed)
             self.progress(folder, n, len(tasks))
-            expect(1)
 
         self.progress(folder, 0, len(tasks))
-        expect(at_once)
         more = (self.executor.share(len(tasks)),) if in_parts else ()
         done = self.executor.map(Cached(stage, self.store, folder, more), tasks, ended)
         return [unit.outcome for unit in done], [unit.computed for unit in done]

@@ -63,7 +63,7 @@ class JointCalibration:
 
 
 def open_dumps(
-    folders: Sequence[Path], settings: Settings, *, allow_stale_eop: bool = False, threads: int = 1
+    folders: Sequence[Path], settings: Settings, *, allow_stale_eop: bool = False
 ) -> tuple[NamedDump, ...]:
     """The dumps in the order of time. `RawDataError` for one that is given twice, as a copy or in parts too,
     and for one that is not of the cameras, pre-launch matrix and stated errors of the first.
@@ -73,8 +73,7 @@ def open_dumps(
         raise RawDataError(str(twice[0]), "DUMP", "named twice", "each dump once")
     names = dump_names(roots)
     dumps = [
-        NamedDump(name, open_dump(root, allow_stale_eop=allow_stale_eop, threads=threads))
-        for name, root in zip(names, roots)
+        NamedDump(name, open_dump(root, allow_stale_eop=allow_stale_eop)) for name, root in zip(names, roots)
     ]
     dumps.sort(key=lambda one: (min(_instants(one)[0], default=0), one.name))
     for other in dumps[1:]:

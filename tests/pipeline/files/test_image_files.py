@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import rasterio
 import tifffile
 from astropy.io import fits
 from handmade import write_strip
@@ -18,10 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from boresight.features.sky_images.image_time import time_of_image
-from boresight.geometry.geoid import egm96
-from boresight.geometry.terrain import TerrainGrid
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files import image_files
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
@@ -196,45 +190,3 @@ def test_the_time_of_an_image_is_that_of_its_header(tmp_path: Path) -> None:
     assert time_of_image(tmp_path / "a.jpg") == "2020-07-03T23:30:15.000000Z"
     (tmp_path / "b.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:60])
     assert time_of_image(tmp_path / "b.jpg") is None
-
-
-@pytest.mark.parametrize("form", [{}, {"tiled": True, "blockxsize": 256, "blockysize": 256}], ids=str)
-def test_a_terrain_is_the_same_however_many_threads_read_it(form: dict[str, Any], tmp_path: Path) -> None:
-    rng = np.random.default_rng(8)
-    heights = (900.0 + 5.0 * rng.normal(size=(1300, 1000)).cumsum(axis=0)).astype(np.float32)
-    heights[700:720, 300:900] = -32768.0
-    profile = {"crs": "EPSG:4326", "nodata": -32768.0, "compress": "deflate"} | form
-    place = rasterio.transform.from_origin(100.0, 36.0, 1e-3, 1e-3)
-    path = tmp_path / "dem.tif"
-    with rasterio.open(
-        path, "w", "GTiff", 1000, 1300, 1, dtype="float32", transform=place, **profile
-    ) as file:
-        file.write(heights, 1)
-    one = read_grid(path, "dem.tif", max_pixels=10**7)
-    assert one.values.size > image_files.MANY_PIXELS and np.isnan(one.values).sum() == 20 * 600
-    surface = TerrainGrid.from_raster(one.values, one.transform, one.crs, egm96())
-    for threads in (2, 3, 2000):
-        again = read_grid(path, "dem.tif", max_pixels=10**7, threads=threads)
-        assert np.array_equal(again.values, one.values, equal_nan=True)
-        with ThreadPoolExecutor(3) as pool:
-            other = TerrainGrid.from_raster(again.values, again.transform, again.crs, egm96(), pool.map)
-        assert np.array_equal(other.heights_m, surface.heights_m, equal_nan=True)
-        for name in ("low_m", "high_m", "rise_m"):
-            pairs = zip(getattr(other.bounds, name), getattr(surface.bounds, name), strict=True)
-            assert all(np.array_equal(*pair) for pair in pairs)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_damaged_row_is_told_by_whichever_thread_reads_it(threads: int, tmp_path: Path) -> None:
-    path = tmp_path / "dem.tif"
-    place = rasterio.transform.from_origin(100.0, 36.0, 1e-3, 1e-3)
-    heights = np.random.default_rng(2).normal(size=(1300, 1000)).astype(np.float32)
-    form = {"crs": "EPSG:4326", "compress": "deflate", "transform": place}
-    with rasterio.open(path, "w", "GTiff", 1000, 1300, 1, dtype="float32", **form) as file:
-        file.write(heights, 1)
-    content = bytearray(path.read_bytes())
-    at = len(content) * 3 // 4  # of the last quarter of the rows
-    content[at : at + 20_000] = b"\xff" * 20_000
-    path.write_bytes(content)
-    with pytest.raises(RawDataError, match=rf"dem\.tif: rows {1300 - 1300 // threads}\.\.1299: "):
-        read_grid(path, "dem.tif", max_pixels=10**7, threads=threads)

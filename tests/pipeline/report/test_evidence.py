@@ -19,7 +19,6 @@ from boresight.geometry.sightings import StarSightings, isotropic_covariance
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
-from boresight.pipeline.report.strip_overview import overview, overview_tasks
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
@@ -64,20 +63,6 @@ def test_quicklooks_alone_are_made_on_other_machines(finished, tmp_path):
     assert len(others.sent) == sum(len(strip.images.ccds) for strip in dump.strips)
     for path in sorted((tmp_path / "evidence").iterdir()):
         assert path.read_bytes() == (finished[1] / "evidence" / path.name).read_bytes(), path.name
-
-
-def test_overviews_made_before_give_the_same_evidence_and_are_used(finished, tmp_path):
-    dump = open_dump(finished[0])
-    found = calibrate_dump(dump, store=store_of(finished[1].resolve()))
-    tasks = overview_tasks(dump.strips, Settings().match)
-    made = {(task.strip_id, task.ccd): overview(task) for task in tasks[1:]}  # the first is still missing
-    write_evidence(tmp_path, dump, found, Settings(), None, made)
-    for path in sorted((tmp_path / "evidence").iterdir()):
-        assert path.read_bytes() == (finished[1] / "evidence" / path.name).read_bytes(), path.name
-    blank = {key: replace(one, means=np.full_like(one.means, np.nan)) for key, one in made.items()}
-    write_evidence(tmp_path, dump, found, Settings(), None, blank)
-    other = (tmp_path / "evidence" / "map.parquet").read_bytes()
-    assert other != (finished[1] / "evidence" / "map.parquet").read_bytes()
 
 
 def test_checksums_are_those_of_the_files(finished):

@@ -17,7 +17,7 @@ from boresight.geometry.geodesy import local_axes_e
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.report.ground_map import NODES, _lattice_map
-from boresight.pipeline.report.strip_overview import BAND_LINES, OverviewTask, overview
+from boresight.pipeline.report.strip_overview import BAND_LINES, overview
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 
@@ -33,7 +33,7 @@ def test_an_overview_of_a_slope_is_the_slope(lines: int, tile: int, banded: bool
     ) as file:
         file.write(grey.astype(np.uint16), 1)
     strip = StripFiles(paths={0: tmp_path / "s.tif"}, names={0: "s.tif"}, shapes={0: (lines, 700)})
-    found = overview(OverviewTask(strip_id="s", images=strip, ccd=0, settings=MatchSettings()))
+    found = overview(strip, 0, MatchSettings())
     (sample, line), (across, along) = found.first_px, found.pitch_px
     assert (along > across) == banded and (not banded or line == 0.5 * (BAND_LINES - 1))
     i, j = np.indices(found.means.shape)

@@ -18,10 +18,11 @@ from boresight.pipeline.calibration_run import RunRequest, run_dump
 from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
-from boresight.pipeline.run import digests
-from boresight.pipeline.run.digests import digest, program_digest
+from boresight.pipeline.run import digests, program
+from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.run.program import program_digest
 from boresight.pipeline.run.run_inputs import inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
@@ -128,11 +129,11 @@ def test_program_follows_imports_and_knows_data_and_libraries(
     assert len(set(keys)) == 6
     (root / "other.py").write_text("B = 2\n")
     assert key() == keys[-1]
-    versions = digests.library_versions()
+    versions = program.library_versions()
     assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
     for name in versions:
         changed = versions | {name: "0"}
-        monkeypatch.setattr(digests, "library_versions", lambda changed=changed: changed)
+        monkeypatch.setattr(program, "library_versions", lambda changed=changed: changed)
         keys.append(key())
     assert len(set(keys)) == 6 + len(versions)
     program_digest.cache_clear()
@@ -141,15 +142,15 @@ def test_program_follows_imports_and_knows_data_and_libraries(
 
 def test_program_of_a_stage_includes_the_readers_of_files() -> None:
     for stage in (sight_exposure, match_strip_targets):
-        modules = set(digests._sources(stage.__module__))
+        modules = set(digests.sources_of(stage.__module__))
         assert {
             "boresight.pipeline.files.image_files",
             "boresight.pipeline.files.dump",
             "boresight.geometry.orbit",
             "data of boresight.geometry",
         } <= modules
-    assert "boresight.star_id.sight" in digests._sources(sight_exposure.__module__)
-    assert "boresight.gct_match.match" in digests._sources(match_strip_targets.__module__)
+    assert "boresight.star_id.sight" in digests.sources_of(sight_exposure.__module__)
+    assert "boresight.gct_match.match" in digests.sources_of(match_strip_targets.__module__)
 
 
 def test_digest_reads_all_bytes_of_a_large_file_and_nothing_else(tmp_path: Path) -> None:
@@ -194,53 +195,6 @@ def test_no_rows_keep_their_shape() -> None:
     assert list_values(table, "cov", 2, 2).shape == (0, 2, 2)
 
 
-def test_contents_read_by_other_processes_are_known_and_those_of_changed_files_are_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files = [tmp_path / name for name in ("a", "b", "missing")]
-    for path in files[:2]:
-        path.write_bytes(path.name.encode() * 1000)
-    expected = digests.digest(files)
-    content._digests.clear()
-    digests.know_contents(files, Processes(2))
-    computed: list[Path] = []
-    own = content._sha256
-
-    def noted(path: Path, identity: content.Identity) -> str:
-        computed.append(path)
-        return own(path, identity)
-
-    monkeypatch.setattr(content, "_sha256", noted)
-    assert digests.digest(files) == expected
-    assert computed == []  # nothing is read once more
-    files[1].write_bytes(b"another content")
-    assert digests.digest(files) != expected
-    assert computed == [files[1]]
-
-
-def test_images_of_sky_strips_and_of_exposures_are_read_for_digests_by_workers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    dump = open_dump(Path(__file__).parents[3] / "fixtures" / "sky")
-    content._digests.clear()
-    computed: list[Path] = []  # by this process: workers note theirs in memory of their own
-    own = content._sha256
-
-    def noted(path: Path, identity: content.Identity) -> str:
-        computed.append(path)
-        return own(path, identity)
-
-    monkeypatch.setattr(content, "_sha256", noted)
-    inputs = inputs_of([dump], Settings())
-    inputs.know_images(Processes(2), exposures=True)
-    of_two = inputs.digest()
-    images = {path for strip in dump.sky_strips for path in strip.images.paths.values()}
-    images |= {exposure.path for exposure in dump.exposures}
-    assert len(images) > 10 and not images & set(computed)
-    content._digests.clear()
-    assert inputs_of([dump], Settings()).digest() == of_two
-
-
 @pytest.mark.parametrize("executor, by_this_process", [(InOrder(), 1), (Processes(2), 0)])
 def test_a_run_reads_each_exposure_once(
     one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, executor: Executor, by_this_process: int
@@ -277,11 +231,3 @@ def test_inputs_have_no_digest_if_a_file_changes_during_the_run(one_strip: Path)
     path = dump.exposures[3].path
     path.write_bytes(path.read_bytes() + b"x")
     assert inputs.digest() == ""
-
-
-def test_what_is_no_file_is_not_read_ahead(tmp_path: Path) -> None:
-    """Opening a FIFO without a writer would block for ever."""
-    os.mkfifo(tmp_path / "fifo")
-    for path in (tmp_path / "fifo", tmp_path / "missing", tmp_path):
-        content.read_ahead(path)
-    assert sorted(tmp_path.iterdir()) == [tmp_path / "fifo"]

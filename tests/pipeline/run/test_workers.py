@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ from fixture_strips import begun
 from typer.testing import CliRunner
 
 from boresight.pipeline.errors import WorkerError
-from boresight.pipeline.run import processes
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.workers import executor_for
 
@@ -156,126 +154,6 @@ def test_error_of_a_unit_is_told_by_the_first_process_with_the_place_where_it_ar
         executor.map(full, [0, 1], lambda n, outcome: None)
     assert caught.value.errno == errno.ENOSPC
     assert "in full" in caught.value.__notes__[0]
-
-
-def process_noted_in(path: Path) -> None:
-    path.write_text(str(os.getpid()))
-
-
-def killed_at_first(path: Path) -> None:
-    if not path.exists():
-        path.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    process_noted_in(path)
-
-
-def no_space() -> None:
-    raise OSError(errno.ENOSPC, "no space left")
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_what_runs_beside_a_block_has_ended_with_it(workers: int, tmp_path: Path) -> None:
-    with executor_for(workers, None, 0) as executor:
-        with executor.beside(partial(process_noted_in, tmp_path / "pid")):
-            (tmp_path / "block").touch()
-        assert (tmp_path / "block").exists()
-        assert (int((tmp_path / "pid").read_text()) == os.getpid()) == (workers == 1)
-        with pytest.raises(OSError, match="no space left"), executor.beside(no_space):
-            pass
-
-
-def test_what_runs_beside_a_block_is_done_here_if_its_process_dies(tmp_path: Path) -> None:
-    with executor_for(2, None, 0) as executor, executor.beside(partial(killed_at_first, tmp_path / "pid")):
-        pass
-    assert int((tmp_path / "pid").read_text()) == os.getpid()
-
-
-def test_what_runs_beside_a_block_that_fails_is_stopped(tmp_path: Path) -> None:
-    begun_s = time.monotonic()
-    with (
-        executor_for(2, None, 0) as executor,
-        pytest.raises(ZeroDivisionError),
-        executor.beside(partial(time.sleep, 60.0)),
-    ):
-        raise ZeroDivisionError
-    assert time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
-
-
-def squared_unless_three(path: Path) -> tuple[int, int]:
-    if path.name == "3":
-        raise ZeroDivisionError
-    path.touch()
-    return int(path.name) ** 2, os.getpriority(os.PRIO_PROCESS, 0)
-
-
-def squared_slowly(path: Path) -> int:
-    time.sleep(0.05)
-    path.touch()
-    return int(path.name) ** 2
-
-
-def deadly_at_two(number: int) -> int:
-    if number == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Other tests may take the processors."""
-    monkeypatch.setattr(processes, "PATIENCE_S", 60.0)
-
-
-@forked
-@pytest.mark.usefixtures("patient")
-def test_work_ahead_has_the_lowest_priority_and_leaves_errors_to_who_needs_the_outcome(
-    tmp_path: Path,
-) -> None:
-    paths = [tmp_path / str(n) for n in range(6)]
-    with executor_for(2, None, 0) as executor, executor.ahead(squared_unless_three, paths) as outcomes:
-        while not paths[-1].exists():
-            time.sleep(0.01)
-    assert outcomes == {n: (n * n, 19) for n in (0, 1, 2, 4, 5)}
-
-
-@forked
-def test_work_ahead_that_does_not_answer_in_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "PATIENCE_S", 0.1)
-    begun_s = time.monotonic()
-    with executor_for(2, None, 0) as executor, executor.ahead(time.sleep, [60.0]) as outcomes:
-        pass
-    assert outcomes == {} and time.monotonic() - begun_s < 30.0  # s: half of what it would have taken
-
-
-@forked
-@pytest.mark.usefixtures("patient")
-def test_work_ahead_ends_with_its_block_after_the_unit_that_it_has_begun(tmp_path: Path) -> None:
-    with (
-        executor_for(2, None, 0) as executor,
-        executor.ahead(squared_slowly, [tmp_path / str(n) for n in range(1000)]) as outcomes,
-    ):
-        while len(list(tmp_path.iterdir())) < 3:
-            time.sleep(0.01)
-    done = {int(path.name) for path in tmp_path.iterdir()}
-    assert 3 <= len(done) < 500 and outcomes == {n: n * n for n in done}
-
-
-@forked
-def test_work_ahead_does_not_outlive_a_block_that_fails_and_may_die_without_harm() -> None:
-    begun_s = time.monotonic()
-    with executor_for(2, None, 0) as executor:
-        with pytest.raises(ZeroDivisionError), executor.ahead(time.sleep, [60.0]):
-            raise ZeroDivisionError
-        with executor.ahead(deadly_at_two, range(6)) as outcomes:
-            pass
-    assert outcomes == {}
-    assert time.monotonic() - begun_s < 30.0  # s: half of what the first would have taken
-
-
-def test_one_process_works_nothing_ahead() -> None:
-    with executor_for(1, None, 0) as executor, executor.ahead(os.remove, ["nothing"]) as outcomes:
-        pass
-    assert outcomes == {}
 
 
 def test_processes_share_the_units_and_are_gone_afterwards() -> None:
