@@ -195,8 +195,6 @@ class StarSolution(SuccessfulResult):
 
         Raises `ValueError` for another shape or numbers that are not finite.
         """
-        from astropy.coordinates import SkyCoord
-
         xy = floats_of(xy_px, "xy_px", "(N, 2)")
         if xy.ndim not in (1, 2) or xy.shape[-1] != 2:
             raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
@@ -207,7 +205,10 @@ class StarSolution(SuccessfulResult):
             xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
         u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
         ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
-        return SkyCoord(ra[0] if one else ra, dec[0] if one else dec, unit="deg", frame="icrs")
+        place: SkyCoord = _world().SkyCoord(
+            *((ra[0], dec[0]) if one else (ra, dec)), unit="deg", frame="icrs"
+        )
+        return place
 
     def wcs(self, *, max_misfit_px: float = MOST_MISFIT_PX) -> WCS:
         """World coordinates of the image as an astropy WCS: tangent plane with SIP polynomials of degree 7.
@@ -216,8 +217,6 @@ class StarSolution(SuccessfulResult):
         largest difference from the camera. `ValueError` where it exceeds `max_misfit_px`: a wide lens has no
         tangent plane; use `pixel_to_sky`.
         """
-        from boresight.features.sky_images.wcs_files import image_wcs  # with astropy 0.4 s to load
-
         limit, found = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
         if not found.largest_misfit_px <= limit:
             raise wrong(
@@ -225,7 +224,8 @@ class StarSolution(SuccessfulResult):
                 f"a misfit of {found.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
                 f"at most {limit:g} px; pixel_to_sky has no such limit",
             )
-        return image_wcs(found, *self.stars.size_px)
+        wcs: WCS = _world().image_wcs(found, *self.stars.size_px)
+        return wcs
 
     @property
     def wcs_misfit_px(self) -> float:
@@ -673,3 +673,10 @@ def _sky_axes(ax: Axes | None, size_px: tuple[int, int], image: NDArray[np.gener
     ax.set(xlim=(-0.5, size_px[0] - 0.5), ylim=(size_px[1] - 0.5, -0.5), aspect="equal")
     ax.set(xlabel="column, px", ylabel="row, px")
     return ax
+
+
+def _world() -> Any:
+    """The module of world coordinates."""
+    from boresight.features.sky_images import wcs_files  # with astropy 0.4 s to load
+
+    return wcs_files

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.wcs import WCS
 
@@ -13,7 +14,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.star_id.field import FieldSolution
 
-__all__ = ["image_wcs", "write_wcs"]
+__all__ = ["SkyCoord", "image_wcs", "write_wcs"]
 
 
 def write_wcs(path: Path, image: str, found: FieldSolution) -> None:

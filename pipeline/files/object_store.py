@@ -21,7 +21,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -172,7 +172,7 @@ def _block(address: str, version: int, n: int, end: int) -> bytes:
 def _range(address: str, start: int, end: int) -> bytes:
     if end == start:
         return b""
-    content = _asked(address, lambda store, path: _part(store, path, start, end), end - start)
+    content = _asked(address, partial(_part, start=start, end=end), end - start)
     if len(content) != end - start:
         more = "more than " if len(content) > end - start else ""
         found = f"{more}{min(len(content), end - start)} bytes of a range of {end - start}"
@@ -180,11 +180,13 @@ def _range(address: str, start: int, end: int) -> bytes:
     return content
 
 
-def _part(store: Any, path: str, start: int, end: int) -> bytes:
-    """Bytes of a file from `start` to before `end`; of a web server that sends more, some more."""
+def _part(store: Any, path: str, wait: Callable[..., Any], start: int, end: int) -> bytes:
+    """Bytes of a file from `start` to before `end`; of a web server that sends more, some more.
+
+    `wait` returns what a coroutine returns that the store's event loop runs.
+    """
     if "http" not in store.protocol:
         return bytes(store.cat_file(path, start=start, end=end))
-    from fsspec.asyn import sync
 
     async def read() -> bytes:
         session, content = await store.set_session(), bytearray()
@@ -197,13 +199,13 @@ def _part(store: Any, path: str, start: int, end: int) -> bytes:
                     break
         return bytes(content)
 
-    return bytes(sync(store.loop, read))
+    return bytes(wait(store.loop, read))
 
 
 @lru_cache(maxsize=256)
 def _state(address: str, period: int) -> tuple[int, int]:
     """Size and version of a file, asked for once in each period of time."""
-    facts = _asked(address, lambda store, path: store.info(path))
+    facts = _asked(address, lambda store, path, _: store.info(path))
     if facts["type"] != "file":
         raise FileNotFoundError(errno.ENOENT, "no such file", address)
     if facts["size"] is None:
@@ -212,15 +214,16 @@ def _state(address: str, period: int) -> tuple[int, int]:
     return int(facts["size"]), zlib.crc32(repr(told).encode())
 
 
-def _asked(address: str, question: Callable[[Any, str], Answer], size: int = 0) -> Answer:
-    """The answer of the store of an address, of `size` bytes; `OSError` for a file that is missing or
-    forbidden, `WorkerError` with the store's reason if there is no answer, or none in time.
+def _asked(address: str, question: Callable[..., Answer], size: int = 0) -> Answer:
+    """The answer to a question to the store of an address: a function of the store, the path in it and
+    fsspec's `sync`, of `size` bytes. `OSError` for a file that is missing or forbidden, `WorkerError` with
+    the store's reason if there is no answer, or none in time.
     """
     try:
-        from fsspec.core import url_to_fs
+        import fsspec.asyn  # of the extra `cluster`
 
         limit_s = ANSWER_S + size / SLOWEST_BYTES_S
-        return _in_time(lambda: question(*url_to_fs(address)), limit_s)
+        return _in_time(lambda: question(*fsspec.core.url_to_fs(address), fsspec.asyn.sync), limit_s)
     except TimeoutError as error:
         remedy = "try again, or copy the dump to a disk of this machine"
         raise WorkerError(f"{address}: no answer within {limit_s:.3g} s; {remedy}") from error
