@@ -89,8 +89,10 @@ LogFile = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
 
 
-def with_messages(command: Callable[..., Answer | None], *, with_json: bool = False) -> Callable[..., None]:
-    """`command` with the options of messages; its answer is printed."""
+def with_messages(
+    command: Callable[..., Answer | None], name: str, *, with_json: bool = False
+) -> Callable[..., None]:
+    """`command`, called `name` on the command line, with the options of messages; its answer is printed."""
 
     @functools.wraps(command)
     def run_and_print(
@@ -102,7 +104,6 @@ def with_messages(command: Callable[..., Answer | None], *, with_json: bool = Fa
     ) -> None:
         as_json = with_json and named.pop("as_json")  # some commands have an option --json of their own
         begun_s = time.perf_counter()
-        name = command.__name__.replace("_", "-")
         with _messages(verbose, quiet, log_file, as_json):
             try:
                 answer = command(*arguments, **named) or Answer()
@@ -125,10 +126,10 @@ def with_messages(command: Callable[..., Answer | None], *, with_json: bool = Fa
     options |= {"as_json": Json} if with_json else {}
     own = inspect.signature(command).parameters.values()
     parameters = [one.replace(annotation=hints[one.name]) for one in own]
-    for name, kind in options.items():
-        default = None if name == "log_file" else False
+    for option, kind in options.items():
+        default = None if option == "log_file" else False
         parameters.append(
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+            inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         )
     run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run_and_print.__annotations__ = hints | options

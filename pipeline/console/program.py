@@ -112,7 +112,7 @@ def _named(command: Command, words: Sequence[str]) -> bool:
 
 def _add(app: typer.Typer, name: str, command: Command, is_called: bool) -> None:
     if is_called:
-        function = with_messages(function_at(command.place), with_json=command.with_json)
+        function = with_messages(function_at(command.place), command.name, with_json=command.with_json)
         app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
     else:
         app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)

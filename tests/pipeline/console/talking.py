@@ -30,4 +30,4 @@ def work(status: Annotated[int, typer.Option(help="Of the answer.")] = 0) -> Ans
 
 
 worker = typer.Typer()
-worker.command()(with_messages(work, with_json=True))
+worker.command()(with_messages(work, "work", with_json=True))

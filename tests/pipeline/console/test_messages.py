@@ -53,7 +53,7 @@ def test_quiet_leaves_results_and_verbose_adds_times() -> None:
 
 def test_quiet_leaves_one_line_of_an_answer_that_has_one() -> None:
     program = typer.Typer()
-    program.command()(with_messages(lambda: Answer(text="many\nlines", line="refuted -> place")))
+    program.command()(with_messages(lambda: Answer(text="many\nlines", line="refuted -> place"), "many"))
     assert runner.invoke(program, ["-q"]).stdout == "refuted -> place\n"
     assert runner.invoke(program, []).stdout == "many\nlines\n"
 
@@ -96,7 +96,7 @@ def test_verbose_says_what_became_of_each_unit_and_why() -> None:
         return Answer()
 
     program = typer.Typer()
-    program.command()(with_messages(units))
+    program.command()(with_messages(units, "units"))
     lines = runner.invoke(program, ["-v"]).stderr.splitlines()
     assert lines[:3] == [
         "exposures e1: not used, too dark",
@@ -147,6 +147,13 @@ def test_json_is_one_object_and_nothing_else_on_stdout() -> None:
         "expected": "a number",
         "message": "a.csv: line 2: found x, expected a number",
     }
+
+
+@pytest.mark.parametrize("name", ["status", "dump check", "remote-camera-calibrate"])
+def test_an_answer_names_its_command_as_it_is_called(name: str, tmp_path: Path) -> None:
+    more = ["--out", str(tmp_path / "out")] if name.startswith("remote") else []
+    ran = runner.invoke(app, [*name.split(), str(tmp_path / "nothing"), *more, "--json"])
+    assert json.loads(ran.stdout)["command"] == name
 
 
 @pytest.mark.parametrize("name", ["calibrate", "validate", "status", "plan", "match", "drift"])
