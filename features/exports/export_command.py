@@ -61,17 +61,7 @@ def export_command(
     names = [name.strip() for several in formats for name in several.split(",")]
     if unknown := [name for name in names if name not in FORMATS]:
         raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
-    try:
-        frames = SpiceFrames(
-            spacecraft_id=spice_spacecraft,
-            star_camera_id=spice_spacecraft * 1000 - 1,
-            star_camera_name=spice_star_camera,
-            remote_camera_id=spice_spacecraft * 1000 - 2,
-            remote_camera_name=spice_remote_camera,
-            define_star_camera=not spice_known_star_camera,
-        )
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
+    frames = _frames(spice_spacecraft, spice_star_camera, spice_remote_camera, spice_known_star_camera)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
     request = ExportRequest(
         result=result,
@@ -87,20 +77,37 @@ def export_command(
     folder.mkdir(parents=True, exist_ok=True)
     for remark in strips_left_out(request) if set(names) & set(OF_STRIPS) else ():
         say(remark.text)
-    empty = []
-    for name in names:
-        count = 0
-        for one in made(name, request):
-            if isinstance(one, Remark):
-                say(f"{name}: {one.text}")
-                continue
-            count += 1
-            file, content = one
-            raw = content.encode("utf-8") if isinstance(content, str) else content
-            write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
-            tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
-        empty += [] if count else [name]
-    if empty:
+    if empty := [name for name in names if not _written(name, request, folder)]:
         say(f"nothing to write as {', '.join(empty)}")
         return Answer(exit_status=DATA_DID_NOT_ALLOW)
     return Answer()
+
+
+def _frames(spacecraft: int, star_camera: str, remote_camera: str, is_known: bool) -> SpiceFrames:
+    """The frames of SPICE, ids by that of the spacecraft; `is_known`: other kernels define the first."""
+    try:
+        return SpiceFrames(
+            spacecraft_id=spacecraft,
+            star_camera_id=spacecraft * 1000 - 1,
+            star_camera_name=star_camera,
+            remote_camera_id=spacecraft * 1000 - 2,
+            remote_camera_name=remote_camera,
+            define_star_camera=not is_known,
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
+def _written(name: str, request: ExportRequest, folder: Path) -> int:
+    """How many files of a format were written."""
+    count = 0
+    for one in made(name, request):
+        if isinstance(one, Remark):
+            say(f"{name}: {one.text}")
+            continue
+        count += 1
+        file, content = one
+        raw = content.encode("utf-8") if isinstance(content, str) else content
+        write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
+        tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+    return count
