@@ -447,7 +447,6 @@ template_px = 96
 [run]
 passes = 3
 exposure_margin_s = 1.5
-aberration = true
 [calibration]
 sigma_clock_s = 2e-4
 [stars]

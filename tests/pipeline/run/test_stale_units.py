@@ -48,7 +48,7 @@ def test_nothing_is_made_again_of_a_dump_with_other_times_of_change(copied: tupl
 @pytest.mark.parametrize(
     ("settings", "made"),
     [
-        ({"run": {"aberration": False}}, STRIPS),
+        ({"run": {"exposure_margin_s": 0.5}}, STRIPS),
         ({"match": {"least_correlation": 0.61}}, STRIPS),
         ({"stars": {"false_alarms_per_frame": 0.02}}, EXPOSURES),
     ],
