@@ -23,7 +23,7 @@ from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.executor import InOrder
-from boresight.pipeline.run.program import library_versions, program_digest
+from boresight.pipeline.run.program_key import library_versions, program_digest
 
 __all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
 

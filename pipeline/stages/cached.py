@@ -18,7 +18,7 @@ from boresight.pipeline.files.content import Identity, remember_digest, with_ide
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.run.program import program_digest
+from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 from boresight.pipeline.stages.unit_log import log_unit

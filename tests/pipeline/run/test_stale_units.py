@@ -12,7 +12,7 @@ import pytest
 
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.run import digests, program
+from boresight.pipeline.run import digests, program_key
 from boresight.pipeline.run.settings import settings_from_tables
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
@@ -94,7 +94,7 @@ def test_other_code_or_libraries_make_again_what_depends_on_them(
     changed: str, made: set[int], copied: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One byte more in the source of a module, or another version of a library, as digests read them."""
-    read, versions = digests._module.__wrapped__, program.library_versions()
+    read, versions = digests._module.__wrapped__, program_key.library_versions()
 
     def source(name: str) -> object:
         module = read(name)
@@ -102,9 +102,9 @@ def test_other_code_or_libraries_make_again_what_depends_on_them(
 
     monkeypatch.setattr(digests, "_module", source)
     if changed == "a library":
-        monkeypatch.setattr(program, "library_versions", lambda: versions | {"scipy": "0.0.1"})
-    program.program_digest.cache_clear()
+        monkeypatch.setattr(program_key, "library_versions", lambda: versions | {"scipy": "0.0.1"})
+    program_key.program_digest.cache_clear()
     try:
         assert units_made(*copied) in made
     finally:
-        program.program_digest.cache_clear()
+        program_key.program_digest.cache_clear()

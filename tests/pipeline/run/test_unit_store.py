@@ -18,11 +18,11 @@ from boresight.pipeline.calibration_run import RunRequest, run_dump
 from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
-from boresight.pipeline.run import digests, program
+from boresight.pipeline.run import digests, program_key
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
-from boresight.pipeline.run.program import program_digest
+from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.run_inputs import inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
@@ -129,11 +129,11 @@ def test_program_follows_imports_and_knows_data_and_libraries(
     assert len(set(keys)) == 6
     (root / "other.py").write_text("B = 2\n")
     assert key() == keys[-1]
-    versions = program.library_versions()
+    versions = program_key.library_versions()
     assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
     for name in versions:
         changed = versions | {name: "0"}
-        monkeypatch.setattr(program, "library_versions", lambda changed=changed: changed)
+        monkeypatch.setattr(program_key, "library_versions", lambda changed=changed: changed)
         keys.append(key())
     assert len(set(keys)) == 6 + len(versions)
     program_digest.cache_clear()
