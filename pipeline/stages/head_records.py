@@ -60,7 +60,10 @@ def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Si
 
 
 def head_track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, Floats | None]:
-    """All attitudes of a head that the orbit covers, and its temperatures."""
+    """All attitudes (K,) of a head that the orbit covers, and its temperatures (K,), °C, if it states them.
+
+    `DataNotSufficientError` for fewer than two.
+    """
     if isinstance(head.source, SolvedAttitudes):
         rows = head.source.rows
         at = np.flatnonzero(covered_instants(dump.orbit, rows.t_s, np.ones(len(rows.t_s), dtype=bool)))
@@ -78,7 +81,7 @@ def head_track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, F
 
 
 def noise_of_tracks(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float = LOWEST_HZ) -> HeadNoise:
-    """As `noise_of_heads`, of tracks in the order of the dump's heads."""
+    """As `noise_of_heads`, of tracks in the order of the heads; raises `DataNotSufficientError`, too."""
     longest = max(
         (strip.lines * strip.row_period_s for strip in (*dump.strips, *dump.sky_strips)), default=0.0
     )
