@@ -15,14 +15,7 @@ from boresight.accepted import ImageLike, floats_of, instance_of, listed, number
 from boresight.display import Result, axes_or_new
 from boresight.features.sky_images.api import find_stars, identify, image_pixels
 from boresight.features.sky_images.identify_images import sky_index
-from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.field import ra_dec_roll
-from boresight.star_id.finding.star_list import StarList
-from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.settings import StarSettings
-from boresight.star_id.tracking import (
+from boresight.features.sky_images.tracking import (
     CameraMotion,
     StarFix,
     motion_of_fix,
@@ -30,6 +23,13 @@ from boresight.star_id.tracking import (
     predicted_motion,
     with_fix,
 )
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.field import ra_dec_roll
+from boresight.star_id.finding.star_list import StarList
+from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.settings import StarSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -179,8 +179,8 @@ def name_stars(
 
     Displacements of all stars have one covariance: the errors of mounting and attitudes that they share, and
     each star's own. The stars that are sure by themselves show the shared errors; with these, all are judged
-    again, each by the others. A detection
-    whose brightness is not that of its star within `magnitude_error` gets no name.
+    again, each by the others. A detection whose brightness is not that of its star within `magnitude_error`
+    gets no name.
     """
     R_ci = Rotation.from_rotvec(theta_rad).as_matrix() @ seen.R_ci
     predicted, ahead = _predicted(R_ci, field.u_i)

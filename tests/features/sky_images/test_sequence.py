@@ -15,10 +15,16 @@ from typer.testing import CliRunner
 
 import boresight as bs
 from boresight.features.sky_images.identify_images import sky_index
+from boresight.features.sky_images.tracking import (
+    CameraMotion,
+    StarFix,
+    motion_of_fix,
+    predicted_motion,
+    with_fix,
+)
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.star_id.settings import StarSettings
-from boresight.star_id.tracking import CameraMotion, StarFix, motion_of_fix, predicted_motion, with_fix
 
 INDEX = sky_index(CAMERA, None, StarSettings())
 

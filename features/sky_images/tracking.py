@@ -82,7 +82,7 @@ class StarFix:
 
 
 def motion_of_fix(fix: StarFix, t_s: float) -> CameraMotion:
-    """CameraMotion known by one frame: its attitude, and a rate that may be anything."""
+    """The motion that one frame tells: its attitude; a rate of zero with a 1-sigma beyond any camera's."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3], covariance[3:, 3:] = fix.cov_s, _UNKNOWN_RATE**2 * np.eye(3)
     return CameraMotion(t_s, fix.R_si, np.zeros(3), covariance)
