@@ -43,7 +43,7 @@ def predictions_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def correlation_of_predictions(one: Sequence[str], other: Sequence[str]) -> Floats:
-    """Correlation (3 A, 3 B) of the unknowns of A predictions with those of B others, nothing being seen.
+    """Correlation (3 A, 3 B) of the errors of A predictions with those of B others, before any observation.
 
     `ValueError` for texts that are no predictions.
     """

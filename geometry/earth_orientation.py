@@ -105,10 +105,11 @@ def expected_prediction_error_m(days_ahead: float) -> float:
 
 
 def expected_extrapolation_error_m(days_past: float) -> float:
-    """1-sigma displacement on the equator, m, of UT1 extrapolated at its mean rate of a year and a fixed
-    pole.
+    """1-sigma displacement on the equator, m, `days_past` the end of a table: UT1 goes on at its mean
+    rate of a year, the pole stays.
 
-    Rms over the tables since 1990: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m D, at most 6 m.
+    Rms over the tables since 1990, D days after the end: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m
+    D, at most 6 m.
     """
     return float(np.hypot(*_extrapolation_m(days_past)))
 

@@ -21,7 +21,7 @@ __all__ = ["Geoid", "egm96"]
 
 Array = NDArray[np.float64]
 
-_ROWS_AT_ONCE = 16  # of `undulation_on_grid_m`
+_ROWS_AT_ONCE = 16  # rows of heights that `undulation_on_grid_m` computes together
 
 
 @record

@@ -45,7 +45,10 @@ def write_drift(dated: DatedDrift, out: Path) -> list[Path]:
 
 
 def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: str) -> Figure:
-    """`table` as in drift.csv; `step` its most likely date and the ends of its interval (UTC), or None."""
+    """Angles of the mounting against time, an axis a panel.
+
+    `table` as in drift.csv; `step`: its most likely date and the ends of its interval (UTC), or None.
+    """
     figure, axes = panels(3, 1, 2.2, sharex=True)
     for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=True)):
         when = _naive(part["utc"])

@@ -142,7 +142,7 @@ def drift_table(dated: DatedDrift) -> pd.DataFrame:
 
 
 def drift_summary(dated: DatedDrift) -> str:
-    """What is worth a line on the terminal."""
+    """Lines for the terminal: span, merged 1-sigma, and each model of the drift with its test."""
     drift = dated.drift
     first, *_, last = _dates(dated.epoch, drift.series.t_s)
     sigma = np.sqrt(np.diag(drift.merged.covariance)) / ARCSEC

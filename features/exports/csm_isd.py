@@ -42,7 +42,7 @@ FIT_SAMPLES = 9  # look directions per node, to which the rotation is fitted
 DISTORTION_PX = 3e-3  # largest misfit of the cubic
 # Fewest samples of a piece of a CCD that gets an ISD of its own.
 SMALLEST_PIECE_PX = 32
-_HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c' <- c: 180 degrees about x
+_HALF_TURN = Rotation.from_quat([1.0, 0.0, 0.0, 0.0])  # c to the sensor's axes of an ISD: 180 degrees about x
 
 
 @record

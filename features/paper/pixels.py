@@ -80,7 +80,8 @@ ONE_STRIP = (
     "errors.distortion_px=0.0",
 )
 GROUND_PIXEL_M = 240e-6 / 10.0 * 530e3  # pixel pitch / focal length x height of the rendered camera
-GRID_FRAME, TABLE_4_FRAME = (30, 10), (55, 20)  # stars and targets at the level of vectors
+# Stars and targets of a frame where directions are drawn, not images: for Figure 7, for Table 4.
+GRID_FRAME, TABLE_4_FRAME = (30, 10), (55, 20)
 SIGMA_S_PX = (0.0091, 0.0332)  # mean stated sigma_s over the sky: first + second x read noise, px and px/DN
 
 

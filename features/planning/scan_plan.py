@@ -40,8 +40,8 @@ from boresight.simulator.motion import acceleration
 __all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]
 
 TRIES = 200  # pointings drawn for one candidate
-COMPARED = 5  # of those that are clear: the one with most stars is the candidate
-FIELD_RAD = 0.012  # within which stars are counted for that
+COMPARED = 5  # pointings clear of the bodies whose stars are counted: that with most is the candidate
+FIELD_RAD = 0.012  # half-angle of the cone in which they are counted
 # Steps of finding when a star crosses the detector (set by hand).
 NEWTON_STEPS = 5
 Z = np.array([0.0, 0.0, 1.0])  # line of sight, in frames s and c

@@ -23,7 +23,7 @@ __all__ = ["Blocks", "blocks_of"]
 # Blocks along the shorter side of a template for the jackknife: 64 blocks give its variance to 18 %, sqrt(2
 # / 64).
 _ALONG_SIDE = 8
-_AFFINE_CHI2 = 18.5  # chi² of the four affine parameters at 0.1 %
+_AFFINE_CHI2 = 18.5  # chi² of the four affine parameters that chance exceeds in 0.1 %
 _LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted with a wrong model
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 

@@ -24,7 +24,8 @@ __all__ = [
     "self_similarity",
 ]
 
-_FAR, _SHARED = 0.25, 0.25  # least displacement and overlap of the two copies, of side and area
+# Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
+_FAR, _SHARED = 0.25, 0.25
 
 
 @record

@@ -52,7 +52,7 @@ MOST_SIDE_PX = 420  # of a picture
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
 MARGIN = 0.06  # of a scene's size, around the footprints
-# Columns of evidence/map.parquet: texts, places (deg, m), axes of residuals, all numbers.
+# Columns of evidence/ground.parquet: texts, places (deg, m), axes of residuals, all numbers.
 TEXTS = ("strip_id", "target_id", "state", "cause", "reason")
 PLACES = ("lat_deg", "lon_deg", "height_m", "east_m", "north_m")
 RESIDUALS = ("east", "north", "along", "across")
@@ -61,7 +61,6 @@ NUMBERS = (
     *("t_s", "temperature_c", "sample_px", "line_px", "residual_m", "sigmas"),
     *(f"residual_{axis}_m" for axis in RESIDUALS),
 )
-# Of evidence/map.parquet (`ground_table`).
 SCHEMA = pa.schema(
     [("scene", pa.int64()), ("ccd", pa.int64())]
     + [(name, pa.string()) for name in TEXTS]

@@ -23,7 +23,8 @@ STATES = {
     "unused": "not identified, or flagged in the catalogue: not used",
 }
 LONG_SIDE_PX = 2048  # of the picture; a larger image is reduced by powers of two
-SKY_SIGMAS = (-1.5, 25.0)  # black and white of the picture, about the median of the image
+# Black and white of the picture: the median of the image plus so many 1-sigma of its noise.
+SKY_SIGMAS = (-1.5, 25.0)
 
 
 @record(kw_only=True)

@@ -13,8 +13,8 @@ from boresight.pipeline.files.image_files import StripFiles
 __all__ = ["Overview", "overview"]
 
 SIDE_PX = 420  # least length of the longer side, if the image has as many pixels
-LEAST_ROWS = 100  # of a strip that is read in bands
-BAND_LINES = 4  # of a long strip that are read for a row
+LEAST_ROWS = 100  # of the overview of a strip that is read in bands
+BAND_LINES = 4  # image lines that are read, and averaged, for a row of such an overview
 
 
 @record(kw_only=True)

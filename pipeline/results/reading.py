@@ -52,6 +52,7 @@ class SavedEarth:
     with_theta_rad: Floats = array("3, F", "of theta with them, rad")
 
 
+# Of a result whose Earth orientation was measured.
 NO_EARTH = SavedEarth(predictions=(), covariance=np.zeros((0, 0)), with_theta_rad=np.zeros((3, 0)))
 
 

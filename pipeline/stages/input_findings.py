@@ -29,7 +29,7 @@ __all__ = ["assumed_motion", "given_twice", "heights", "input_findings", "outsid
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
-SHOWN = 4  # names in a sentence
+SHOWN = 4  # most names in the sentence of a finding; "and N more" follows
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT)  # refusals of targets whose place is wrong
 
 

@@ -24,9 +24,8 @@ from boresight.pipeline.stages.strip import StripTask
 __all__ = ["moved_inputs"]
 
 AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
-# Units of further inputs, in s, m and rad: a thousandth, and a kilometre a second.
-MILLI = 1e-3
-KM_S = 1e3
+MILLI = 1e-3  # size of an error whose effect is computed: milliseconds, millimetres or milliradians
+KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
     ("along the track", ("too large", "too small")),
