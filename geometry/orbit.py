@@ -47,7 +47,8 @@ class Orbit:
 
     A Lagrange polynomial needs degree + 1 nodes, a Hermite polynomial (degree + 1) / 2, rounded up. Without
     velocities only Lagrange is possible, and the velocity is the polynomial's derivative. Raises `ValueError`
-    for instants that do not increase, too few nodes, an unknown frame or method.
+    for instants that do not increase, too few nodes, an unknown frame or method. Nothing is interpolated over
+    the begin of a part, whose first instant may be the last of the part before it.
     """
 
     epoch: Epoch = scalar("origin of t_s")
@@ -61,6 +62,7 @@ class Orbit:
         "lagrange (positions) or hermite (positions and velocities)", default="lagrange"
     )
     max_step_s: float | None = scalar("longer steps are gaps; None: 1.5 times the median step", default=None)
+    begins: tuple[int, ...] = scalar("first nodes of parts beside the first one", default=())
     _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free segment
     _scale: Array = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
     _slope_at_node: Array = field(
@@ -82,10 +84,12 @@ class Orbit:
                 f"{self.method}, degree {self.degree}: {self.nodes_needed} nodes needed, got {k}"
             )
         steps = np.diff(self.t_s)
-        if np.any(steps <= 0.0):
+        begins = np.zeros(k - 1, dtype=bool)
+        begins[[n - 1 for n in self.begins]] = True
+        if np.any((steps < 0.0) | ((steps == 0.0) & ~begins)):
             raise ValueError("Orbit.t_s must increase")
         limit = _GAP_FACTOR * float(np.median(steps)) if self.max_step_s is None else self.max_step_s
-        object.__setattr__(self, "_segment", np.concatenate([[0], np.cumsum(steps > limit)]))
+        object.__setattr__(self, "_segment", np.concatenate([[0], np.cumsum((steps > limit) | begins)]))
         scale, slope_at_node = _window_scales(np.asarray(self.t_s, dtype=float), self.nodes_needed)
         object.__setattr__(self, "_scale", scale)
         object.__setattr__(self, "_slope_at_node", slope_at_node)
@@ -249,7 +253,8 @@ def _window_scales(t_nodes: Array, k: int) -> tuple[Array, Array]:
     windows = np.lib.stride_tricks.sliding_window_view(t_nodes, k)
     difference = windows[:, :, None] - windows[:, None, :]
     difference[:, np.arange(k), np.arange(k)] = 1.0
-    return 1.0 / difference.prod(axis=2), (1.0 / difference).sum(axis=2) - 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):  # over the begin of a part: not used
+        return 1.0 / difference.prod(axis=2), (1.0 / difference).sum(axis=2) - 1.0
 
 
 def _hermite(

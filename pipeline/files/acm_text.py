@@ -1,19 +1,30 @@
-"""Read the blocks of a CCSDS Attitude Comprehensive Message (ACM 2.0, 504.0-B-2) in keyword = value form.
+"""Read the blocks of a CCSDS Attitude Comprehensive Message (ACM 2.0, 504.0-B-2), KVN or XML.
 
-Of attitudes the quaternions are taken (what may follow, rates, is not used), of covariances those of small
-rotations about the axes of the head (COV_TYPE ANGLE: their diagonal). Other blocks are not used.
+Of attitudes quaternions, Euler angles and matrices are taken (what may follow, rates, is not used), of
+covariances those of small rotations about the axes of the head (COV_TYPE ANGLE: their diagonal). Other blocks
+are not used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.attitude_kinds import (
+    ANGLES,
+    EULER,
+    MATRIX,
+    QUATERNION,
+    rotation_sequence,
+    rotations_of,
+)
 from boresight.pipeline.files.orbit_file import calendar_date, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number
 
@@ -22,8 +33,10 @@ __all__ = ["AcmAttitudes", "is_acm", "read_acm"]
 MARK, VERSION = "CCSDS_ACM_VERS", "2.0"  # first keyword of a message, and its value (CCSDS 504.0-B-2)
 BLOCKS = ("META", "ATT", "PHYS", "COV", "MAN", "AD", "USER")  # names that stand before _START and _STOP
 SENSOR = ("SENSOR_START", "SENSOR_STOP")  # edges of the sensors inside AD
-QUATERNION = ("Q1", "Q2", "Q3", "QC")  # components of a row of attitude, scalar last
-ANGLES = ("X", "Y", "Z")  # of the variances in a row
+# Values of ATT_TYPE, and the numbers of a row.
+KINDS = {"QUATERNION": QUATERNION, "EULER_ANGLES": ANGLES, "DCM": MATRIX}
+VARIANCES = ("X", "Y", "Z")  # about these axes, of a row
+XML_LINES = {"ATT": "attLine", "COV": "covLine"}  # elements of rows, by their blocks
 
 
 @record(kw_only=True)
@@ -33,7 +46,7 @@ class AcmAttitudes:
     frames: Mapping[str, str] = scalar("REF_FRAME_A and REF_FRAME_B")
     since: Epoch = scalar("zero of `t_s`")
     t_s: Floats = array("N", "TAI seconds since it")
-    q: Floats = array("N, 4", "quaternions, scalar last, of the matrix from A to B")
+    R_ab: Rotation = scalar("(N,) components in B to components in A")
     variance_rad2: Floats | None = array("N, 3", "about the axes of B; None: not stated", default=None)
 
 
@@ -42,48 +55,53 @@ class _Block:
     """Keywords and lines of numbers of one block."""
 
     name: str
-    line: int
+    where: str  # in errors: "line 12" or "att 1"
     values: dict[str, str] = field(default_factory=dict)
-    rows: list[tuple[int, list[str]]] = field(default_factory=list)
+    rows: list[tuple[str, list[str]]] = field(default_factory=list)  # where, and the words
 
 
-def is_acm(text: str) -> bool:
-    """Whether a text without leading space is an ACM in keyword = value form."""
-    return text.startswith(MARK)
+def is_acm(message: str | Element | None) -> bool:
+    """Whether a text without leading space, or the root of an XML message, is an ACM."""
+    if isinstance(message, str):
+        return message.startswith(MARK)
+    return message is not None and {one.tag for one in message.iter()} & {"acm", "aem"} == {"acm"}
 
 
-def read_acm(text: str, file: str) -> AcmAttitudes:
+def read_acm(message: str | Element, file: str) -> AcmAttitudes:
     """The attitudes of a message, all of its ATT blocks after one another; `file` names it in errors.
 
-    Raises `RawDataError` for blocks that are not quaternions, that relate different frames, and for
-    covariances of another kind or at other times.
+    Raises `RawDataError` for blocks of another kind, that relate different frames, and for covariances of
+    another kind or at other times.
     """
-    header, *blocks = _blocks(text, file)
+    of_form = _blocks(message, file) if isinstance(message, str) else _xml_blocks(message, file)
+    header, *blocks = of_form
     if (version := header.values.get(MARK)) != VERSION:
         raise RawDataError(file, MARK, version, VERSION)
     meta = next((block.values for block in blocks if block.name == "META"), {})
     attitudes = [block for block in blocks if block.name == "ATT"]
     if not attitudes:
-        raise RawDataError(file, "ATT_START", "no attitudes", "a block with ATT_TYPE = QUATERNION")
+        raise RawDataError(file, "ATT_START", "no attitudes", f"a block with ATT_TYPE = {' or '.join(KINDS)}")
     frames = [_frames(block, file) for block in attitudes]
     if other := [one for one in frames if one != frames[0]]:
         found = "; ".join(" and ".join(one.values()) for one in (frames[0], other[0]))
         raise RawDataError(file, "REF_FRAME_A and REF_FRAME_B", found, "one head; delete the other blocks")
-    parts = [_numbers(block, QUATERNION, meta, file) for block in attitudes]
+    parts = [_numbers(block, KINDS[block.values["ATT_TYPE"].upper()], meta, file) for block in attitudes]
     since = parts[0][0]
     t_s = np.concatenate([t + float(epoch.tai_s - since.tai_s) for epoch, t, _ in parts])
     return AcmAttitudes(
         frames=frames[0],
         since=since,
         t_s=t_s,
-        q=np.concatenate([q for _, _, q in parts]),
+        R_ab=Rotation.concatenate(
+            [rotations_of(one, _sequence(block, file), file) for block, (_, _, one) in zip(attitudes, parts)]
+        ),
         variance_rad2=_variance(blocks, meta, frames[0]["REF_FRAME_B"], (since, t_s), file),
     )
 
 
 def _blocks(text: str, file: str) -> Iterator[_Block]:
     """The header, then each block in the order of the message."""
-    block = _Block("header", 1)
+    block = _Block("header", "line 1")
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if not line or line.startswith("COMMENT"):
@@ -97,16 +115,16 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
             if edge == "START":
                 if block.name == "header":
                     yield block
-                block = _Block(name, number)
+                block = _Block(name, f"line {number}")
             else:
                 yield block
-                block = _Block("", number)
+                block = _Block("", f"line {number}")
             continue
         key, equals, value = line.partition("=")
         if equals:
             block.values.setdefault(key.strip(), value.strip())
         elif block.name in ("ATT", "COV"):
-            block.rows.append((number, line.split()))
+            block.rows.append((f"line {number}", line.split()))
             if len(block.rows) > MAX_ROWS:
                 raise RawDataError(file, f"line {number}", f"more than {MAX_ROWS} lines", "fewer")
         elif block.name != "MAN" and not (block.name == "AD" and line in SENSOR):
@@ -115,14 +133,39 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
         raise RawDataError(file, "end of the file", f"inside {block.name}", "META, and ATT_STOP of attitudes")
 
 
+def _xml_blocks(root: Element, file: str) -> Iterator[_Block]:
+    """The header, then each block of a message in XML form, in its order."""
+    message = next(root.iter("acm"))
+    yield _Block("header", "acm", {MARK: message.get("version", "").strip()})
+    for metadata in message.iterfind("body/segment/metadata"):
+        yield _Block("META", "metadata", {one.tag: (one.text or "").strip() for one in metadata})
+    for name, row in XML_LINES.items():
+        for n, element in enumerate(message.iterfind(f"body/segment/data/{name.lower()}"), start=1):
+            where = f"{name.lower()} {n}"
+            block = _Block(name, where, {one.tag: (one.text or "").strip() for one in element})
+            lines = element.findall(row)
+            if len(lines) > MAX_ROWS:
+                raise RawDataError(file, where, f"more than {MAX_ROWS} lines", "fewer")
+            block.rows.extend(
+                (f"{where}, {row} {k}", (one.text or "").split()) for k, one in enumerate(lines, start=1)
+            )
+            yield block
+
+
+def _sequence(block: _Block, file: str) -> str:
+    """Axes of the Euler angles of a block; empty for other rotations."""
+    if block.values["ATT_TYPE"].upper() != "EULER_ANGLES":
+        return ""
+    return rotation_sequence(block.values.get(EULER), file, f"{block.where}, {EULER}")
+
+
 def _frames(block: _Block, file: str) -> dict[str, str]:
-    """REF_FRAME_A and REF_FRAME_B of quaternions."""
+    """REF_FRAME_A and REF_FRAME_B of attitudes that can be read."""
     for key in ("REF_FRAME_A", "REF_FRAME_B", "ATT_TYPE"):
         if key not in block.values:
-            raise RawDataError(file, f"line {block.line}, {key}", "nothing", "this keyword")
-    if (kind := block.values["ATT_TYPE"].upper()) != "QUATERNION":
-        expected = "QUATERNION; Euler angles and matrices are not read"
-        raise RawDataError(file, f"line {block.line}, ATT_TYPE", kind, expected)
+            raise RawDataError(file, f"{block.where}, {key}", "nothing", "this keyword")
+    if (kind := block.values["ATT_TYPE"].upper()) not in KINDS:
+        raise RawDataError(file, f"{block.where}, ATT_TYPE", kind, ", ".join(KINDS))
     return {key: block.values[key] for key in ("REF_FRAME_A", "REF_FRAME_B")}
 
 
@@ -136,22 +179,23 @@ def _numbers(
     for key in ("TIME_SYSTEM", "EPOCH_TZERO"):
         if key not in meta:
             raise RawDataError(file, key, "nothing", "this keyword")
-    for number, cells in block.rows:
+    for where, cells in block.rows:
         if len(cells) <= len(names):
             expected = f"a time and {len(names)} numbers or more"
-            raise RawDataError(file, f"line {number}", " ".join(cells), expected)
+            raise RawDataError(file, where, " ".join(cells), expected)
     values = [
-        [check_number(cell, file, f"line {number}, {name}") for name, cell in zip(names, cells[1:])]
-        for number, cells in block.rows
+        [check_number(cell, file, f"{where}, {name}") for name, cell in zip(names, cells[1:])]
+        for where, cells in block.rows
     ]
-    stamps = [(number, cells[0]) for number, cells in block.rows]
+    stamps = [(where, cells[0]) for where, cells in block.rows]
     if stamps and all("T" in stamp for _, stamp in stamps):
-        dates = [calendar_date(stamp, file, f"line {n}, time") for n, stamp in stamps]
+        dates = [calendar_date(stamp, file, f"{where}, time") for where, stamp in stamps]
         since, t_s = tai_seconds(dates, meta["TIME_SYSTEM"], file)
     else:
         tzero = calendar_date(meta["EPOCH_TZERO"], file, "EPOCH_TZERO")
         since, (start,) = tai_seconds([tzero], meta["TIME_SYSTEM"], file, "EPOCH_TZERO")
-        t_s = start + np.array([check_number(one, file, f"line {n}, time") for n, one in stamps], dtype=float)
+        since_tzero = [check_number(one, file, f"{where}, time") for where, one in stamps]
+        t_s = start + np.array(since_tzero, dtype=float)
     return since, t_s, np.array(values, dtype=float).reshape(-1, len(names))
 
 
@@ -166,8 +210,8 @@ def _variance(
     for block in stated:
         kind = f"{block.values.get('COV_TYPE')} in {block.values.get('COV_REF_FRAME')}"
         if kind.upper() != f"ANGLE in {head}".upper():
-            raise RawDataError(file, f"line {block.line}, COV_TYPE", kind, f"ANGLE in {head}{remedy}")
-    parts = [_numbers(block, ANGLES, meta, file) for block in stated]
+            raise RawDataError(file, f"{block.where}, COV_TYPE", kind, f"ANGLE in {head}{remedy}")
+    parts = [_numbers(block, VARIANCES, meta, file) for block in stated]
     since, t_s = times
     own_s = np.concatenate([t + float(epoch.tai_s - since.tai_s) for epoch, t, _ in parts])
     if len(own_s) != len(t_s) or np.any(np.abs(own_s - t_s) > 1e-6):

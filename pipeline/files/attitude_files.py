@@ -1,10 +1,8 @@
 """Read attitudes of a star camera: CSV, or a CCSDS Attitude Ephemeris Message (AEM 1.0 and 2.0, KVN and XML)
-or Attitude Comprehensive Message (ACM 2.0, KVN).
+or Attitude Comprehensive Message (ACM 2.0, KVN and XML).
 
 The result are rotations R_si from GCRS to the star camera, as the file has them; what aberration the head has
-left in is put right by `geometry.attitude_aberration`. The standard's quaternion (504.0-B, scalar last) gives
-the matrix from components in A to components in B whose first row holds 2 (q1 q2 + q3 qc); scipy's
-`from_quat` of it is the rotation from B to A.
+left in is put right by `geometry.attitude_aberration`.
 """
 
 from __future__ import annotations
@@ -13,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,6 +22,13 @@ from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
+from boresight.pipeline.files.attitude_kinds import (
+    ANGLES,
+    EULER,
+    QUATERNION,
+    rotation_sequence,
+    rotations_of,
+)
 from boresight.pipeline.files.orbit_file import SAME_FRAME, calendar_date, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
@@ -36,16 +42,13 @@ VERSION, VERSIONS = "CCSDS_AEM_VERS", ("1.0", "2.0")  # first keyword of an AEM,
 OF_VERSION_1 = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
 # Columns of attitude tables: the quaternion, scalar last; 1-sigmas and covariances about x, y, z of the head.
 COMPONENTS = ("qx", "qy", "qz", "qw")
-QUATERNION = ("Q1", "Q2", "Q3", "QC")  # of a message, scalar last
 # Columns of 1-sigma errors about x, y, z of the head.
 SIGMAS = tuple(f"sigma_{axis}_arcsec" for axis in "xyz")
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")  # of axes, upper triangle row by row
 COVARIANCES = tuple(f"cov_{pair}_arcsec2" for pair in PAIRS)  # columns of covariances, same axes
 LARGEST_ARCSEC = 36_000.0  # 10 degrees: not a star camera
-UNIT_LENGTH = 1e-3  # tolerated error of a quaternion's length: three decimals, as telemetry may have
-MESSAGES = (
-    "CCSDS_AEM_VERS or CCSDS_ACM_VERS = ..., an AEM in XML, or a CSV file"  # likewise, of its first line
-)
+# What is expected of the first line of a file that is neither a message nor a CSV table.
+MESSAGES = "CCSDS_AEM_VERS or CCSDS_ACM_VERS = ..., an AEM or ACM in XML, or a CSV file"
 EXPECTED = "an attitude message that follows CCSDS 504.0-B, or a CSV file"  # what messages say was expected
 
 
@@ -105,10 +108,11 @@ def read_attitudes(
             )
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
-    if is_acm(start):
-        rows = _from_acm(read_acm(text, file), file, epoch)
+    root = xml_root(start, file) if start.startswith("<") else None
+    if is_acm(start) or is_acm(root):
+        rows = _from_acm(read_acm(text if root is None else root, file), file, epoch)
     elif frame is None:
-        segments = _xml_segments(start, file) if start.startswith("<") else _kvn_segments(text, file)
+        segments = _kvn_segments(text, file) if root is None else _xml_segments(root, file)
         rows = _from_message(list(segments), file, epoch)
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
@@ -156,7 +160,7 @@ def _from_csv(
     q = np.column_stack([column[name] for name in COMPONENTS])
     return AttitudeRows(
         t_s=t_s + float(since.tai_s - epoch.tai_s),
-        R_si=_to_gcrs(_rotations(q, file), rotation == "inertial to head", frame),
+        R_si=_to_gcrs(rotations_of(q, "", file), rotation == "inertial to head", frame),
         covariance_s=_covariance(column, file),
         temperature_c=column.get("temperature_c"),
         n_invalid=invalid,
@@ -199,15 +203,6 @@ def _covariance(column: dict[str, Floats], file: str) -> Floats | None:
     return covariance * ARCSEC**2
 
 
-def _rotations(q: Floats, file: str) -> Rotation:
-    """Rotations of quaternions (N, 4), scalar last, of nearly unit length."""
-    length = np.linalg.norm(q, axis=1)
-    if len(bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_LENGTH))):
-        found = f"{q[bad[0]].tolist()} of length {length[bad[0]]:.6g}"
-        raise RawDataError(file, f"attitude {bad[0] + 1}", found, f"length 1 within {UNIT_LENGTH:g}")
-    return Rotation.from_quat(q) if len(q) else Rotation.identity(0)
-
-
 def _to_gcrs(R: Rotation, is_inertial_to_head: bool, frame: InertialFrame) -> Rotation:
     """R_si from rotations between the head and its inertial frame."""
     return (R if is_inertial_to_head else R.inv()) * rotation_to_gcrs(frame).inv()
@@ -215,7 +210,7 @@ def _to_gcrs(R: Rotation, is_inertial_to_head: bool, frame: InertialFrame) -> Ro
 
 def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
     t_s = found.t_s + float(found.since.tai_s - epoch.tai_s)
-    rows = _from_quaternions(found.frames, t_s, found.q, file)
+    rows = _between(found.frames, t_s, found.R_ab, file)
     if found.variance_rad2 is None:
         return rows
     return replace(rows, covariance_s=found.variance_rad2[:, :, None] * np.eye(3))
@@ -232,7 +227,7 @@ def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeR
     )
 
 
-State = tuple[str, list[float]]  # time; Q1, Q2, Q3, QC
+State = tuple[str, list[float]]  # time; quaternion or Euler angles
 Segment = tuple[str, dict[str, str], list[State]]  # name in errors, metadata, states
 
 
@@ -280,15 +275,18 @@ def _version(text: str, file: str, field: str) -> str:
 def _check_metadata(
     meta: dict[str, str], version: str, file: str, where: str, fields: Mapping[str, str]
 ) -> None:
-    """`RawDataError` where a keyword is missing, the attitudes are no quaternions, or a keyword not of
-    version 2.0 contradicts that; it names a keyword by `fields`, and a missing one as missing `where`.
+    """`RawDataError` where a keyword is missing, the attitudes are neither quaternions nor Euler angles, or a
+    keyword not of version 2.0 contradicts that; it names a keyword by `fields`, and a missing one as missing
+    `where`.
     """
     for key in ("REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"):
         if key not in meta:
             raise RawDataError(file, where + key, "nothing", "this keyword")
-    if not (kind := meta["ATTITUDE_TYPE"].upper()).startswith("QUATERNION"):
-        expected = "QUATERNION, with or without rates; other types are not read"
+    if not (kind := meta["ATTITUDE_TYPE"].upper()).startswith(("QUATERNION", "EULER_ANGLE")):
+        expected = "QUATERNION or EULER_ANGLE, with or without rates; a spin is not read"
         raise RawDataError(file, fields.get("ATTITUDE_TYPE", f"{where}ATTITUDE_TYPE"), kind, expected)
+    if _is_euler(meta):
+        rotation_sequence(meta.get(EULER), file, fields.get(EULER, where + EULER))
     for key, only in OF_VERSION_1.items() if version != VERSIONS[0] else ():
         if (value := meta.get(key, only).upper()) != only:
             expected = f"{only}, as in version 2.0, which has no {key}; or CCSDS_AEM_VERS = 1.0"
@@ -298,6 +296,11 @@ def _check_metadata(
 
 def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> State:
     """The state of a line; what may follow (rates) is not used."""
+    if _is_euler(meta):
+        if len(cells) < 4:
+            raise RawDataError(file, where, " ".join(cells), "a time and three Euler angles")
+        angles = [check_number(cell, file, f"{where}, {name}") for name, cell in zip(ANGLES, cells[1:])]
+        return calendar_date(cells[0], file, f"{where}, time"), angles
     if len(cells) < 5:
         raise RawDataError(file, where, " ".join(cells), "a time and four components of a quaternion")
     first = meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
@@ -306,13 +309,32 @@ def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> Sta
     return calendar_date(cells[0], file, f"{where}, time"), [q[name] for name in QUATERNION]
 
 
-def _xml_segments(text: str, file: str) -> Iterator[Segment]:
+def _is_euler(meta: Mapping[str, str]) -> bool:
+    """Whether the attitudes of a segment are Euler angles."""
+    return meta["ATTITUDE_TYPE"].upper().startswith("EULER_ANGLE")
+
+
+def _xml_angles(state: Element, meta: Mapping[str, str], file: str, where: str) -> list[float]:
+    """The Euler angles of a state: ANGLE_1 to ANGLE_3, in version 1.0 rotation1 to rotation3, whose attribute
+    names the axis, too.
+    """
+    found = {one.tag: (one.text or "").strip() for one in state.iter() if one.tag in ANGLES}
+    axes = rotation_sequence(meta.get(EULER), file, where + EULER)
+    for name, axis, one in zip(ANGLES, axes, state.iterfind(".//rotationAngles/*")):
+        if (named := one.get("angle", f"{axis}_ANGLE").upper()) != f"{axis}_ANGLE":
+            raise RawDataError(file, f"{where}, {one.tag}", named, f"{axis}_ANGLE, as {EULER} has it")
+        found[name] = (one.text or "").strip()
+    if missing := [name for name in ANGLES if name not in found]:
+        raise RawDataError(file, where, f"no {missing[0]}", EXPECTED)
+    return [check_number(found[name], file, f"{where}, {name}") for name in ANGLES]
+
+
+def _xml_segments(root: Element, file: str) -> Iterator[Segment]:
     """Metadata and states of each segment of a message in XML form."""
-    root = xml_root(text, file)
     named = (one for one in root.iter() if one.tag == "aem" or one.get("id") == "CCSDS_AEM_VERS")
     message = next(named, None)
     if message is None:
-        raise RawDataError(file, "root element", root.tag, "aem; an ACM is read as keyword = value")
+        raise RawDataError(file, "root element", root.tag, "aem or acm")
     version = _version(message.get("version", "").strip(), file, f"{message.tag}, version")
     every = list(message.iter("segment"))
     for n, segment in enumerate(every, start=1):
@@ -326,27 +348,33 @@ def _xml_segments(text: str, file: str) -> Iterator[Segment]:
         for element in segment.iter("attitudeState"):
             where = f"{inside}state {len(states) + 1}"
             cells = {one.tag: (one.text or "").strip() for one in element.iter()}
-            if missing := [key for key in ("EPOCH", *QUATERNION) if key not in cells]:
+            needed = ("EPOCH",) if _is_euler(meta) else ("EPOCH", *QUATERNION)
+            if missing := [key for key in needed if key not in cells]:
                 raise RawDataError(file, where, f"no {missing[0]}", EXPECTED)
-            q = [check_number(cells[name], file, f"{where}, {name}") for name in QUATERNION]
-            states.append((calendar_date(cells["EPOCH"], file, f"{where}, EPOCH"), q))
+            if _is_euler(meta):
+                values = _xml_angles(element, meta, file, where)
+            else:
+                values = [check_number(cells[name], file, f"{where}, {name}") for name in QUATERNION]
+            states.append((calendar_date(cells["EPOCH"], file, f"{where}, EPOCH"), values))
         yield inside, meta, states
 
 
 def _segment(where: str, meta: dict[str, str], states: list[State], file: str, epoch: Epoch) -> AttitudeRows:
-    """One segment of a message, whose quaternions relate an inertial frame and the head."""
+    """One segment of a message, whose rotations relate an inertial frame and the head."""
     since, t_s = epoch, np.array([], dtype=float)
     if states:
         since, t_s = tai_seconds([time for time, _ in states], meta["TIME_SYSTEM"], file)
-    q = np.array([components for _, components in states], dtype=float).reshape(-1, 4)
-    return _from_quaternions(meta, t_s + float(since.tai_s - epoch.tai_s), q, file, where)
+    values = np.array([components for _, components in states], dtype=float)
+    sequence = rotation_sequence(meta.get(EULER), file, where + EULER) if _is_euler(meta) else ""
+    R_ab = rotations_of(values, sequence, file)
+    return _between(meta, t_s + float(since.tai_s - epoch.tai_s), R_ab, file, where)
 
 
-def _from_quaternions(
-    meta: Mapping[str, str], t_s: Floats, q: Floats, file: str, where: str = ""
+def _between(
+    meta: Mapping[str, str], t_s: Floats, R_ab: Rotation, file: str, where: str = ""
 ) -> AttitudeRows:
-    """Attitudes at t_s (N,) of quaternions (N, 4) that relate REF_FRAME_A and REF_FRAME_B of `meta`, which is
-    `where` in the file.
+    """Attitudes at t_s (N,) of rotations (N,) from REF_FRAME_B to REF_FRAME_A of `meta`, which is `where` in
+    the file; from A to B where ATTITUDE_DIR is B2A.
     """
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
     frames = [SAME_FRAME.get(frame, frame) for frame in frames]
@@ -356,7 +384,6 @@ def _from_quaternions(
         raise RawDataError(file, f"{where}REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
         raise RawDataError(file, f"{where}ATTITUDE_DIR", direction, "A2B or B2A")
-    R_ab = _rotations(q, file)  # components in B to components in A
     from_b_to_a = direction == "A2B"
     head_is_b = frames[0] in INERTIAL
     return AttitudeRows(

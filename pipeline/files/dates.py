@@ -69,5 +69,5 @@ def _other_scales(epoch: Epoch, stated: str, first_s: float) -> list[tuple[str, 
     """The other time systems, and by how much later an instant is whose date is of them."""
     leap_s = float(tai_minus_utc_s(epoch.mjd_tai(first_s)))
     ahead_s = {"UTC": leap_s, "TAI": 0.0, "TT": -TT_MINUS_TAI_S, "GPS": -float(GPS_MINUS_TAI_S)}
-    own = ahead_s.get(stated.strip().upper(), 0.0)
+    own = ahead_s.get(stated.strip().upper().replace("TDB", "TT"), 0.0)  # within 2 ms of it
     return [(name, value - own) for name, value in ahead_s.items() if value != own]

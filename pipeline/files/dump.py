@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dat
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.files.orbit_file import Ephemeris, read_segments, segment_over
+from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_segments, segment_over
 from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.repeated_exposures import exposures_once
 from boresight.pipeline.files.repeated_points import points_once
@@ -469,9 +470,11 @@ def _read_orbit(path: Path, file: str, kernels: Kernels) -> tuple[Ephemeris, ...
 def _segment(
     segments: tuple[Ephemeris, ...], strips: list[tuple[float, float]], file: str
 ) -> tuple[Ephemeris, str]:
-    """The segment that covers most strips, and its name in errors: CCSDS 502.0-B forbids interpolation over
-    the end of a segment.
+    """All segments joined, or where they do not follow one another the one that covers most strips; its name
+    in errors.
     """
+    if (all_of_them := joined_segments(segments)) is not None:
+        return all_of_them, file
     n = segment_over(segments, strips)
     return segments[n], file if len(segments) == 1 else f"{file} (segment {n + 1} of {len(segments)})"
 
@@ -515,11 +518,15 @@ def orbit_of(
     """
     t, frame = ephemeris.t_s, ephemeris.frame
     _check_steps(ephemeris, file)
-    if fault := find_orbit_fault(t, ephemeris.positions_m, ephemeris.velocities_m_s, frame):
-        if fault.fault.is_of_frame:
-            raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
-        expected = f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
-        raise RawDataError(file, f"state {fault.state + 1}", str(fault), expected)
+    for begin, end in pairwise((0, *ephemeris.begins, len(t))):
+        positions, velocities = ephemeris.positions_m[begin:end], ephemeris.velocities_m_s[begin:end]
+        if fault := find_orbit_fault(t[begin:end], positions, velocities, frame):
+            if fault.fault.is_of_frame:
+                raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
+            expected = (
+                f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
+            )
+            raise RawDataError(file, f"state {begin + fault.state + 1}", str(fault), expected)
     try:
         earth = EarthRotation.over(
             ephemeris.epoch, float(t[0]), float(t[-1]), table, allow_stale_eop=allow_stale_eop
@@ -538,6 +545,7 @@ def orbit_of(
             degree=ephemeris.interpolation_degree,
             earth=earth,
             method=ephemeris.method,
+            begins=ephemeris.begins,
         )
     except ValueError as error:
         raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error

@@ -6,15 +6,22 @@ import datetime
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 from xml.etree.ElementTree import Element
 
+import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
+from boresight.geometry.inertial_frames import (
+    FrameOfDate,
+    InertialFrame,
+    of_date_to_gcrs,
+    rotation_to_gcrs,
+)
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
@@ -28,6 +35,7 @@ __all__ = [
     "check_components",
     "check_states",
     "check_time_system",
+    "joined_segments",
     "read_oem",
     "read_segments",
     "segment_over",
@@ -36,6 +44,15 @@ __all__ = [
 
 # REF_FRAMEs that do not rotate with the Earth.
 INERTIAL: tuple[InertialFrame, ...] = ("GCRF", "ICRF", "EME2000")
+# REF_FRAMEs of the equator and equinox of date, by their names in messages; those of CCSDS 502.0-B-3 (SANA)
+# too.
+OF_DATE: dict[str, FrameOfDate] = {
+    "TEME": "TEME",
+    "TEMEOFDATE": "TEME",
+    "TEMEOFEPOCH": "TEME",
+    "TOD": "TOD",
+    "TOD_EARTH": "TOD",
+}
 SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the examples of CCSDS 504.0-B-2
 # By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
@@ -76,6 +93,7 @@ class Ephemeris:
     first_time: str = scalar("time of the first state, in the file's own time system")
     last_time: str = scalar("time of the last state, likewise")
     time_system: str = scalar("that time system", default="UTC")
+    begins: tuple[int, ...] = scalar("first states of further segments that were joined", default=())
 
 
 def read_oem(path: Path, file: str) -> Ephemeris:
@@ -114,6 +132,28 @@ def segment_over(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, flo
     return int(np.argmax(covered))
 
 
+def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
+    """All segments as one ephemeris, the begin of each kept; None where they overlap, or differ in frame or
+    interpolation.
+
+    CCSDS 502.0-B forbids interpolation from one segment to the next.
+    """
+    first = segments[0]
+    rule = first.frame, first.method, first.interpolation_degree
+    if any((one.frame, one.method, one.interpolation_degree) != rule for one in segments):
+        return None
+    if any(a.t_s[-1] > b.t_s[0] for a, b in pairwise(segments)):
+        return None
+    return replace(
+        first,
+        t_s=np.concatenate([one.t_s for one in segments]),
+        positions_m=np.concatenate([one.positions_m for one in segments]),
+        velocities_m_s=np.concatenate([one.velocities_m_s for one in segments]),
+        last_time=segments[-1].last_time,
+        begins=tuple(np.cumsum([len(one.t_s) for one in segments[:-1]]).tolist()),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class _Keywords:
     """Values by keyword, and how errors name the keyword: "line 9, REF_FRAME", in XML "REF_FRAME"."""
@@ -139,7 +179,7 @@ def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> 
     _, (first, last) = tai_seconds([start, stop], scale, file)
     if not first <= last:
         raise meta.error("STOP_TIME", stop, f"a time after START_TIME, {start}", file)
-    frame, R = _frame(meta, file)
+    frame, R = _frame(meta, epoch, t_s, file)
     method, degree = _method(meta, file), _degree(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
     check_states(t_s, positions, velocities, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
@@ -282,17 +322,24 @@ def _keywords(
     return meta
 
 
-def _frame(meta: _Keywords, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
-    """The frame that the states are kept in, and the rotation to it from that of the file."""
+def _frame(meta: _Keywords, epoch: Epoch, t_s: Floats, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
+    """The frame that states at t_s (N,) are kept in, and the rotation to it from that of the file: of frames
+    of date one for each state, or that of REF_FRAME_EPOCH.
+    """
     if (centre := meta.values["CENTER_NAME"].upper()) != "EARTH":
         raise meta.error("CENTER_NAME", centre, "EARTH", file)
     frame = meta.values["REF_FRAME"].upper()
     for inertial in INERTIAL:
         if SAME_FRAME.get(frame, frame) == inertial:
             return "GCRF", rotation_to_gcrs(inertial)
+    if frame in OF_DATE:
+        if (at := meta.values.get("REF_FRAME_EPOCH")) is None:
+            return "GCRF", of_date_to_gcrs(OF_DATE[frame], epoch, t_s)
+        since, t_s = tai_seconds([at], meta.values["TIME_SYSTEM"], file, meta.fields["REF_FRAME_EPOCH"])
+        return "GCRF", of_date_to_gcrs(OF_DATE[frame], since, t_s)[0]
     if frame.startswith("ITRF"):
         return "ITRF", Rotation.identity()
-    expected = "GCRF, ICRF, EME2000 or ITRF (with or without a year)"
+    expected = "GCRF, ICRF, EME2000, TEME, TOD or ITRF (with or without a year)"
     raise meta.error("REF_FRAME", frame, expected, file)
 
 
@@ -344,17 +391,19 @@ def tai_seconds(
         if scale == "UTC":
             epoch = Epoch.from_utc(times[0])
             return epoch, epoch.seconds_from_utc(times)
-        ahead_s = AHEAD_OF_GPS_S[scale]
+        ahead_s = AHEAD_OF_GPS_S["TT" if scale == "TDB" else scale]
         epoch = Epoch(int(np.floor(Epoch(0).seconds_from_gps_dates(times[:1])[0] - ahead_s)))
-        return epoch, np.round(epoch.seconds_from_gps_dates(times) - ahead_s, 12)
+        t_s = np.round(epoch.seconds_from_gps_dates(times) - ahead_s, 12)
+        # TDB - TT at the Earth's centre, at most 2 ms
+        return epoch, t_s - erfa.dtdb(*epoch.tt_jd(t_s), 0.0, 0.0, 0.0, 0.0) if scale == "TDB" else t_s
     except ValueError as error:
         raise RawDataError(file, field, str(error), "times that exist") from error
 
 
 def check_time_system(time_system: str, file: str, field: str = "TIME_SYSTEM") -> None:
     """`RawDataError`, which names `field`, for a time system that is not read."""
-    if time_system.upper() not in ("UTC", *AHEAD_OF_GPS_S):
-        raise RawDataError(file, field, time_system, "UTC, TAI, TT or GPS")
+    if time_system.upper() not in ("UTC", "TDB", *AHEAD_OF_GPS_S):
+        raise RawDataError(file, field, time_system, "UTC, TAI, TT, TDB or GPS")
 
 
 def check_components(values: Floats, file: str) -> None:

@@ -1,7 +1,8 @@
 """Read attitudes of a star camera from a SPICE C-kernel (CK), with its clock (SCLK) and frames (FK).
 
-The attitudes are those at the CK's own instants: segments of type 1 (single attitudes) and 3 (with
-interpolation, which is not used). The matrix that NAIF's `pxform` gives from J2000 to a frame is R_si; NAIF's
+The attitudes are those at the CK's own instants, what it interpolates between them is not used: of segments
+of type 1, 3 and 5 the instants of the attitudes, of type 2 (constant rates) the begins of its intervals and
+the end of the last. The matrix that NAIF's `pxform` gives from J2000 to a frame is R_si; NAIF's
 J2000 has the axes of ICRF. The frame is that of the CK, or one with a fixed rotation from it (TK).
 """
 
@@ -25,9 +26,13 @@ __all__ = ["read_ck"]
 
 OF_CK, FIXED = 3, 4  # NAIF's classes of frames
 MOST_FIXED = 16  # rotations between a frame and that of the CK
-# Numbers that an attitude of a segment takes without angular velocities: its quaternion; with them 7.
+# Numbers that an attitude of a segment of type 1 and 3 takes without angular velocities: its quaternion; with
+# them 7. Of type 5, by the subtype. Of type 2: attitude, rates, seconds a tick; begin and end follow.
 QUATERNION = 4
 WITH_RATES = 7
+OF_SUBTYPE = {0: 8, 1: 4, 2: 14, 3: 7}
+OF_INTERVAL = 8
+IN_DIRECTORY = 100  # every so many instants are listed again
 
 
 def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -> AttitudeRows:
@@ -113,16 +118,23 @@ def _ticks(spice: Any, ck: str, instrument: int, file: str) -> Floats:
 def _ticks_of_segment(spice: Any, handle: int, whole: list[int], file: str) -> Floats:
     """Encoded clock times (N,) of a segment; NAIF's CK Required Reading has the layout."""
     _, _, kind, has_rates, begin, end = whole
-    if kind not in (1, 3):
-        expected = "type 1 or 3: attitudes at instants; NAIF's `ckslicer` and `msopck` write these"
+    if kind not in (1, 2, 3, 5):
+        expected = "type 1, 2, 3 or 5; NAIF's `ckslicer` and `msopck` write type 3"
         raise RawDataError(file, "segment", f"type {kind}", expected)
     count = float(spice.dafgda(handle, end, end)[0])
     size = WITH_RATES if has_rates else QUATERNION
+    if kind == 5 and end - 3 > begin:
+        size = OF_SUBTYPE.get(round(spice.dafgda(handle, end - 3, end - 3)[0]), end)
+    if kind == 2:  # the number of intervals follows from that of numbers
+        size = OF_INTERVAL
+        count = IN_DIRECTORY * (end - begin + 2) // (IN_DIRECTORY * (size + 2) + 1)
     if not (1.0 <= count <= MAX_ROWS and begin + count * (size + 1) <= end):
         found = f"{count:g} attitudes in {end - begin + 1} numbers"
         raise RawDataError(file, "segment", found, f"at most {MAX_ROWS}, inside the segment")
     n = int(count)
     ticks = np.asarray(spice.dafgda(handle, begin + n * size, begin + n * (size + 1) - 1), dtype=float)
+    if kind == 2:
+        ticks = np.append(ticks, spice.dafgda(handle, begin + n * (size + 2) - 1, begin + n * (size + 2) - 1))
     if not np.isfinite(ticks).all() or np.any(np.diff(ticks) <= 0.0):
         raise RawDataError(file, "segment", "clock times out of order", "strictly increasing times")
     return ticks

@@ -473,6 +473,7 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
         earth=orbit.earth,
         method=orbit.method,
         max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
+        begins=tuple(n - first for n in orbit.begins if first < n < last),
     )
 
 

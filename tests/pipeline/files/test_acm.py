@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import spiceypy
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, comprehensive_message
@@ -139,8 +140,8 @@ def test_the_exported_message_is_read_with_its_variances(tmp_path: Path) -> None
         ("= 2.0", "= 3.0", "CCSDS_ACM_VERS: found 3.0, expected 2.0"),
         (
             "ATT_TYPE = QUATERNION",
-            "ATT_TYPE = EULER_ANGLES",
-            "ATT_TYPE: found EULER_ANGLES, expected QUATERNION",
+            "ATT_TYPE = RODRIGUES",
+            "line 16, ATT_TYPE: found RODRIGUES, expected QUATERNION, EULER_ANGLES, DCM",
         ),
         ("REF_FRAME_A = ICRF\n", "", "line 16, REF_FRAME_A: found nothing"),
         ("REF_FRAME_A = ICRF", "REF_FRAME_A = LVLH", "found LVLH and STR1, expected one of GCRF, ICRF"),
@@ -183,11 +184,74 @@ def test_keys_of_a_csv_file_and_xml_are_refused_with_the_remedy(tmp_path: Path) 
     (tmp_path / "a.acm").write_text(MESSAGE)
     with pytest.raises(RawDataError, match="no such key: a message states its own"):
         read_attitudes(tmp_path / "a.acm", "a.acm", EPOCH, "GCRF", "head to inertial")
-    (tmp_path / "a.xml").write_text('<acm id="CCSDS_ACM_VERS" version="2.0"><body/></acm>')
-    with pytest.raises(
-        RawDataError, match="root element: found acm, expected aem; an ACM is read as keyword"
+    for text, complaint in (
+        ('<acm id="CCSDS_ACM_VERS" version="2.0"><body/></acm>', "ATT_START: found no attitudes"),
+        ("<apm version='2.0'/>", "root element: found apm, expected aem or acm"),
     ):
-        read_attitudes(tmp_path / "a.xml", "a.xml", EPOCH, None, None)
+        (tmp_path / "a.xml").write_text(text)
+        with pytest.raises(RawDataError, match=complaint):
+            read_attitudes(tmp_path / "a.xml", "a.xml", EPOCH, None, None)
+
+
+def in_xml(message: str) -> str:
+    """A message of keyword = value form in that of XML, block by block (CCSDS 505.0-B)."""
+    out = ['<?xml version="1.0"?><acm id="CCSDS_ACM_VERS" version="2.0"><header/><body><segment>']
+    row = ""
+    for line in message.splitlines()[3:]:
+        name, _, edge = line.rpartition("_")
+        tag = {"META": "metadata"}.get(name, name.lower())
+        if edge == "START":
+            row = f"{tag}Line"
+            out.append(f"<{tag}>")
+        elif edge == "STOP":
+            out.append(f"</{tag}>" + ("<data>" if name == "META" else ""))
+        elif line.startswith("COMMENT "):
+            out.append(f"<COMMENT>{line[8:]}</COMMENT>")
+        elif " = " in line:
+            key, value = line.split(" = ")
+            out.append(f"<{key}>{value}</{key}>")
+        elif line:
+            out.append(f"<{row}>{line}</{row}>")
+    return "\n".join([*out, "</data></segment></body></acm>"])
+
+
+def test_xml_is_read_as_keyword_value(tmp_path: Path) -> None:
+    one, other = read(tmp_path, MESSAGE + COVARIANCE), read(tmp_path, in_xml(MESSAGE + COVARIANCE))
+    assert np.array_equal(one.t_s, other.t_s)
+    assert np.array_equal(one.R_si.as_quat(), other.R_si.as_quat())
+    assert one.covariance_s is not None and other.covariance_s is not None
+    assert np.array_equal(one.covariance_s, other.covariance_s)
+    broken = in_xml(MESSAGE).replace("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 x -0.7")
+    with pytest.raises(RawDataError, match=r"str1\.acm: att 1, attLine 2, Q3: found x"):
+        read(tmp_path, broken)
+
+
+@pytest.mark.parametrize("sequence", ["ZXY", "312", "ZXZ", "123", "xyx"])
+def test_angles_and_matrices_are_those_of_naif(sequence: str, tmp_path: Path) -> None:
+    # NAIF's eul2m multiplies the rotations of the axes, the last on the left: from A to B.
+    angles = np.array([[40.0, -65.0, 110.0], [41.0, -64.0, 112.0], [-100.0, 20.0, 7.0]])
+    axes = ["XYZ".index(axis) + 1 for axis in sequence.upper().translate(str.maketrans("123", "XYZ"))]
+    to_b = [spiceypy.eul2m(*np.radians(row)[::-1].tolist(), *axes[::-1]) for row in angles]
+    head = MESSAGE.split("RATE_TYPE = ANGVEL\n")[0]
+    lines = [f"0.{n} " + " ".join(map(repr, row.tolist())) for n, row in enumerate(angles)]
+    kind = head.replace("QUATERNION", f"EULER_ANGLES\nEULER_ROT_SEQ = {sequence}")
+    by_angles = read(tmp_path, "\n".join([kind, *lines, "ATT_STOP\n"]))
+    columns = [" ".join(repr(float(v)) for v in matrix.T.ravel()) for matrix in to_b]
+    lines = [f"0.{n} {row}" for n, row in enumerate(columns)]
+    by_matrix = read(tmp_path, "\n".join([head.replace("QUATERNION", "DCM"), *lines, "ATT_STOP\n"]))
+    for rows in (by_angles, by_matrix):
+        assert np.abs(rows.R_si.as_matrix() - np.array(to_b)).max() < 1e-14  # rounding of 1
+    mirrored = columns[1].split()
+    lines[1] = "0.1 " + " ".join([*mirrored[3:6], *mirrored[:3], *mirrored[6:]])
+    with pytest.raises(RawDataError, match=r"attitude 2: found .* expected a rotation"):
+        read(tmp_path, "\n".join([head.replace("QUATERNION", "DCM"), *lines, "ATT_STOP\n"]))
+
+
+@pytest.mark.parametrize("sequence", ["nothing", "ZZX", "31", "ZXQ"])
+def test_a_sequence_of_angles_that_is_none_is_named(sequence: str, tmp_path: Path) -> None:
+    text = MESSAGE.replace("ATT_TYPE = QUATERNION", f"ATT_TYPE = EULER_ANGLES\nEULER_ROT_SEQ = {sequence}")
+    with pytest.raises(RawDataError, match=rf"line 16, EULER_ROT_SEQ: found {sequence}, expected three axes"):
+        read(tmp_path, text)
 
 
 def test_mutated_messages_are_read_or_refused(tmp_path: Path) -> None:

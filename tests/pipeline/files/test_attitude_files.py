@@ -9,6 +9,7 @@ from pathlib import Path
 import erfa
 import numpy as np
 import pytest
+import spiceypy
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
@@ -104,6 +105,46 @@ def standard_quaternion(matrix_ba: np.ndarray) -> np.ndarray:
     qc = 0.5 * np.sqrt(1.0 + np.trace(m))
     q = np.array([m[1, 2] - m[2, 1], m[2, 0] - m[0, 2], m[0, 1] - m[1, 0]]) / (4.0 * qc)
     return np.array([*q, qc])
+
+
+def test_euler_angles_are_those_of_naif_in_keyword_value_and_both_forms_of_xml(tmp_path: Path) -> None:
+    # NAIF's eul2m multiplies the rotations of the axes, the last on the left: from A to B.
+    angles = np.array([[40.0, -65.0, 110.0], [41.0, -64.0, 112.0], [-100.0, 20.0, 7.0]])
+    to_b = np.array([spiceypy.eul2m(*np.radians(row)[::-1].tolist(), 2, 1, 3) for row in angles])
+    frames = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "EULER_ROT_SEQ": "312"}
+    meta = {"TIME_SYSTEM": "UTC", "ATTITUDE_TYPE": "EULER_ANGLE"} | frames
+    rows = [f"{t} {a:.1f} {b:.1f} {c:.1f} 1 2 3" for t, (a, b, c) in zip(TIMES, angles)]
+    rates = {"ATTITUDE_TYPE": "EULER_ANGLE/RATE", "ATTITUDE_DIR": "A2B"}
+    of_kvn = read(tmp_path, kvn(frames | rates, rows, "1.0"), None, None)
+    turned = {"REF_FRAME_A": "ST_1", "REF_FRAME_B": "GCRF"}
+    inverse = read(tmp_path, kvn(frames | rates | turned, rows, "1.0"), None, None)
+    assert error_rad(inverse, of_kvn.R_si.inv()) < 1e-14
+    head = "".join(f"<{key}>{value}</{key}>" for key, value in meta.items())
+    first = [
+        "<eulerAngleRate><EPOCH>{t}</EPOCH><rotationAngles>"
+        '<rotation1 angle="Z_ANGLE">{a}</rotation1><rotation2 angle="X_ANGLE">{b}</rotation2>'
+        '<rotation3 angle="Y_ANGLE">{c}</rotation3></rotationAngles>'
+        '<rotationRates><rotation1 rate="Z_RATE">7</rotation1></rotationRates></eulerAngleRate>',
+        "<eulerAngle><EPOCH>{t}</EPOCH><ANGLE_1>{a}</ANGLE_1><ANGLE_2>{b}</ANGLE_2><ANGLE_3>{c}</ANGLE_3>"
+        "</eulerAngle>",
+    ]
+    for form, version in zip(first, ("1.0", "2.0")):
+        states = "".join(
+            f"<attitudeState>{form.format(t=t, a=a, b=b, c=c)}</attitudeState>"
+            for t, (a, b, c) in zip(TIMES, angles)
+        )
+        xml = (
+            f'<aem id="CCSDS_AEM_VERS" version="{version}"><body><segment><metadata>{head}</metadata>'
+            f"<data>{states}</data></segment></body></aem>"
+        )
+        of_xml = read(tmp_path, xml, None, None)
+        for found in (of_kvn, of_xml):
+            assert np.abs(found.R_si.as_matrix() - to_b).max() < 1e-14  # rounding of 1
+        if version == "1.0":
+            with pytest.raises(
+                RawDataError, match="state 1, rotation2: found Y_ANGLE, expected X_ANGLE, as EU"
+            ):
+                read(tmp_path, xml.replace("X_ANGLE", "Y_ANGLE", 1), None, None)
 
 
 CASES = [
@@ -227,8 +268,8 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
             r"META_START of line \d+, REF_FRAME_A and REF_FRAME_B: found TEME and ST_1",
         ),
         (
-            kvn(OK | {"TIME_SYSTEM": "TDB"}, [f"{t} {Q}" for t in TIMES], "2.0"),
-            r"line \d+, TIME_SYSTEM: found TDB, expected UTC, TAI, TT or GPS",
+            kvn(OK | {"TIME_SYSTEM": "TDR"}, [f"{t} {Q}" for t in TIMES], "2.0"),
+            r"line \d+, TIME_SYSTEM: found TDR, expected UTC, TAI, TT, TDB or GPS",
         ),
         (
             kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("REF_FRAME_A = GCRF\n", ""),
@@ -240,7 +281,7 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
                 kvn(OK | {"ATTITUDE_TYPE": kind}, [f"{TIMES[0]} 1 2 3"], "2.0"),
                 rf"line \d+, ATTITUDE_TYPE: found {kind}, expected QUATERNION",
             )
-            for kind in ("SPIN", "SPIN/NUTATION", "EULER_ANGLE", "EULER ANGLE/RATE")
+            for kind in ("SPIN", "SPIN/NUTATION", "EULER ANGLE/RATE")
         ),
         (
             "<aem version='2.0'><body><segment><metadata>"

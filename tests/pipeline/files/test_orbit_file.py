@@ -6,19 +6,23 @@ import datetime
 import gzip
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import erfa
 import numpy as np
 import pytest
+from astropy.coordinates import GCRS, TEME, CartesianRepresentation
 from astropy.time import Time
 from handmade import OEM_HEAD
 from oem import OrbitEphemerisMessage
 
+from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import bundled_table, orbit_of
-from boresight.pipeline.files.orbit_file import read_oem, read_segments, segment_over
+from boresight.pipeline.files.orbit_file import joined_segments, read_oem, read_segments, segment_over
 from boresight.pipeline.files.text_files import read_message
+from boresight.pipeline.stages.strip import orbit_around
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
 RADIUS_KM, RATE = 6908.0, 7.5963 / 6908.0
@@ -71,10 +75,11 @@ def test_fixture_is_read_as_the_library_reads_it() -> None:
         "0 0 0 1\n0 0 0 0 1\n0 0 0 0 0 1\nCOVARIANCE_STOP\n",
         lambda text: text.replace("TIME_SYSTEM = UTC", "TIME_SYSTEM = TAI"),
         lambda text: text.replace("TIME_SYSTEM = UTC", "TIME_SYSTEM = TT"),
+        lambda text: text.replace("TIME_SYSTEM = UTC", "TIME_SYSTEM = TDB"),
         lambda text: text.replace("2016-12-31T23:59", "2016-366T23:59"),
         lambda text: text.replace(".000 ", ".250Z "),
     ],
-    ids=["comment", "accelerations", "covariance", "TAI", "TT", "day of the year", "Z"],
+    ids=["comment", "accelerations", "covariance", "TAI", "TT", "TDB", "day of the year", "Z"],
 )  # fmt: skip
 def test_message_of_another_form_is_that_of_the_library(changed, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     assert_as_library(written(tmp_path, changed(text_of(20))))
@@ -131,7 +136,7 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
         (
             "TIME_SYSTEM = UTC",
             "TIME_SYSTEM = UT1",
-            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT or GPS",
+            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT, TDB or GPS",
         ),
     ],
 )
@@ -348,3 +353,60 @@ def test_compressed_message_is_the_plain_one_and_a_bomb_is_not_unpacked(tmp_path
     packed.write_bytes(gzip.compress(bytes(2**20)))
     with pytest.raises(RawDataError, match="gzip: found more than 65536 bytes unpacked"):
         read_message(packed, "orbit.oem.gz", 2**16)
+
+
+@pytest.mark.filterwarnings("ignore::astropy.utils.exceptions.AstropyWarning")
+def test_states_of_teme_and_true_of_date_are_those_of_astropy_and_erfa(tmp_path: Path) -> None:
+    text = text_of(12).replace("2016-12-31T23:59", "2023-09-14T11:42")
+    plain = read_oem(written(tmp_path, text), "orbit.oem").positions_m
+    text = text.replace("REF_FRAME = GCRF", "REF_FRAME = {}")
+    assert "REF_FRAME = {}" in text
+    teme, tod = (
+        read_oem(written(tmp_path, text.replace("{}", frame)), "orbit.oem") for frame in ("TEME", "TOD")
+    )
+    at = [float(erfa.DJM0), Time("2023-09-14T11:42:30").tt.mjd + np.arange(12) / 86_400.0]
+    when = Time(*at, format="jd", scale="tt")
+    places = TEME(CartesianRepresentation(plain.T, unit="m"), obstime=when)
+    gcrs = places.transform_to(GCRS(obstime=when)).cartesian.xyz.to_value("m").T
+    # 1 mm: astropy's polar motion, which cancels but for s', and UT1; TEME is 24 km from GCRS
+    assert np.abs(teme.positions_m - gcrs).max() < 1e-3 and np.abs(plain - gcrs).max() > 1e4
+    R = erfa.pnm06a(*at)
+    assert np.abs(tod.positions_m - np.einsum("nji,nj->ni", R, plain)).max() < 1e-6
+    fixed = text.replace("{}", "TEME\nREF_FRAME_EPOCH = 2023-09-14T11:42:30.000")
+    of_epoch = read_oem(written(tmp_path, fixed), "orbit.oem")
+    assert np.array_equal(of_epoch.positions_m[0], teme.positions_m[0])
+    # in 11 s the axes turn by precession and nutation, 1e-11 rad
+    assert 0.0 < np.abs(of_epoch.positions_m - teme.positions_m).max() < 1e-3
+
+
+def test_strips_in_any_of_several_segments_have_an_orbit(tmp_path: Path) -> None:
+    whole = orbit_of(
+        read_oem(written(tmp_path, text_of(120)), "a"), "a", bundled_table(), allow_stale_eop=True
+    )
+    segments = read_segments(written(tmp_path, two_segments(text_of(120))), "orbit.oem")
+    joined = joined_segments(segments)
+    assert joined is not None and joined.begins == (61,)
+    orbit = orbit_of(joined, "orbit.oem", bundled_table(), allow_stale_eop=True)
+    begin = float(segments[1].t_s[0])
+    for t_s in ([3.4, 20.2, begin - 1.5], [begin + 0.3, begin + 33.3]):
+        # 1e-5 m: seven neighbours of 1 s, at the ends of segments one-sided
+        assert np.abs(orbit.positions_i(t_s) - whole.positions_i(t_s)).max() < 1e-5
+        part = orbit_around(orbit, t_s[0], t_s[-1])
+        assert np.array_equal(part.positions_i(t_s), orbit.positions_i(t_s))
+    with pytest.raises(OrbitGapError, match="in a gap of the ephemeris"):  # between the segments
+        orbit.positions_i([begin - 0.5])
+    # A segment that begins with the last state of the one before it leaves no gap; overlapping ones are not
+    # joined, and the one over most strips is used.
+    last = replace(
+        segments[0],
+        t_s=np.append(segments[0].t_s, begin),
+        positions_m=np.vstack([segments[0].positions_m, segments[1].positions_m[:1]]),
+        velocities_m_s=np.vstack([segments[0].velocities_m_s, segments[1].velocities_m_s[:1]]),
+    )
+    touching = joined_segments([last, segments[1]])
+    assert touching is not None
+    orbit = orbit_of(touching, "orbit.oem", bundled_table(), allow_stale_eop=True)
+    around = np.linspace(begin - 2.0, begin + 2.0, 41)
+    assert np.abs(orbit.positions_i(around) - whole.positions_i(around)).max() < 1e-5
+    assert joined_segments([last, replace(segments[1], t_s=segments[1].t_s - 0.5)]) is None
+    assert joined_segments([last, replace(segments[1], frame="ITRF")]) is None

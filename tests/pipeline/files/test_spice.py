@@ -86,6 +86,10 @@ def write_ck(path: Path, ticks: np.ndarray, R_bi: Rotation, frame: str = "J2000"
             spiceypy.ckw03(handle, t[0], t[-1], BUS, frame, True, "s", len(t), t, q, rates, 1, t[:1])
         elif kind == 1:
             spiceypy.ckw01(handle, t[0], t[-1], BUS, frame, False, "s", len(t), t, q, rates)
+        elif kind == 5:
+            tick_s = 1.0 / TICKS_PER_S
+            segment = (handle, 1, 3, t[0], t[-1], BUS, frame, False, "s", t, q, tick_s, 1, t[:1])
+            spiceypy.ckw05(*segment)
         else:
             rate = np.full(len(t) - 1, 1.0 / TICKS_PER_S)
             spiceypy.ckw02(
@@ -108,7 +112,9 @@ def bold(t_s: np.ndarray) -> Rotation:
 ALL = ("a.tls", "a.tsc", "a.tf")
 
 
-@pytest.mark.parametrize(("frame", "kind"), [("J2000", 3), ("J2000", 1), ("ECLIPJ2000", 3)])
+@pytest.mark.parametrize(
+    ("frame", "kind"), [("J2000", 3), ("J2000", 1), ("ECLIPJ2000", 3), ("J2000", 2), ("J2000", 5)]
+)
 def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(
     frame: str, kind: int, tmp_path: Path
 ) -> None:
@@ -127,7 +133,7 @@ def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(
             bus, _ = spiceypy.ckgp(BUS, ticks[n], 0, "J2000")
             expected = spiceypy.pxform("SAT_BUS", "SAT_STR1", et) @ bus
             assert np.abs(rows.R_si[n].as_matrix() - expected).max() < 1e-14
-            if kind == 3:
+            if kind in (3, 5):
                 whole = spiceypy.pxform("J2000", "SAT_STR1", et)
                 assert np.abs(rows.R_si[n].as_matrix() - whole).max() < 3e-7
 
@@ -284,11 +290,31 @@ def test_of_several_objects_one_is_stated(dump: Path) -> None:
     changed(dump, "[spice]", "[spice]\nspacecraft = -998")
 
 
-def test_constant_rates_are_refused_with_the_programs_that_convert(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [2, 101, 102, 303])
+def test_intervals_of_constant_rates_are_counted_with_their_directories(count: int, tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, 0.05 * np.arange(count + 1.0))
+    handle = spiceypy.ckopn(str(tmp_path / "a.bc"), "test", 0)
+    quaternions = np.array([spiceypy.m2q(matrix) for matrix in bold(np.arange(float(count))).as_matrix()])
+    rates, tick_s = np.zeros((count, 3)), np.full(count, 1.0 / TICKS_PER_S)
+    span = ticks[0], ticks[-1], BUS, "J2000", "s", count
+    spiceypy.ckw02(handle, *span, ticks[:-1], ticks[1:], quaternions, rates, tick_s)
+    spiceypy.ckcls(handle)
+    rows = read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_BUS", kernels(tmp_path, *ALL))
+    assert len(rows.t_s) == count + 1
+    error = rows.R_si[:count] * bold(np.arange(float(count))).inv()
+    assert error.magnitude().max() < 1e-14 and (rows.R_si[-1] * rows.R_si[-2].inv()).magnitude() < 1e-14
+
+
+def test_polynomials_are_refused_with_the_programs_that_convert(tmp_path: Path) -> None:
     write_texts(tmp_path)
     ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
-    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)), kind=2)
-    with pytest.raises(RawDataError, match=r"segment: found type 2, expected type 1 or 3"):
+    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)))
+    raw = bytearray((tmp_path / "a.bc").read_bytes())
+    at = raw.index(np.array([BUS, 1, 3], dtype="<i4").tobytes())  # object, J2000, type in a segment's summary
+    raw[at + 8] = 4
+    (tmp_path / "a.bc").write_bytes(raw)
+    with pytest.raises(RawDataError, match=r"segment: found type 4, expected type 1, 2, 3 or 5"):
         read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
 
 
