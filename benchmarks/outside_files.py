@@ -23,12 +23,12 @@ from record import exit_status, head, verdict
 
 from boresight.features.operators.point_import import PointErrors, read_measured_points
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.inertial_frames import rotation_to_gcrs
+from boresight.geometry.inertial_frames import of_date_to_gcrs, rotation_to_gcrs
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import read_attitudes
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import bundled_table, orbit_of
-from boresight.pipeline.files.orbit_file import Ephemeris, read_segments
+from boresight.pipeline.files.orbit_file import OF_DATE, Ephemeris, read_segments
 
 FAMILIES = ("orbit", "attitude", "dimap", "points")
 
@@ -94,8 +94,11 @@ def against_library(path: Path, segments: tuple[Ephemeris, ...]) -> str:
     worst_m = 0.0
     for own, other in zip(segments, others, strict=True):
         positions = 1e3 * np.array([state.position for state in other.states])
-        if other.metadata["REF_FRAME"].upper() in ("EME2000", "J2000"):
+        frame = other.metadata["REF_FRAME"].upper()
+        if frame in ("EME2000", "J2000"):
             positions = rotation_to_gcrs("EME2000").apply(positions)
+        if frame in OF_DATE:
+            positions = of_date_to_gcrs(OF_DATE[frame], own.epoch, own.t_s).apply(positions)
         worst_m = max(worst_m, float(np.abs(positions - own.positions_m).max()))
     return f"{worst_m:.1e} m from those of `oem`"
 

@@ -4,7 +4,7 @@ GCRF and, with the Earth as centre, ICRF have the axes of GCRS. EME2000 has the 
 J2000; the rotation between the two is the frame bias of IAU 2000, 23 mas (erfa.bp00).
 
 Two frames are of date. TOD has the true equator and equinox by IAU 2006/2000A. TEME, the frame of SGP4, has
-the true equator and a mean equinox that the sidereal time of 1982 defines: turned by it about the pole it
+the true equator and a mean equinox that the sidereal time of 1982 defines: rotated by it about the pole it
 becomes the Earth-fixed frame without polar motion, which the Earth rotation angle makes of the intermediate
 frame (as in astropy). Their difference changes by 1.5e-6 arcsec with a second of UT1, so that UTC serves.
 """

@@ -22,8 +22,8 @@ from xml.etree.ElementTree import Element
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import limited_content
-from boresight.pipeline.files.text_files import GZIP, unpacked, utf8_text
-from boresight.pipeline.files.xml_files import xml_root
+from boresight.pipeline.files.text_files import GZIP, unpacked
+from boresight.pipeline.files.xml_files import xml_of_bytes
 
 __all__ = ["GippFile", "find_gipp_files", "gipp_root"]
 
@@ -85,7 +85,7 @@ def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
     raw = gipp.content()
     raw = unpacked(raw, gipp.file, MAX_BYTES) if raw.startswith(GZIP) else raw
     if not _is_archive(raw):
-        return _data(xml_root(utf8_text(raw, gipp.file), gipp.file))
+        return _data(xml_of_bytes(raw, gipp.file))
     members = _members(raw, gipp.file, re.escape(stem))
     if stem not in members or depth == MAX_DEPTH:
         raise RawDataError(gipp.file, "members", "no such document", f"{stem}.DBL, .xml or .EOF")

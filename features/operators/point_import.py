@@ -149,6 +149,10 @@ def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> Meas
                 disabled += 1
                 continue
             where, number = f"line {numbered[table.line_num - 1][0]}", {}
+            if None in row:  # cells beyond the header
+                expected = f"{len(table.fieldnames or ())}, with points in numbers, as the header has"
+                found = f"{len(table.fieldnames or ()) + len(row[None])} cells"
+                raise RawDataError(file, where, found, expected)
             for key, names in columns.items():
                 cell = next((row[name] for name in names if row.get(name) is not None), None)
                 if cell is None:

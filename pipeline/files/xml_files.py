@@ -17,20 +17,26 @@ from defusedxml.common import DefusedXmlException
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import limited_content
-from boresight.pipeline.files.text_files import MAX_TEXT_BYTES, NUMBER, utf8_text
+from boresight.pipeline.files.text_files import GZIP, MAX_TEXT_BYTES, NUMBER, unpacked, utf8_text
 
-__all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_root"]
+__all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_of_bytes", "xml_root"]
 
 # The declaration of an XML file that names its encoding.
 _ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
 
 
 def read_xml(path: Path, file: str) -> Element:
-    """The root element of an XML file; `RawDataError` for anything else, and for a DTD.
-
-    It is in UTF-8, in UTF-16 with a byte-order mark, or in the encoding that its first line states.
+    """The root element of an XML file, plain or compressed with gzip; `RawDataError` for anything else, and
+    for a DTD.
     """
     raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
+    return xml_of_bytes(unpacked(raw, file, MAX_TEXT_BYTES) if raw.startswith(GZIP) else raw, file)
+
+
+def xml_of_bytes(raw: bytes, file: str) -> Element:
+    """The root element of XML in UTF-8, in UTF-16 with a byte-order mark, or in the encoding that its first
+    line states; otherwise as `xml_root`.
+    """
     stated = _ENCODING.match(raw)
     is_other = stated is not None and stated[1].upper() not in (b"UTF-8", b"UTF8")
     is_other |= raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))

@@ -64,6 +64,15 @@ def as_one_archive(place: Path, files: dict[str, bytes]) -> Path:
     return place / "gipp.tar"
 
 
+def as_other_encodings(place: Path, files: dict[str, bytes]) -> Path:
+    """The same text in UTF-16, and in ISO 8859-1 with a letter beyond ASCII in a comment."""
+    for n, (name, raw) in enumerate(files.items()):
+        body = raw.decode().partition("?>")[2] or raw.decode()
+        latin = f'<?xml version="1.0" encoding="ISO-8859-1"?><!-- \xe9 -->{body}'.encode("latin-1")
+        (place / f"{name}.xml").write_bytes(body.encode("utf-16") if n % 2 else latin)
+    return place
+
+
 def zip_of(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", compression) as archive:
@@ -104,7 +113,8 @@ def assert_same(found: Sentinel2, expected: Sentinel2) -> None:
 
 
 @pytest.mark.parametrize(
-    "packed", [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip]
+    "packed",
+    [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip, as_other_encodings],
 )
 def test_every_packing_is_read_as_the_plain_files_are(
     packed: Callable[[Path, dict[str, bytes]], Path], plain: tuple[Path, dict[str, bytes]], tmp_path: Path
@@ -145,7 +155,7 @@ def test_damage_and_bombs_are_told(
             tar_of({f"{SPAMOD}.tgz": tar_of({"other.xml": b"<a/>"}, "gz"), f"{VIEDIR}.xml": b"<a/>"}, "gz"),
             "members",
         ),
-        (tar_of({f"{SPAMOD}.DBL": b"\xff\xfe", f"{VIEDIR}.DBL": b"<a/>"}, ""), "byte 0: found byte 0xff"),
+        (tar_of({f"{SPAMOD}.DBL": b"\xff\xfe", f"{VIEDIR}.DBL": b"<a/>"}, ""), "XML: found .*well-formed"),
     ):
         (tmp_path / "gipp.tgz").write_bytes(raw)
         with pytest.raises(RawDataError, match=complaint):

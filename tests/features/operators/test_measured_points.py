@@ -122,6 +122,11 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
         ("a.points", "#CRS: nonsense\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS: found nonsense"),
         ("a.tif", "not a tiff", "a GeoTIFF with ground control points"),
         ("a.xyz", "", "ending: found .xyz"),
+        (
+            "a.points",
+            "mapX,mapY,sourceX,sourceY,enable\n-16,9,32,7,100,25,-200,75,1\n",
+            "line 2: found 9 cells, expected 5, with points in numbers",
+        ),
     ],
 )
 def test_file_of_points_that_is_not_sound_is_refused(

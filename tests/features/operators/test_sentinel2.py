@@ -1,5 +1,6 @@
 """A real datastrip of Sentinel-2A against the operator's own location grids; and damaged files."""
 
+import gzip
 import shutil
 from pathlib import Path
 
@@ -141,6 +142,18 @@ def test_damaged_files_are_refused_by_file_and_field(files, tmp_path, name, old,
     with pytest.raises(RawDataError) as error:
         read_sentinel2(tmp_path / "S2A_OPER_MTD_L1B_DS_TEST.xml", tmp_path, "B04")
     assert field in error.value.field and error.value.file == f"{name}.xml"
+
+
+def test_a_datastrip_compressed_with_gzip_is_read_as_plain(files, tmp_path):
+    shutil.copytree(files, tmp_path, dirs_exist_ok=True)
+    plain = tmp_path / "S2A_OPER_MTD_L1B_DS_TEST.xml"
+    packed = tmp_path / "packed.xml.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    one, other = (read_sentinel2(path, tmp_path, "B04") for path in (plain, packed))
+    assert np.array_equal(one.positions_m, other.positions_m) and one.lines == other.lines
+    packed.write_bytes(packed.read_bytes()[:-20])
+    with pytest.raises(RawDataError, match=r"packed\.xml\.gz: gzip: found "):
+        read_sentinel2(packed, tmp_path, "B04")
 
 
 def test_angles_further_down_the_chain_are_refused(files, tmp_path):

@@ -76,7 +76,7 @@ def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Pat
         ("star_camera.toml", "bit_depth", "bitdepth"),
         ("star_camera.toml", "= 100.0", "= 0.1"),
         ("installation.toml", "0.003, 0.003, 0.003", "10, 20, 0.1"),
-        ("orbit.oem", "GCRF", "TEME"),
+        ("orbit.oem", "GCRF", "GTOD"),
         ("exposures.csv", "2024-11-20T03:40:19", "20/11/2024"),
         ("targets.csv", "ellipsoidal", "msl"),
     ):

@@ -104,11 +104,11 @@ IN_A_DUMP: dict[str, tuple[Change, str, str, str]] = {
         "conventions.inertial_frame: found J2000",
         'expected "GCRS"',
     ),
-    "an orbit in TEME": (
-        swap("orbit.oem", "REF_FRAME = GCRF", "REF_FRAME = TEME"),
+    "an orbit in GTOD": (
+        swap("orbit.oem", "REF_FRAME = GCRF", "REF_FRAME = GTOD"),
         "orbit.oem",
-        "REF_FRAME: found TEME",
-        "GCRF, ICRF, EME2000 or ITRF",
+        "REF_FRAME: found GTOD",
+        "GCRF, ICRF, EME2000, TEME, TOD or ITRF",
     ),
     "a terrain model without its description": (
         swap("dump.toml", 'targets = "targets.csv"', 'targets = "targets.csv"\nterrain = "dem.tif"'),

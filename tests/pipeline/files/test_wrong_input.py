@@ -75,7 +75,7 @@ WRONG = {
     "not UTF-8": (not_utf8, "targets.csv", "byte 11", "0xff", "UTF-8"),
     "not an OEM": (change("orbit.oem", "CCSDS_OEM_VERS", "OEM"), "orbit.oem", "line 1", "OEM = 2.0", "CCSDS_OEM_VERS"),  # noqa: E501
     "orbit about Mars": (change("orbit.oem", "= EARTH", "= MARS"), "orbit.oem", "line 8, CENTER_NAME", "MARS", "EARTH"),  # noqa: E501
-    "orbit in another frame": (change("orbit.oem", "GCRF", "TEME"), "orbit.oem", "line 9, REF_FRAME", "TEME", "GCRF"),  # noqa: E501
+    "orbit in another frame": (change("orbit.oem", "GCRF", "GTOD"), "orbit.oem", "line 9, REF_FRAME", "GTOD", "GCRF"),  # noqa: E501
     "orbit in metres": (change("orbit.oem", "6908.000000000 0", "6908000.000 0"), "orbit.oem", "state 1, position", "6908000", "unit km"),  # noqa: E501
     "NaN in the orbit": (change("orbit.oem", "6908.000000000 0", "nan 0"), "orbit.oem", "line 15, X", "nan", "finite"),  # noqa: E501
 }  # fmt: skip
