@@ -152,7 +152,7 @@ def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) ->
             unit="ms",
             words=("too late", "too early"),
             file="strips.csv",
-            field="utc_first_row" + (" and time_of_row" if several else ""),
+            field="utc_first_row" + (", time_of_row" if several else ""),
             change_c=MILLI * late_c * here,
         )
         yield Hypothesis(
@@ -276,10 +276,10 @@ def _of_attitude(
     for n, one in enumerate(prepared):
         for axis, name in ((0, "across the track"), (2, "about the line of sight")):
             yield Hypothesis(
-                cause=f"attitude of a strip, {name}",
+                cause=f"attitude {name}",
                 item=f"strip {one.strip_id}",
                 unit="″",
-                file=f"{attitudes} and the orbit",
+                file=f"{attitudes}, orbit",
                 field="",
                 change_c=ARCSEC * turned[:, :, axis] * (strip == n)[:, None],
             )
@@ -297,7 +297,7 @@ def _of_images(
             here = pixel_rad * ((strip == n) & (ccd == number))
             for axis, name in ((0, "lines"), (1, "samples")):
                 yield Hypothesis(
-                    cause=f"image of a CCD in one strip, {name}",
+                    cause=f"image of a CCD, {name}",
                     item=f"CCD {number} in strip {one.strip_id}",
                     unit="px",
                     file="strips.csv",

@@ -32,7 +32,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr
 
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.finding import Finding
+from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.heads import aligned, carried
 from boresight.calib.hypotheses import Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
@@ -478,7 +478,10 @@ def _finding(
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
     others = _rivals(h, [one.table[n] for n in rivals if n != best])
-    text += "".join(f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others)
+    parts = [f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others]
+    while len(f"{h.cause} {h.item} {text}{''.join(parts)}".split()) > MOST_WORDS and len(parts) > 1:
+        parts, others = parts[:-1], others[:-1]
+    text += "".join(parts)
     return Finding(
         cause=h.cause,
         item=h.item,

@@ -84,7 +84,7 @@ class Reason(StrEnum):
 _SENTENCES = {
     Reason.OUTSIDE_REACH: "outside the strip for every installation matrix within the stated uncertainty",
     Reason.OUTSIDE_CCDS: "outside every CCD's image at the common rotation",
-    Reason.OUTSIDE_CHIP: "its coordinates lie {value:.0f} px outside its chip of {more[0]:.0f} x "
+    Reason.OUTSIDE_CHIP: "coordinates lie {value:.0f} px outside its chip of {more[0]:.0f} x "
     "{more[1]:.0f} px",
     Reason.CHIP_TOO_SMALL: "its chip is {value:.3g} px wide in the strip, at least {limit:.0f} px are "
     "needed; check the pixel size in its geo-reference",

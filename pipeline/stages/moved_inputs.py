@@ -138,7 +138,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
                 turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i, head.line_of_sight_s)
         yield MovedInput(
             cause=f"velocity of the orbit, {name}",
-            item="all strips of the sky",
+            item="all scans",
             unit="km/s",
             words=words,
             file="orbit",

@@ -276,8 +276,8 @@ def displaced_ccds(
     return Finding(
         cause="images or look directions of a CCD",
         item=f"CCD{'s' if len(ccds) > 1 else ''} {', '.join(map(str, ccds))}",
-        text=f"{kept} of {n} {what} found, and {others} on other CCDs: check its files in strips.csv, and "
-        "x_offset_mm, y_first_mm, rotation_mrad in remote_camera.toml.",
+        text=f"{kept} of {n} {what} found, {others} on other CCDs: check files in strips.csv; x_offset_mm, "
+        "y_first_mm, rotation_mrad in remote_camera.toml.",
         file="remote_camera.toml",
         field="x_offset_mm, y_first_mm, rotation_mrad",
         refutes=refutes,

@@ -166,7 +166,7 @@ def test_ccds_of_which_no_target_is_found_are_one_finding_and_half_of_them_refut
     one = [strip_of(name, [(2, "low correlation")] * 3, [0, 1, 3] * 3) for name in "abc"]
     (found,) = lost_targets(tasks, one, [])
     assert found.item == "CCD 2" and not found.refutes and len(found.targets) == 9
-    assert "0 of 9 targets found, and 27 on other CCDs" in found.text
+    assert "0 of 9 targets found, 27 on other CCDs" in found.text
     assert list(lost_targets(tasks, one, ["CCD 2"])) == []  # a cause with its size is named already
     two = [strip_of(name, [(0, "low correlation"), (2, "low correlation")] * 3, [1, 3] * 3) for name in "abc"]
     (both,) = lost_targets(tasks, two, [])

@@ -1,0 +1,187 @@
+"""Faults that were green once, from images: each is reported with its size, its item and its file, or named
+among what the result cannot show.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from outside import ROOT
+
+from boresight.calib.finding import MOST_WORDS
+from boresight.calib.reliability import blind_spots
+from boresight.calib.verdict import Outcome
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
+
+sys.path[:0] = [str(ROOT / "benchmarks")]
+faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
+edited, later, table, toml_number, write = (
+    getattr(faults, name) for name in ("edited", "later", "table", "toml_number", "write")
+)
+PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
+CONSISTENT, FINDINGS, REFUTED = Outcome.CONSISTENT, Outcome.FINDINGS, Outcome.REFUTED
+Make = Callable[[Path], None]
+
+
+@pytest.fixture
+def told(made_once, tmp_path: Path) -> Callable[[str, Make], DumpCalibration]:
+    """What a calibration of a fixture with a fault gives; what it leaves unchanged is computed once."""
+
+    def calibrated(name: str, make: Make) -> DumpCalibration:
+        def sound(folder: Path) -> None:
+            shutil.copytree(ROOT / "fixtures" / name, folder / "dump")
+            (folder / "work").mkdir()
+            calibrate_dump(open_dump(folder / "dump"), store=store_of(folder))
+
+        once = made_once(f"sound-{name}", sound)
+        fault_dumps.linked(once / "dump", tmp_path / "dump")
+        make(tmp_path / "dump")
+        return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(once))
+
+    return calibrated
+
+
+def late(dump: Path, **ms: float) -> None:
+    def edit(row: dict[str, str]) -> None:
+        row["utc_first_row"] = later(row["utc_first_row"], 1e-3 * ms.get(row["id"], 0.0))
+
+    edited("strips.csv", edit, dump)
+
+
+def period(dump: Path) -> None:
+    edited("strips.csv", lambda row: row.update(row_period_s=repr(1.01 * float(row["row_period_s"]))), dump)
+
+
+def number(file: str, key: str, edit: Callable[[float], float], which: int | None = None) -> Make:
+    return partial(toml_number, file, key, edit, which)
+
+
+def files_exchanged(name: str, pairs: list[tuple[int, int]], dump: Path) -> None:
+    """Files of rows of a table, from 0."""
+    header, *rows = table(dump / name)
+    at = header.index("file")
+    for a, b in pairs:
+        rows[a][at], rows[b][at] = rows[b][at], rows[a][at]
+    write(dump / name, [header, *rows])
+
+
+def of_two_ccds(dump: Path) -> None:
+    header, *rows = table(dump / "strips.csv")
+    at = [[n for n, row in enumerate(rows) if row[header.index("ccd")] == ccd] for ccd in ("0", "1")]
+    files_exchanged("strips.csv", list(zip(*at)), dump)
+
+
+def typo(dump: Path) -> None:
+    header, *rows = table(dump / "targets.csv")
+    at = header.index("lon_deg")
+    assert rows[3][at].startswith("103.01")
+    rows[3][at] = rows[3][at].replace("103.01", "103.10")
+    write(dump / "targets.csv", [header, *rows])
+
+
+def strips_again(dump: Path) -> None:
+    header, *rows = table(dump / "strips.csv")
+    again = [[f"r-{row[0]}", *row[1:]] for row in rows]
+    assert header[0] == "id"
+    write(dump / "strips.csv", [header, *rows, *again])
+
+
+REMOTE, CLOCK = "remote_camera.toml", "clock of the rows"
+ROWS = [
+    # fixture, fault, outcome, what is reported: (cause, item, size; None: not measured, file)
+    (
+        "mini",
+        number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0),
+        REFUTED,
+        [("place of a CCD, along the track", "CCD 0", 1.0, REMOTE)],
+    ),
+    (
+        "mini",
+        number(REMOTE, "y_first_mm", lambda v: v + 5 * PITCH_MM, 2),
+        FINDINGS,
+        [("place of a CCD, across the track", "CCD 2", 5.0, REMOTE)],
+    ),
+    (
+        "mini",
+        number(REMOTE, "x_offset_mm", lambda v: 0.0),
+        REFUTED,
+        [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)],
+    ),
+    (
+        "mini",
+        number(REMOTE, "x_offset_mm", lambda v: -v),
+        REFUTED,
+        [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)],
+    ),
+    ("mini", partial(late, s01=15.0), REFUTED, [(CLOCK, "strip s01", 15.0, "strips.csv")]),
+    ("mini", partial(late, s03=15.0), FINDINGS, [(CLOCK, "strip s03", 15.0, "strips.csv")]),
+    (
+        "mini",
+        partial(late, s01=10.0, s03=5.0),
+        REFUTED,  # of clocks only differences show: here against the mean of s01 and s03
+        [(CLOCK, "strip s02", -8.0, "strips.csv"), (CLOCK, "strip s01", 5.0, "strips.csv")],
+    ),
+    ("mini", typo, FINDINGS, [("coordinates or chip", "target s01-t04", None, "targets.csv")]),
+    (
+        "mini",
+        of_two_ccds,
+        FINDINGS,
+        [("files of two CCDs", f"CCD 0 and CCD 1 in strip s0{n}", None, "strips.csv") for n in (1, 2, 3)],
+    ),
+    (
+        "mini",
+        partial(files_exchanged, "exposures.csv", [(6, 9)]),
+        FINDINGS,
+        [("files or times of exposures", "exposures e0007 and e0010", None, "exposures.csv")],
+    ),
+    ("mini", strips_again, FINDINGS, [("given twice", "3 strips", None, "strips.csv")]),
+    (
+        "sky",
+        number("star_camera.toml", "focal_length_mm", lambda v: 0.9999 * v),
+        REFUTED,
+        [("focal length of the star camera", "all exposures", -0.01, "star_camera.toml")],
+    ),
+    ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
+]
+
+
+@pytest.mark.parametrize(("fixture", "make", "outcome", "causes"), ROWS)
+def test_a_fault_is_told_with_its_size_and_nothing_else_is_accused(told, fixture, make, outcome, causes):
+    verdict = told(fixture, make).verdict
+    found = [one for one in verdict.findings if one.is_fault]
+    assert [(one.cause, one.item, one.file) for one in found] == [(c, i, f) for c, i, _, f in causes]
+    assert verdict.outcome is outcome
+    for one, (_, _, size, _) in zip(found, causes):
+        assert len(f"{one.cause} {one.item} {one.text}".split()) <= MOST_WORDS
+        if size is not None:  # the tenth is what θ and other strips take up
+            assert one.value == pytest.approx(size, abs=max(5.0 * one.sigma, 0.1 * abs(size)))
+
+
+def test_a_row_of_the_table_that_no_strip_shows_is_told_with_its_distance_and_its_slip(told):
+    (found,) = [one for one in told("mini", typo).verdict.findings if one.is_fault]
+    assert "km from the nearest strip, s01" in found.text
+    assert "lon_deg 103.01 for 103.10 (digits exchanged)" in found.text
+
+
+def test_scans_in_one_direction_say_that_they_cannot_show_a_clock(told):
+    """The matrix takes 10 ms up whole: 14 arcsec."""
+    found = told("sky", partial(late, sky01=10.0))
+    assert found.verdict.outcome is CONSISTENT
+    spots = {(one.cause, one.item): one for one in blind_spots(found.verdict.tests)}
+    clock = spots[CLOCK, "strip sky01"]
+    assert clock.is_unseen and 10.0 * clock.effect_sigma > 50.0
+
+
+def test_with_two_targets_nothing_can_be_checked(told):
+    def of_two(dump: Path) -> None:
+        write(dump / "targets.csv", table(dump / "targets.csv")[:3])
+
+    assert told("mini", of_two).verdict.outcome is Outcome.NOT_CHECKABLE
