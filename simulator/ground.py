@@ -19,11 +19,11 @@ from pyproj import CRS, Transformer
 
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.record import array, record, scalar
-from boresight.simulator.landscape import Landscape
-from boresight.simulator.lattice_noise import fractal, smooth_noise
+from boresight.simulator.landscape import STRENGTH_UNIT, Landscape
+from boresight.simulator.lattice_noise import BAND, fractal_bands, smooth_noise
 from boresight.simulator.scenario import GroundSettings
 
-__all__ = ["BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround"]
+__all__ = ["CHIP_TILE", "TILE", "BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround"]
 
 Patch = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -31,7 +31,9 @@ Grey = NDArray[np.uint8]
 
 # Painted tiles that are kept in memory, the last used.
 KEPT_TILES = 48
-TILE = 1024  # texels: a tile of reflectance takes 2 MB, a row of tiles under one CCD's swath some 30 MB
+TILE = 1024  # texels: a tile of reflectance takes 4 MB, those under a row of one CCD's panels some 120 MB
+CHIP_TILE = 256  # texels of a tile where only chips are read, here and there
+_BLUR_REACH = 2.5  # sigmas of the blur: cutting off what lies beyond changes its modulation by 0.0035 at most
 
 
 class Ground(Protocol):
@@ -55,40 +57,44 @@ class GroundImage:
 
 
 class BlurredGround:
-    """A ground seen through optics, kept in tiles of 16 bits.
+    """A ground seen through optics, kept in tiles of `side` texels.
 
     `sigma_texel` is the width of the whole system; what linear interpolation between the texels blurs by
     itself (a variance of 1/6 texel^2 on average) is taken off. The last tiles used are kept.
     """
 
-    def __init__(self, ground: Ground, sigma_texel: float) -> None:
+    def __init__(self, ground: Ground, sigma_texel: float, side: int = TILE) -> None:
         self.texel_m = ground.texel_m
         self._ground = ground
+        self._side = side
         self._sigma = float(np.sqrt(max(sigma_texel**2 - 1.0 / 6.0, 0.0)))
-        self._tiles: OrderedDict[tuple[int, int], NDArray[np.uint16]] = OrderedDict()
+        self._tiles: OrderedDict[tuple[int, int], Patch] = OrderedDict()
 
-    def window(self, column: int, row: int, width: int, height: int) -> NDArray[np.uint16]:
-        """Blurred reflectance times 65535, (height, width)."""
-        out = np.empty((height, width), np.uint16)
-        for j in range(row // TILE, (row + height - 1) // TILE + 1):
-            for i in range(column // TILE, (column + width - 1) // TILE + 1):
-                left, top = max(column, i * TILE), max(row, j * TILE)
-                right, bottom = min(column + width, (i + 1) * TILE), min(row + height, (j + 1) * TILE)
+    def window(self, column: int, row: int, width: int, height: int) -> Patch:
+        """Blurred reflectance, (height, width)."""
+        side = self._side
+        out = np.empty((height, width), np.float32)
+        for j in range(row // side, (row + height - 1) // side + 1):
+            for i in range(column // side, (column + width - 1) // side + 1):
+                left, top = max(column, i * side), max(row, j * side)
+                right, bottom = min(column + width, (i + 1) * side), min(row + height, (j + 1) * side)
                 out[top - row : bottom - row, left - column : right - column] = self._tile(i, j)[
-                    top - j * TILE : bottom - j * TILE, left - i * TILE : right - i * TILE
+                    top - j * side : bottom - j * side, left - i * side : right - i * side
                 ]
         return out
 
-    def _tile(self, i: int, j: int) -> NDArray[np.uint16]:
+    def _tile(self, i: int, j: int) -> Patch:
         if (i, j) in self._tiles:
             self._tiles.move_to_end((i, j))
             return self._tiles[i, j]
-        halo = int(np.ceil(4.0 * self._sigma)) + 1
-        sharp = self._ground.patch(i * TILE - halo, j * TILE - halo, TILE + 2 * halo, TILE + 2 * halo)
+        side = self._side
+        halo = int(np.ceil(_BLUR_REACH * self._sigma))
+        wide = side + 2 * halo
+        tile = self._ground.patch(i * side - halo, j * side - halo, wide, wide)
         if self._sigma > 0.0:
             size = (2 * halo + 1, 2 * halo + 1)
-            sharp = np.asarray(cv2.GaussianBlur(sharp, size, self._sigma), dtype=np.float32)
-        tile = (sharp[halo:-halo, halo:-halo] * np.float32(65535.0)).astype(np.uint16)
+            cv2.GaussianBlur(tile, size, self._sigma, tile)
+            tile = tile[halo:-halo, halo:-halo]
         self._tiles[i, j] = tile
         while len(self._tiles) > KEPT_TILES:
             self._tiles.popitem(last=False)
@@ -108,41 +114,40 @@ class ProceduralGround:
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
         """Reflectance of the texels of a window, (height, width)."""
-        base, rough = self._painted(column, row, width, height)
+        base, strength = self._painted(column, row, width, height)
         octaves = max(3, int(np.log2(48.0 / self.texel_m)) + 1)  # texture from a texel to 50 m
-        detail = fractal(column, row, width, height, self._key + 7, octaves, 0.8)
-        detail *= rough
-        detail *= np.float32(self._settings.detail / 255.0)
-        detail += np.float32(1.0)
-        detail *= base
-        detail *= np.float32(1.0 / 255.0)
-        np.clip(detail, 0.01, 0.95, out=detail)
-        return self._as_seen(detail, column, row) if self._date else detail
+        reflectance = np.empty((height, width), np.float32)
+        bands = fractal_bands(column, row, width, height, self._key + 7, octaves, 0.8)
+        for top, band in zip(range(0, height, BAND), bands):
+            rows = slice(top, top + BAND)
+            cv2.multiply(strength[rows], band, band, STRENGTH_UNIT * self._settings.detail, cv2.CV_32F)
+            cv2.accumulate(base[rows], band)
+            band *= np.float32(1.0 / 255.0)
+            np.clip(band, 0.01, 0.95, out=reflectance[rows])
+        return self._as_seen(reflectance, column, row) if self._date else reflectance
 
     def _painted(self, column: int, row: int, width: int, height: int) -> tuple[Grey, Grey]:
-        """Reflectance and strength of texture, both times 255, from the landscape's polygons."""
-        base, rough = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
+        """Reflectance times 255 and strength of the texture, from the landscape's polygons."""
+        base, strength = np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8)
         west, north = column * self.texel_m, -row * self.texel_m
         east, south = west + width * self.texel_m, north - height * self.texel_m
         origin = np.array([column + 0.5, row + 0.5])
         rim = 2.0 * self.texel_m  # smooth edges are a texel wider than their polygon
         for shapes in self._landscape.shapes(west - rim, south - rim, east + rim, north + rim):
-            texels = shapes.points * np.array([1.0, -1.0]) / self.texel_m - origin
+            texels = shapes.corners * (np.array([1.0, -1.0]) / self.texel_m) - origin
             corners = np.rint(texels * 16.0).astype(np.int32)  # OpenCV draws in 1/16 texel
-            start = 0
-            for (number, k), tones, roughness in zip(shapes.counts, shapes.tones, shapes.roughs):
-                polygons = list(corners[start : start + number * k].reshape(number, k, 2))
-                start += number * k
-                parts = [polygons] if len(tones) == 1 else [[polygon] for polygon in polygons]
-                for part, tone in zip(parts, tones):
-                    cv2.fillPoly(base, part, (tone,), cv2.LINE_AA, 4)
-                if roughness >= 0:
-                    cv2.fillPoly(rough, polygons, (roughness,), cv2.LINE_8, 4)
-        return base, rough
+            for tone in sorted(set(shapes.tones.tolist())):
+                cv2.fillPoly(base, list(corners[shapes.tones == tone]), (tone,), cv2.LINE_AA, 4)
+            if shapes.strengths is not None:
+                for one in sorted(set(shapes.strengths.tolist())):
+                    cv2.fillPoly(strength, list(corners[shapes.strengths == one]), (one,), cv2.LINE_8, 4)
+        return base, strength
 
     def _as_seen(self, reflectance: Patch, column: int, row: int) -> Patch:
         """Light and weather of the strips' date."""
         other, cloud = self._settings.other_date, self._settings.cloud
+        if other.gamma == 1.0 and not other.ramp and not cloud.cover:
+            return reflectance
         height, width = reflectance.shape
         east = (np.arange(column, column + width) + 0.5) * self.texel_m
         if other.gamma != 1.0:

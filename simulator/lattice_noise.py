@@ -1,30 +1,59 @@
 """Random numbers that belong to places: noise on an endless lattice, the same from whichever window it is
 asked for.
 
-A lattice point's number is a hash of its two indices and a key. Smooth and fractal noise are interpolated
-from it, so that pieces of an endless ground can be made one by one, in any order, and fit together without
-a seam.
+A lattice point's number follows from its two indices and a key. Smooth and fractal noise are interpolated
+from such numbers, so that pieces of an endless ground can be made one by one, in any order, and fit together
+without a seam.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
+
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-__all__ = ["fractal", "smooth_noise", "white", "white_at"]
+__all__ = ["BAND", "fractal", "fractal_bands", "smooth_noise", "white", "white_at"]
 
 # Mask of 32 bits: the hash of a lattice point is computed modulo 2^32.
 _WORD = 0xFFFFFFFF
+BAND = 256  # rows of noise that are made at once: they stay in the processor's cache
+_PERIOD = 2**20  # numbers of the table, 4 MB
+_RUN = 4096  # of its numbers that a row takes in one piece
 
 
 def white(column: int, row: int, width: int, height: int, key: int) -> NDArray[np.float32]:
-    """Uniform numbers in [-1, 1) of the lattice points of a window, (height, width)."""
-    return _unit(_hashed_window(column, row, width, height, key))
+    """Uniform numbers in [-1, 1) of the lattice points of a window, (height, width).
+
+    Each row is a long piece of one table of random numbers, which begins at a place given by the hash of the
+    row: two rows may be alike, shifted against each other, but no area is found again elsewhere.
+    """
+    j = np.arange(row, row + height)
+    first = (_hashed(np.zeros_like(j), j, key).astype(np.int64) + column) % _PERIOD
+    pieces = [_runs(min(width - left, _RUN))[(first + left) % _PERIOD] for left in range(0, width, _RUN)]
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+
+
+@cache
+def _table() -> NDArray[np.float32]:
+    """(_PERIOD + _RUN,) numbers; the last ones are the first ones again."""
+    numbers = 2.0 * np.random.default_rng(0).random(_PERIOD, dtype=np.float32) - 1.0
+    return np.append(numbers, numbers[:_RUN])
+
+
+@cache
+def _runs(width: int) -> NDArray[np.float32]:
+    """Every run of so many numbers of the table, as views, (places, width)."""
+    table = _table()
+    step = table.strides[0]
+    return as_strided(table, (_PERIOD, width), (step, step), writeable=False)
 
 
 def white_at(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.float32]:
-    """Numbers of `white` at lattice points i, j, elementwise."""
+    """Uniform numbers in [-1, 1) at lattice points i, j, elementwise: each the hash of its two indices."""
     return _unit(_hashed(i, j, key))
 
 
@@ -46,22 +75,48 @@ def fractal(
     The finest lattice is that of the window; each further octave is twice as coarse and `1 / persistence`
     times as strong.
     """
+    return np.concatenate(list(fractal_bands(column, row, width, height, key, octaves, persistence)))
+
+
+def fractal_bands(
+    column: int, row: int, width: int, height: int, key: int, octaves: int, persistence: float
+) -> Iterator[NDArray[np.float32]]:
+    """`fractal` in bands (R, width), which stay in the processor's cache while they are worked on."""
     weights = persistence ** -np.arange(octaves, dtype=float)
     weights /= np.sqrt((weights**2).sum())
     windows = [(column, row, width, height)]
     for _ in range(octaves - 1):
         windows.append(_coarser(*windows[-1]))
     total = weights[-1].astype(np.float32) * white(*windows[-1], key + octaves - 1)
-    for level in range(octaves - 2, -1, -1):
-        c, r, w, h = windows[level]
-        coarse_c, coarse_r, coarse_w, coarse_h = windows[level + 1]
-        fine = cv2.resize(total, (2 * coarse_w, 2 * coarse_h), interpolation=cv2.INTER_LINEAR)
-        left, top = c - 2 * coarse_c, r - 2 * coarse_r
-        noise = white(c, r, w, h, key + level)
-        noise *= np.float32(weights[level])
-        noise += fine[top : top + h, left : left + w]
-        total = noise
-    return np.asarray(total, dtype=np.float32)
+    for level in range(octaves - 2, 0, -1):
+        pair, weight = (windows[level], windows[level + 1]), float(weights[level])
+        (total,) = _finer(total, pair, weight, key + level, windows[level][3])
+    yield from _finer(total, (windows[0], windows[1]), float(weights[0]), key, BAND)
+
+
+def _finer(
+    coarse: NDArray[np.float32],
+    windows: tuple[tuple[int, int, int, int], tuple[int, int, int, int]],
+    weight: float,
+    key: int,
+    band: int,
+) -> Iterator[NDArray[np.float32]]:
+    """Noise on a lattice of half the distance, in bands: the coarse one interpolated, and white noise.
+
+    `windows` are those of the finer and of the coarse lattice.
+    """
+    (column, row, width, height), (coarse_column, coarse_row, coarse_width, coarse_height) = windows
+    left = column - 2 * coarse_column
+    for top in range(row, row + height, band):
+        rows = min(band, row + height - top)
+        first = max(top // 2 - coarse_row - 1, 0)
+        near = coarse[first : min((top + rows + 1) // 2 - coarse_row + 1, coarse_height)]
+        fine = cv2.resize(near, (2 * coarse_width, 2 * len(near)), interpolation=cv2.INTER_LINEAR)
+        skipped = top - 2 * (coarse_row + first)
+        noise = white(column, top, width, rows, key)
+        yield np.asarray(
+            cv2.scaleAdd(noise, weight, fine[skipped : skipped + rows, left : left + width], noise)
+        )
 
 
 def _coarser(column: int, row: int, width: int, height: int) -> tuple[int, int, int, int]:
@@ -73,12 +128,6 @@ def _coarser(column: int, row: int, width: int, height: int) -> tuple[int, int, 
 def _hashed(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.uint32]:
     word = (i * 0x9E3779B1 + j * 0x85EBCA77 + ((key * 0xC2B2AE3D) & _WORD)) & _WORD
     return _mixed(word.astype(np.uint32))
-
-
-def _hashed_window(column: int, row: int, width: int, height: int, key: int) -> NDArray[np.uint32]:
-    i = ((np.arange(column, column + width) * 0x9E3779B1) & _WORD).astype(np.uint32)
-    j = ((np.arange(row, row + height) * 0x85EBCA77 + ((key * 0xC2B2AE3D) & _WORD)) & _WORD).astype(np.uint32)
-    return _mixed(i[None, :] + j[:, None])
 
 
 def _mixed(word: NDArray[np.uint32]) -> NDArray[np.uint32]:

@@ -38,6 +38,8 @@ from boresight.simulator.cameras import (
     star_camera,
 )
 from boresight.simulator.ground import (
+    CHIP_TILE,
+    TILE,
     BlurredGround,
     Ground,
     GroundImage,
@@ -378,7 +380,7 @@ def _seen_ground(
         sigma_px = gaussian_sigma_px(settings.mtf_nyquist)
     else:
         sigma_px = gaussian_sigma_px(targets.chip_mtf_nyquist) * targets.chip_pixel
-    return BlurredGround(ground, sigma_px * settings.texels_per_pixel)
+    return BlurredGround(ground, sigma_px * settings.texels_per_pixel, TILE if date == 1 else CHIP_TILE)
 
 
 def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int) -> StarField:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from boresight.simulator.normal_numbers import normal_numbers
 from boresight.simulator.scenario import SkySettings
 
 __all__ = ["expose", "hot_pixels", "star_charge"]
@@ -77,7 +78,7 @@ def _digitised(
 ) -> Frame:
     """Grey values of some rows of an image, whole numbers; overwrites `charge`."""
     shot_e = charge + background * np.float32(sky.e_per_dn) if sky.background_shot_noise else charge
-    image = rng.standard_normal(charge.shape, dtype=np.float32)
+    image = normal_numbers(charge.shape, rng)
     image *= np.sqrt(shot_e * np.float32(sky.e_per_dn**-2) + np.float32(sky.read_noise_dn**2))
     image += background
     charge *= np.float32(1.0 / sky.e_per_dn)

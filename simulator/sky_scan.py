@@ -8,7 +8,7 @@ rows, a drift and jitter smear it. Frames: i = GCRS, c = remote-sensing camera. 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -225,7 +225,7 @@ def sky_strip(
     images = [*scene.images(ccd), *_cosmic_rays(settings, samples, rng)]
     level = (settings.background_dn + hot_dn).astype(np.float32)
 
-    def panel_row(first: int, count: int, chosen: NDArray[np.bool_]) -> Grey:
+    def seen_dn(first: int, count: int) -> Callable[[slice], Grey]:
         charge = np.zeros((count, samples), np.float32)
         for row, left, image in images:
             top, bottom = max(first - row, 0), min(first + count - row, len(image))
@@ -233,13 +233,14 @@ def sky_strip(
             if top < bottom and start < stop:
                 target = charge[row + top - first : row + bottom - first, left + start : left + stop]
                 target += image[top:bottom, start:stop]
-        return charge * (gain * np.float32(1.0 / detector.e_per_dn)) + level
+        seen = charge * (gain * np.float32(1.0 / detector.e_per_dn)) + level
+        return lambda panel: seen[:, panel]
 
     wanted = all_panels(lines, samples)
     if settings.only_around_stars_px:
         places = scene.crossings(ccd)[1]
         wanted = panels_near(places, settings.only_around_stars_px, lines, samples)
-    return digitised_strip(panel_row, lines, samples, detector, rng, rows, wanted)
+    return digitised_strip(seen_dn, lines, samples, detector, rng, rows, wanted)
 
 
 def _cosmic_rays(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -19,19 +20,34 @@ def ground(date=0, key=5, **changes):
 
 
 def test_white_noise_belongs_to_its_place():
-    window = white(-7, 1000, 40, 30, key=3)
-    i, j = np.meshgrid(np.arange(-7, 33), np.arange(1000, 1030))
-    assert np.array_equal(window, white_at(i, j, 3))
-    assert not np.array_equal(window, white(-7, 1000, 40, 30, key=4))
+    whole = white(-70, 1000, 400, 300, key=3)
+    assert np.array_equal(white(-7, 1100, 140, 30, key=3), whole[100:130, 63:203])
+    assert not np.array_equal(whole, white(-70, 1000, 400, 300, key=4))
 
 
-def test_white_noise_is_uniform_and_without_memory():
-    noise = white(0, 0, 1000, 1000, key=1).astype(float)
+def all_of_a_window(key):
+    i, j = np.meshgrid(np.arange(1000), np.arange(1000))
+    return white_at(i, j, key)
+
+
+@pytest.mark.parametrize("noise", [white(0, 0, 1000, 1000, key=1), all_of_a_window(key=1)])
+def test_white_noise_is_uniform_and_without_memory(noise):
+    noise = noise.astype(float)
     assert abs(noise.mean()) < 5 * 0.577e-3  # a million numbers of sigma 0.577
     assert noise.var() == pytest.approx(1.0 / 3.0, rel=0.005)
     for shifted in (noise[1:], noise[:, 1:]):
         neighbour = noise[: shifted.shape[0], : shifted.shape[1]]
         assert abs((shifted * neighbour).mean()) < 5 / 3e3  # covariance of a million pairs
+
+
+def test_no_texture_of_a_chip_comes_twice():
+    """A chip of 128 px covers 256 texels. The texture of none is found again in the 3 km around it."""
+    noise = white(0, 0, 4096, 4096, key=2)
+    chip = noise[1300:1556, 2100:2356]
+    found = cv2.matchTemplate(noise, chip, cv2.TM_CCOEFF_NORMED)
+    found[1290:1311, 2090:2111] = 0.0
+    # Chance: 15 million places of sigma 1 / 256; a square of the chip that comes again, a sixteenth.
+    assert found.max() < 2.0 / 16.0
 
 
 def test_fractal_noise_has_no_seams():
@@ -54,12 +70,16 @@ def test_windows_of_the_ground_fit_together():
 
 
 def test_tiles_meet_without_an_edge():
-    blurred = BlurredGround(ground(), 1.2)
-    columns = (COLUMN // 1024 + 1) * 1024
-    window = blurred.window(columns - 200, ROW, 400, 2000).astype(float)
-    steps = np.abs(np.diff(window, axis=1)).mean(axis=0)
-    # Across the seam (between texels 199 and 200) the ground changes no more than elsewhere.
-    assert steps[199] < 1.5 * np.median(steps)
+    """Four tiles about a corner show what one piece of land without that corner shows."""
+    column, row = (COLUMN // 1024 + 1) * 1024, (ROW // 1024 + 1) * 1024
+    window = (column - 400, row - 400, 800, 800)
+    tiles = BlurredGround(ground(), 1.2).window(*window)
+    patch = ground().patch(column - 410, row - 410, 820, 820)
+    whole = cv2.GaussianBlur(patch, (13, 13), np.sqrt(1.2**2 - 1.0 / 6.0))[10:-10, 10:-10]
+    difference = np.abs(tiles - whole)
+    assert (difference > 0.005).mean() < 2e-3  # edges of polygons that the rim of a tile cuts off elsewhere
+    assert (difference[:, 390:410] > 0.005).mean() < 2e-3
+    assert (difference[390:410] > 0.005).mean() < 2e-3
 
 
 def test_patches_of_one_place_differ_by_less_than_their_rims():

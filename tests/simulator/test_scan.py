@@ -21,12 +21,12 @@ from boresight.simulator.cameras import (
 from boresight.simulator.ground import BlurredGround
 from boresight.simulator.motion import flown_orbit, true_attitude
 from boresight.simulator.scan import (
+    LineNodes,
     TrueScene,
     all_panels,
     needed_sample_step,
     panels_near,
     read_ground,
-    row_places,
     scan,
 )
 from boresight.simulator.scenario import scenario_from_dict
@@ -155,7 +155,7 @@ def test_places_between_the_nodes_are_those_of_the_rigorous_model(model, surface
     scene = TrueScene(model, surface, EPSG, BlurredGround(Flat(0.4), 1.0), step)
     nodes = np.append(np.arange(0.0, 511.0, step), 511.0)
     samples, lines = np.arange(0.0, 512.0, 3.0), np.arange(100.0, 160.0)
-    told = row_places(scene, 3, 100, 60, nodes)
+    told = LineNodes.over(scene, 3, 90, 128, nodes).at(100, 60)
     true = scene.texels(3, samples, lines)
     for told_nodes, direct in zip(told, true):
         between = told_nodes @ lagrange_weights(nodes, samples).T
