@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -25,24 +26,38 @@ __all__ = ["NO_END", "failure", "first_named", "import_libraries"]
 OWN = ("boresight", "test", "conftest", "_pytest", "pytest", "__main__", "_distutils")
 PASSED = (0, 5)  # exit statuses of pytest; 5: no test is left
 POLL_S = 0.05
-NO_END = "and others: no end"
+NO_END = "and others: no end, or no import"
 
 
-def import_libraries(tree: Path) -> None:
-    """Import, in this process, every library that some test of a tree imports."""
+def import_libraries(tree: Path) -> set[str]:
+    """Import, in this process, every library that some test of a tree imports; the ids of all tests."""
     with tempfile.TemporaryDirectory() as folder:
-        listed = Path(folder) / "modules"
+        listed, printed = Path(folder) / "modules", Path(folder) / "printed"
         if (child := os.fork()) == 0:
-            with _silent(Path(folder) / "printed", tree):
-                pytest.main(["--collect-only", "-q", "-p", "no:cacheprovider", str(tree / "tests")])
-            own = {path.stem for path in (tree / "tests").rglob("*.py")}
-            names = [n for n in sorted(sys.modules) if not n.startswith(OWN) and n not in own]
-            listed.write_text(json.dumps(names))
+            with _silent(printed, tree):
+                pytest.main(["--collect-only", "-q", "-o", "addopts=", "-p", "no:cacheprovider", "tests"])
+            libraries = [name for name, module in sorted(sys.modules.items()) if _is_library(name, module)]
+            listed.write_text(json.dumps(libraries))
             os._exit(0)
         os.waitpid(child, 0)
+        tests = {line for line in printed.read_text(errors="replace").splitlines() if "::" in line}
         for name in json.loads(listed.read_text()):
             with contextlib.suppress(Exception):  # parts of a library that cannot be imported alone
                 importlib.import_module(name)
+    if own := [name for name in sys.modules if name.partition(".")[0] == "boresight"]:
+        raise RuntimeError(f"{own[0]} is imported already, so that no fork would see a change of it")
+    return tests
+
+
+def _is_library(name: str, module: ModuleType) -> bool:
+    """Whether a module belongs to Python or to an installed package."""
+    file = getattr(module, "__file__", None) or ""
+    return not name.startswith(OWN) and (not file or file.startswith((sys.base_prefix, *site_folders())))
+
+
+def site_folders() -> tuple[str, ...]:
+    """Folders of installed packages on the search path."""
+    return tuple(path for path in sys.path if "site-packages" in path)
 
 
 def failure(tests: Sequence[str], tree: Path, *, most_cpu_s: int, most_s: float) -> str:

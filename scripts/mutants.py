@@ -217,7 +217,7 @@ def drawn(seed: int, count: int, room: str, lines: LineTests | None, most_cpu_s:
         source = (ROOT / change.file).read_text(encoding="utf-8")
         tests = nearest_tests(ROOT, change.file)
         if lines:
-            tests = tuple(lines.of(change.file, change.start, most_cpu_s))
+            tests = tuple(lines.of(change.file, change.start, most_cpu_s)) or tests
         place = change.file.partition("/")[0]
         found.append(Mutant(place, str(change), change.file, source, change.applied(source), tests))
     return found
@@ -230,17 +230,18 @@ def try_drawn(chosen: Sequence[Mutant], most_cpu_s: float) -> int:
     killed, total, unsound = Counter[str](), Counter[str](), set[str]()
     with tempfile.TemporaryDirectory() as folder:
         tree = copy_of_tree(Path(folder))
-        import_libraries(tree)
+        known = import_libraries(tree)
         for mutant in chosen:
             begun, test = time.perf_counter(), ""
-            while mutant.tests and (test := killer(mutant, tree, mutant.tests, unsound, most_cpu_s)):
+            tests = [one for one in mutant.tests if "::" not in one or one in known]
+            while tests and (test := killer(mutant, tree, tests, unsound, most_cpu_s)):
                 if test.endswith(NO_END) or not first_failure([test], tree):
                     break
                 unsound.add(test)
             killed[mutant.room] += bool(test)
             total[mutant.room] += 1
-            outcome = "killed" if test else "SURVIVES" if mutant.tests else "UNTESTED"
-            end = f"  by {test}" if test else f"  of {len(mutant.tests)} tests"
+            outcome = "killed" if test else "SURVIVES" if tests else "UNTESTED"
+            end = f"  by {test}" if test else f"  of {len(tests)} tests"
             print(f"{outcome:9s} {mutant.what}{end}, {time.perf_counter() - begun:.0f} s", flush=True)
     print(f"left out, since they fail without a mutation: {', '.join(sorted(unsound)) or 'none'}")
     print(f"\n{'room':12s}{'drawn':>7s}{'killed':>8s}")
