@@ -13,10 +13,11 @@ from recorded_numbers import assert_recorded
 from typer.testing import CliRunner
 
 from boresight.features.geolocate.virtual_ccd import VirtualStrip
-from boresight.features.interior import interior_files
+from boresight.features.interior import interior_files, remote_camera_calibrate_command
 from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
@@ -118,6 +119,23 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     difference, _ = map_difference_px(after, before)
     assert np.sqrt(np.mean(difference**2)) == pytest.approx(content["map_change_rms_px"], rel=0.02)
     assert_drawn(figures[0].axes, before, after, content["map_sigma_rms_px"])
+
+
+def test_options_of_the_interior_calibration_are_its_priors(tmp_path, monkeypatch):
+    asked = []
+
+    def kept(sources, settings, priors, *rest):
+        asked.append(priors)
+        raise DataNotSufficientError("enough is known")
+
+    monkeypatch.setattr(remote_camera_calibrate_command, "calibrate_remote_camera", kept)
+    (tmp_path / "result").mkdir()
+    command = ["remote-camera-calibrate", str(tmp_path / "result"), "--out", str(tmp_path / "out")]
+    options = ("--curve-px", "1.5", "--curve-length-px", "700", "--shift-px", "2.5", "--stagger-us", "40")
+    runner.invoke(app, [*command, *options])
+    runner.invoke(app, command)
+    given, usual = ((p.curve_px, p.curve_length_px, p.shift_px, p.stagger_s) for p in asked)
+    assert given == pytest.approx((1.5, 700.0, 2.5, 40e-6)) and usual == (3.0, 5000.0, 5.0, 0.0)
 
 
 def assert_drawn(panels, before, after, sigma_rms):

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.features.planning import scan_files
+from boresight.features.planning import scan_files, scan_plan
 from boresight.features.planning.scan_plan import (
     ScanCameras,
     ScanSettings,
@@ -115,6 +115,14 @@ def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
     shaken = replace(worse, noise=replace(NO_NOISE, constant_rad=np.full(3, 2e-5)))
     c = choose_scans(shaken, all_hipparcos(), 0.0, CalibrationSettings(), asked)
     assert c.sigma_rad[-1, 0] > 0.5 * 2e-5  # an error of its own in each of two strips
+
+
+def test_every_second_candidate_scans_the_other_way(monkeypatch):
+    tried = []
+    monkeypatch.setattr(scan_plan, "_candidate", lambda *given: tried.append((given[3][0], given[4])))
+    with pytest.raises(ValueError, match="0 of 6 candidates"):
+        chosen(candidates=6, hours=3.0, rate_mrad_s=0.7)
+    assert np.allclose(tried, [(1800.0 * n, 7e-4 * (-1.0) ** n) for n in range(6)])
 
 
 def test_too_narrow_limits_are_an_error_that_says_so():

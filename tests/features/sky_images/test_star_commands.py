@@ -403,6 +403,7 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     drawn = np.concatenate([np.column_stack(line.get_data()) for line in sky.lines])
     off = SkyCoord(*(drawn.T[:, :, None] * units.deg)).separation(middle[None]).deg
     assert len(drawn) == 120 * len(table)
+    assert all(np.ptp(line.get_xdata()) < 180.0 for line in sky.lines)  # cut where it leaves the map
     assert ((off > 0.99 * low) & (off < 1.01 * high)).any(axis=1).all()
     assert np.allclose(np.sort(off[off > 0.995 * high])[[0]], high, rtol=0.02)
     for row, printed in zip(table.itertuples(), done.stdout.splitlines()[-7:-2], strict=True):
