@@ -16,11 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from captured import wide_rows
 from command_line import app
 from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 IN_MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4 * 2**30  # some four times what a run of all tests writes
@@ -114,6 +115,19 @@ def demo(installed: Path, made_once) -> Path:
         (folder / "printed").write_text(printed)
 
     return made_once("demo", fill)
+
+
+@pytest.fixture(autouse=True)
+def tables_keep_to_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every command that any test runs to its end prints tables of 80 columns at most."""
+    asked = CliRunner.invoke
+
+    def invoke(self: CliRunner, *given: object, **named: object) -> Result:
+        ran = asked(self, *given, **named)
+        assert not (wide := wide_rows(ran.stdout)), wide
+        return ran
+
+    monkeypatch.setattr(CliRunner, "invoke", invoke)
 
 
 @pytest.fixture

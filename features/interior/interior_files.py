@@ -21,6 +21,7 @@ from boresight.pipeline.results.writing import write_json
 __all__ = ["interior_json", "interior_lines", "write_interior"]
 
 MAP_SAMPLES = 60  # of each CCD
+WIDTH = 80  # columns of a terminal that a table keeps to
 KINDS = {  # unit of a parameter, and its size
     "shift_along": ("px", 1.0),
     "shift_across": ("px", 1.0),
@@ -37,14 +38,14 @@ def interior_lines(calibration: InteriorCalibration) -> list[str]:
     old_m = calibration.found.model.camera.focal_m
     change = f"{value['focal'] * 1e6:+.1f} ± {sigma['focal'] * 1e6:.1f} ppm"
     lines = [f"{'focal length, m':26s}{old_m:.7f} -> {camera.focal_m:.7f} ({change})"]
-    lines.append(f"{'':26s}" + "".join(f"{f'CCD {c}':>21s}" for c in range(camera.n_ccds)))
+    columns = [["", *(f"CCD {c}" for c in range(camera.n_ccds))]]
     for kind, (unit, scale) in KINDS.items():
         if f"{kind}/0" in value:
             names = [f"{kind}/{c}" for c in range(camera.n_ccds)]
             cells = [f"{scale * value[n]:+.2f} ± {scale * sigma[n]:.2f}" for n in names]
-            lines.append(f"{f'{kind}, {unit}':26s}" + "".join(f"{cell:>21s}" for cell in cells))
-    curve = [_curve_rms(found, c) for c in range(camera.n_ccds)]
-    lines.append(f"{'curve, rms px':26s}" + "".join(f"{size:21.2f}" for size in curve))
+            columns.append([f"{kind}, {unit}", *cells])
+    columns.append(["curve, px", *(f"{_curve_rms(found, c):.2f}" for c in range(camera.n_ccds))])
+    lines += _table(columns)
     before, after = map_errors_px(found)
     lines.append(f"{'change of looks, rms px':26s}{before:.3f}; stated 1 sigma after it {after:.3f}")
     arcsec = "  ".join(f"{one / ARCSEC:.4f}" for one in found.installation.sigma_theta)
@@ -146,3 +147,21 @@ def _figure(calibration: InteriorCalibration) -> Figure:
         panel.set_ylabel("px")
     legend_below(figure, axes[0, 0])
     return figure
+
+
+def _table(columns: list[list[str]]) -> list[str]:
+    """Lines of a table of these columns, right-aligned; where it is wider than `WIDTH`, as several below one
+    another, each with the first column.
+    """
+    names, *others = columns
+    lines, part, used = list[str](), list[tuple[list[str], int]](), 0
+    first = max(map(len, names))
+    for column in [*others, None]:
+        wide = 0 if column is None else max(map(len, column)) + 2
+        if column is None or first + used + wide > WIDTH:
+            for n, name in enumerate(names):
+                lines.append(f"{name:{first}s}" + "".join(f"{one[n]:>{size}s}" for one, size in part))
+            part, used = [], 0
+        if column is not None:
+            part, used = [*part, (column, wide)], used + wide
+    return lines

@@ -87,7 +87,7 @@ def compare_grid(table: pd.DataFrame) -> Iterator[str]:
 def compare_table4(table: pd.DataFrame) -> Iterator[str]:
     """Table 4: rms over its five rows, and how much better than Wang's method."""
     yield "Table 4: rms over the five rows, arcsec"
-    yield "axis     ours    bound    paper | 7 strips: Wang's method   ours    bound  paper's Wang"
+    yield "axis     ours    bound    paper | 7 strips: Wang    ours   bound  paper's Wang"
     gains = []
     for n, axis in enumerate(AXES):
         by = {m: part[part["axis"] == axis] for m, part in table.groupby("method")}
@@ -96,17 +96,20 @@ def compare_table4(table: pd.DataFrame) -> Iterator[str]:
         paper, wang = (TABLE_4_RMS_ARCSEC[who][n] for who in ("paper", "wang"))
         yield (
             f"{axis}     {rms['information']:7.4f}  {bounds[0]:7.4f}  {paper:7.4f} |"
-            f" {rms['wang']:23.4f}  {rms['strips']:6.4f}  {bounds[1]:7.4f}  {wang:12.4f}"
+            f" {rms['wang']:14.4f}  {rms['strips']:6.4f}  {bounds[1]:6.4f}  {wang:12.4f}"
         )
         gains.append((axis, rms["wang"] / rms["information"], rms["wang"] / rms["strips"], wang / paper))
-    yield "Rows: sigma_s, sigma_c, px: ours X, Y, Z; bound; paper (one run); paper's Wang over paper's own"
+    yield "Rows: sigma_s, sigma_c, px; X, Y, Z of ours, bound, paper (one run)"
     own_method = table[table["method"] == "information"]
-    for (sigma_s, sigma_c), (wang_draw, draw) in TABLE_4.items():
+    for sigma_s, sigma_c in TABLE_4:
         part = own_method[(own_method["sigma_s_px"] == sigma_s) & (own_method["sigma_c_px"] == sigma_c)]
         columns = [part[name].to_numpy() for name in ("rms_arcsec", "bound_arcsec", "paper_arcsec")]
-        texts = ["  ".join(f"{value:.4f}" for value in column) for column in columns]
+        texts = [" ".join(f"{value:.4f}" for value in column) for column in columns]
+        yield f"  {sigma_s:.2f}, {sigma_c:.1f}: {texts[0]}; {texts[1]}; {texts[2]}"
+    yield "Rows: sigma_s, sigma_c, px; the paper's Wang over the paper's own, X, Y, Z"
+    for (sigma_s, sigma_c), (wang_draw, draw) in TABLE_4.items():
         gain = "  ".join(f"{abs(value):.1f}" for value in np.divide(wang_draw, draw))
-        yield f"  {sigma_s:.2f}, {sigma_c:.1f}: {texts[0]}; {texts[1]}; {texts[2]}; {gain}"
+        yield f"  {sigma_s:.2f}, {sigma_c:.1f}: {gain}"
     yield "Wang's error over ours: 400 frames against 7 strips (as in the paper); same 7 strips; paper"
     yield from (f"  {axis}  {many:6.1f}  {same:6.1f}  {paper:6.1f}" for axis, many, same, paper in gains)
     own = np.array([own for _, own in TABLE_4.values()])
@@ -123,14 +126,17 @@ def compare_table4_pixels(table: pd.DataFrame) -> Iterator[str]:
     runs, n = int(table["runs"].iloc[0]), int(table["runs"].sum()) // 3
     yield f"Table 4 from pixels, {runs} missions a row, arcsec"
     yield "paper: single draws of its own cameras, of 5 and 24 times as many pixels (over their bound)"
-    yield "row:       stated:     | rms:                   | bound:                 |      | paper:"
-    yield "s, c, px   s, c, px    | X, Y, Z                | X, Y, Z                | NEES | X, Y, Z"
+    yield "row:       stated:     | rms:                   | bound:"
+    yield "s, c, px   s, c, px    | X, Y, Z                | X, Y, Z                | NEES"
     for (row_s, row_c), part in table.groupby(["row_s_px", "row_c_px"]):
         head = f"{row_s:.2f}, {row_c:.1f}  {part['sigma_s_px'].iloc[0]:.3f}, {part['sigma_c_px'].iloc[0]:.2f}"
         rms, bound = (", ".join(f"{v:6.2f}" for v in part[c]) for c in ("rms_arcsec", "bound_arcsec"))
+        yield f"{head} | {rms} | {bound} | {part['nees'].iloc[0]:4.2f}"
+    yield "row, s, c, px: the paper's X, Y, Z (over its bound)"
+    for (row_s, row_c), part in table.groupby(["row_s_px", "row_c_px"]):
         values = zip(part["paper_arcsec"], part["paper_arcsec"] / part["paper_bound_arcsec"])
         paper = ", ".join(f"{value:.4f} ({ratio:.1f})" for value, ratio in values)
-        yield f"{head} | {rms} | {bound} | {part['nees'].iloc[0]:4.2f} | {paper}"
+        yield f"{row_s:.2f}, {row_c:.1f}  {paper}"
     yield f"Pooled over the {n} missions; expected 1 and 3,"
     yield f"of which chance alone leaves {np.sqrt(0.5 / n):.2f} and {np.sqrt(6 / n):.2f} (1 sigma)"
     for axis in AXES:
@@ -147,17 +153,18 @@ def compare_grid_pixels(table: pd.DataFrame) -> Iterator[str]:
     yield f"Grid of Figs. 7 and 9 from pixels: {cells} cells of {runs} missions; vectors: the same stars and"
     yield f"targets with new noise of the stated covariances, {redrawn} runs a cell. Expected ratio 1, NEES 3"
     yield "p: F-test, two-sided, that pixels and vectors have one mean square in units of the bound"
-    yield "axis  pixels:  rms    bound  ratio    vectors: rms    bound  ratio     p    paper: scatter / bound"
+    yield "      pixels:                    vectors:                          paper: scatter"
+    yield "axis     rms    bound   ratio       rms    bound   ratio       p   / bound"
     for axis, part in pixels.groupby("axis"):
         other = vectors[vectors["axis"] == axis]
         squares = part["mean_square"].mean(), other["mean_square"].mean()
         p = _f_test(squares[0], cells * runs, squares[1], cells * redrawn)
         columns = [
-            f"{rms_of(t['rms_arcsec']):9.3f} {rms_of(t['bound_arcsec']):8.3f} {np.sqrt(square):7.3f}"
+            f"{rms_of(t['rms_arcsec']):7.3f} {rms_of(t['bound_arcsec']):8.3f} {np.sqrt(square):7.3f}"
             for t, square in zip((part, other), squares)
         ]
         paper = "{:.4f} / {:.4f}".format(*part[["paper_arcsec", "paper_bound_arcsec"]].iloc[0])
-        yield f"{axis}   {columns[0]}   {columns[1]}  {p:6.3f}  {paper}"
+        yield f"{axis}    {columns[0]}   {columns[1]}  {p:6.3f}   {paper}"
     nees = [t[t["axis"] == "X"]["nees"] for t in (pixels, vectors)]
     p = _f_test(nees[0].mean(), 3 * cells * runs, nees[1].mean(), 3 * cells * redrawn)
     yield f"NEES  pixels {nees[0].mean():.3f}, vectors {nees[1].mean():.3f}, p {p:.3f}"
@@ -228,14 +235,14 @@ def exposures_of_slopes(along_m: float, across_m: float) -> Iterator[tuple[float
 def compare_readings(table: pd.DataFrame) -> Iterator[str]:
     """Table 5 with Wang's matrices of single images: rms over all strips, by what the paper leaves open."""
     yield "Table 5 with one matrix per image (Wang) against the estimate from all images (ours): rms, m"
-    yield "axis       GPS error  attitude   sigma_s | ours: along, across | Wang, order 3      5            7"
-    keys = ["axis", "gps", "attitude", "sigma_s_px"]
-    for (axis, gps, attitude, sigma_s), part in table.groupby(keys, sort=False):
-        rms = part.set_index(["method", "order", "direction"])["rms_m"].to_dict()
-        cells = [("ours", 0), ("wang", 3), ("wang", 5), ("wang", 7)]
-        texts = [f"{rms[*cell, 'along']:5.2f}, {rms[*cell, 'across']:5.2f}" for cell in cells]
-        head = f"{axis:9s}  {gps:9s}  {attitude:9s}  {sigma_s:7.3f}"
-        yield f"{head} | {texts[0]:19s} | {'  '.join(texts[1:])}"
+    yield "sigma_s  ours: along, across | Wang: order 3      5            7"
+    for (axis, gps, attitude), case in table.groupby(["axis", "gps", "attitude"], sort=False):
+        yield f"axis {axis}, GPS error {gps}, attitude {attitude}"
+        for sigma_s, part in case.groupby("sigma_s_px", sort=False):
+            rms = part.set_index(["method", "order", "direction"])["rms_m"].to_dict()
+            cells = [("ours", 0), ("wang", 3), ("wang", 5), ("wang", 7)]
+            texts = [f"{rms[*cell, 'along']:5.2f}, {rms[*cell, 'across']:5.2f}" for cell in cells]
+            yield f"{sigma_s:7.3f}  {texts[0]:19s} | {'  '.join(texts[1:])}"
     like = table[(table["gps"] == "constant") & (table["attitude"] == "smoothed")]
     yield "Wang's method, order 3, over ours; GPS constant, smoothed attitudes"
     for axis in like["axis"].unique():
@@ -257,11 +264,11 @@ def compare_inputs(table: pd.DataFrame) -> Iterator[str]:
     difference.
     """
     yield "Tables 1 to 3 and the text: printed value, ours, and what arithmetic gives"
-    yield "source   item                               unit         paper        ours  arithmetic"
+    yield "source  item                              unit       paper      ours  arithmetic"
     for row in table[table["at"].isna()].to_dict("records"):
         expected = "" if np.isnan(row["expected"]) else f"{row['expected']:11.3f}"
-        head = f"{row['source']:8s} {row['item']:34s} {row['unit']:8s}"
-        yield f"{head} {row['paper']:9.4g} {row['ours']:11.4g} {expected}".rstrip()
+        head = f"{row['source']:7s} {row['item']:33s} {row['unit']:7s}"
+        yield f"{head} {row['paper']:8.4g} {row['ours']:9.4g} {expected}".rstrip()
     for (source, unit), curve in table[table["at"].notna()].groupby(["source", "unit"], sort=False):
         printed = curve[curve["paper"].notna()]
         off = np.abs(printed["ours"] - printed["paper"]).max()
@@ -294,29 +301,32 @@ def compare_geometry(table: pd.DataFrame) -> Iterator[str]:
     directions within 20 % of the paper.
     """
     yield "Geometry that fits best, closed-form covariance; misfit: largest ratio to the paper, either way"
-    head = "goal         zenith  azimuth  roll    stars  targets  spread  misfit"
-    yield f"{head}  Fig. 7: X, Y, Z         Table 4: X, Y, Z"
-    for goal, part in table.groupby("goal", sort=False):
-        best = part.sort_values("misfit").iloc[0]
-        fits = [
-            "  ".join(f"{best[f'fit_{name}_{axis}']:.4f}" for axis in "xyz") for name in ("figure7", "table4")
-        ]
+    goals = {
+        str(goal): part.sort_values("misfit").iloc[0] for goal, part in table.groupby("goal", sort=False)
+    }
+    yield "goal         zenith  azimuth  roll    stars  targets  spread  misfit"
+    for goal, best in goals.items():
         yield (
             f"{goal:11s}  {best['from_zenith_deg']:6.0f}  {best['azimuth_deg']:7.0f}  {best['roll_deg']:4.0f}"
             f"  {best['stars']:7.0f}  {best['targets']:7.0f}  {best['spread']:6.2f}  {best['misfit']:6.2f}"
-            f"  {fits[0]}  {fits[1]}"
         )
+    yield "goal         Fig. 7: X, Y, Z         Table 4: X, Y, Z"
+    for goal, best in goals.items():
+        fits = [
+            "  ".join(f"{best[f'fit_{name}_{axis}']:.4f}" for axis in "xyz") for name in ("figure7", "table4")
+        ]
+        yield f"{goal:11s}  {fits[0]}  {fits[1]}"
     for name, values in (("Fig. 7", FIGURE_7_SIGMA_ARCSEC), ("Table 4", TABLE_4_RMS_ARCSEC["paper"])):
         z = f"Z is {values[2] / values[0]:.1f} times X and {values[2] / values[1]:.1f} times Y"
-        yield f"paper, {name:7s}: {'  '.join(f'{value:.4f}' for value in values)}; {z} (text: 5 to 10)"
-    for goal, part in table.groupby("goal", sort=False):
+        yield f"paper, {name:7s}: {'  '.join(f'{v:.4f}' for v in values)}; {z} (5 to 10)"
+    for what, part in table.groupby("goal", sort=False):
         good = part[part["misfit"] <= 1.2]
         if not len(good):
-            yield f"{goal}: no direction within 20 %"
+            yield f"{what}: no direction within 20 %"
             continue
         low, high = good["from_zenith_deg"].min(), good["from_zenith_deg"].max()
         yield (
-            f"{goal}: {len(good)} of {len(part)} directions within 20 %, {low:.0f} to {high:.0f} deg from"
+            f"{what}: {len(good)} of {len(part)} directions within 20 %, {low:.0f} to {high:.0f} deg from"
             f" the zenith, azimuth up to {good['azimuth_deg'].max():.0f} deg,"
             f" {good['targets'].min():.0f} targets or more"
         )

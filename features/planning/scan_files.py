@@ -45,18 +45,18 @@ def scan_table(choice: ScanChoice, epoch: Epoch) -> pd.DataFrame:
 def scan_lines(choice: ScanChoice, epoch: Epoch) -> list[str]:
     """The scans as text."""
     lines = [f"{choice.candidates} candidates hold stars and are clear of Sun, Moon and Earth"]
-    lines.append(
-        "scan  UTC                   RA deg  Dec deg  angle  mrad/s stars  from Sun Moon limb, deg"
-        "   1 sigma X, Y, Z with it, arcsec"
-    )
-    for row in scan_table(choice, epoch).to_dict("records"):
-        away = "".join(f"{row[f'{body}_deg']:5.0f}" for body in ("sun", "moon", "limb"))
+    lines.append("scan  UTC                   RA deg  Dec deg   angle  mrad/s  stars")
+    rows = scan_table(choice, epoch).to_dict("records")
+    lines += [
+        f"{row['scan']:4d}  {row['utc']!s:.19}  {row['ra_deg']:7.2f} {row['dec_deg']:+8.2f}  "
+        f"{row['scan_angle_deg']:6.1f}  {row['rate_mrad_s']:+6.2f}  {row['stars']:5d}"
+        for row in rows
+    ]
+    lines.append("scan  from Sun  Moon  limb, deg   1 sigma with it: X       Y        Z, arcsec")
+    for row in rows:
+        sun, moon, limb = (row[f"{body}_deg"] for body in ("sun", "moon", "limb"))
         sigma = "".join(f"{row[f'sigma_{axis}_arcsec']:9.4f}" for axis in "xyz")
-        lines.append(
-            f"{row['scan']:4d}  {row['utc']!s:.19}  {row['ra_deg']:7.2f} {row['dec_deg']:+8.2f} "
-            f"{row['scan_angle_deg']:6.1f} {row['rate_mrad_s']:+7.2f} {row['stars']:5d}  {away}          "
-            f"{sigma}"
-        )
+        lines.append(f"{row['scan']:4d}  {sun:8.0f}  {moon:4.0f}  {limb:4.0f}           {sigma}")
     x, y, z = choice.random_sigma_rad / ARCSEC
     lines.append(f"as many at random (median): X {x:.4f}  Y {y:.4f}  Z {z:.3f} arcsec")
     return lines

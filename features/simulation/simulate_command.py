@@ -98,7 +98,7 @@ def _single_values(table: dict[str, Any], path: str = "") -> Iterator[str]:
     for key, value in table.items():
         if isinstance(value, dict):
             yield from _single_values(value, f"{path}{key}.")
-        elif isinstance(value, str) and path:
+        elif isinstance(value, str) and path + key != "name":
             yield f"{path}{key}={value}"
         elif isinstance(value, (bool, int, float)):
             yield f"{path}{key}={json.dumps(value)}"

@@ -12,9 +12,11 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
+from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import Number, number_from
+from boresight.pipeline.report.small_maps import small_maps
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import identity_of_result, saved_about
@@ -39,6 +41,9 @@ def write_dumps_report(result: Path) -> Path:
         verdict=verdict_view(installation),
         counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
         dumps=_dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"}),
+        maps=small_maps(result, dumps_in(result)),
+        located=len(dumps_in(result)),
+        shapes=SHAPES,
         drift=_drift(result),
         omissions=omissions,
         version=str(installation.get("version")),

@@ -106,8 +106,13 @@ def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
         causes=tuple((numbers[cause], cause, n) for cause, n in causes.most_common()),
         check_metres=1.0 / own if points else 0.0,
         checks=tuple(_check(point, place[point.scene], scale, own) for point in points),
-        words=f"Map of {len(strip_numbers(saved))} strips with {len(rows)} targets, {used} used.",
+        words=f"Map of {_count(len(strip_numbers(saved)), 'strip')} with {_count(len(rows), 'target')}, "
+        f"{used} used.",
     )
+
+
+def _count(n: int, thing: str) -> str:
+    return f"{n} {thing}{'s' if n != 1 else ''}"
 
 
 def _stretch(size_m: Floats) -> float:

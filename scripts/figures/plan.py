@@ -11,12 +11,12 @@ from style import IMAGES
 from boresight.features.planning.campaign_plan import Plan, forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
 
-PAGE = Path(__file__).parents[2] / "docs" / "plan.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def example() -> Plan:
     """The plan that the page shows."""
-    found = re.search(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    found = re.search(r"```toml\n(.*?)```", (DOCS / "plan.md").read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plan.toml"

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from captured import wide_rows
 from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
 from recorded_numbers import assert_recorded, columns_of, numbers_in
 
+from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.geometry_search import GeometrySearch
 from boresight.features.paper.paper_page import run_all, verdict_of
 from boresight.features.paper.paper_tables import TABLE_4_RMS_ARCSEC, TABLE_5
@@ -83,6 +85,12 @@ def test_the_page_holds_the_paper_s_figures(page: str):
 def test_the_page_needs_no_other_file(page: str):
     assert not re.search(r"https?:|@import|<script|<link (?!rel=\"icon\" href=\"data:,\")", page)
     assert all(source.startswith("data:") for source in re.findall(r'src="([^"]*)"', page))
+
+
+def test_tables_on_the_console_keep_to_80_columns(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
+    for name, table in all_run[0].items():
+        text = "\n".join(COMPARISONS[name](table))
+        assert not wide_rows(text), name
 
 
 @pytest.mark.parametrize(

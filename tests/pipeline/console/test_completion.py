@@ -166,6 +166,7 @@ def test_all_commands_and_their_options_are_offered() -> None:
 def test_settings_of_a_scenario_are_offered_with_their_values() -> None:
     assert answers("simulate", "mini", "out", "--set", "strips.c") == ["strips.count=3"]
     assert "line_camera.focal_m=10.0" in answers("simulate", "mini", "out", "--set", "line_camera.")
+    assert answers("simulate", "mini", "out", "--set", "ep") == ["epoch_utc=2024-11-20T03:40:00"]
     assert answers("simulate", "own.toml", "out", "--set", "strips.c") == []
 
 

@@ -175,6 +175,7 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     ran("report", joint)
     assert page.read_text() == before
     assert all(f'<a href="{name}/report.html">{name}</a>' in before for name in NAMES)
+    assert before.count('<figure class="small-map"') == len(NAMES)
     shown = re.search(r'<data value="([^"]+)" data-source="installation.json" data-key="R_cs.0.1"', before)
     assert shown is not None and float(shown[1]) == matrix(joint)["R_cs"][0][1]
     assert "no sign that the mounting has moved" in ran("drift", joint, "--out", tmp_path)
