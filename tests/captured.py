@@ -9,7 +9,7 @@ __all__ = ["COLUMNS", "wide_rows"]
 COLUMNS = 80
 FEWEST_CELLS = 4  # of a line that is a row of a table; others are sentences, which break between words
 # Lines of images: each is a record by itself, of any length, as the names of files are.
-RECORD = re.compile(r" stars   (rms|above) ")
+RECORD = re.compile(r" stars +(rms|above) ")
 
 
 def wide_rows(text: str) -> list[str]:

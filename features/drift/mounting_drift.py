@@ -158,7 +158,7 @@ def drift_summary(dated: DatedDrift) -> str:
     if (term := drift.orbit_phase) is not None:
         size = np.hypot(term.cosine, term.sine) / ARCSEC
         lines.append(
-            "orbit term, arcsec        " + "".join(f"{s:14.4f}" for s in size) + f"   p {term.p_value:.3g}"
+            "orbit term, arcsec        " + "".join(f"{s:14.4f}" for s in size) + f"  p {term.p_value:.2g}"
         )
     lines.append(drift_verdict(dated))
     if drift.moved:

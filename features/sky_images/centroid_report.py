@@ -86,14 +86,14 @@ def score_images(
 
 def score_lines(score: CentroidScore, frames: int) -> list[str]:
     """The score as text: one line per bin of signal-to-noise ratio, with standard errors."""
-    lines = ["   SNR          stars  complete   rms px   bound px   x bound            chi2"]
+    lines = ["  SNR          stars complete   rms px bound px  x bound           chi2"]
     for k, (low, high) in enumerate(zip(score.snr_edges[:-1], score.snr_edges[1:])):
         if score.stars[k]:
             complete = score.found[k] / score.stars[k]
             lines.append(
-                f"{low:6.0f} -{high:6.0f}  {score.stars[k]:6d}  {complete:8.4f}  {score.rms_px[k]:7.4f}"
-                f"  {score.bound_px[k]:9.4f}  {score.over_bound[k]:8.3f} +-{score.over_bound_error[k]:6.3f}"
-                f"  {score.chi2[k]:6.2f} +-{score.chi2_error[k]:5.2f}"
+                f"{low:5.0f} -{high:6.0f} {score.stars[k]:6d} {complete:8.4f} {score.rms_px[k]:8.4f}"
+                f" {score.bound_px[k]:8.4f} {score.over_bound[k]:8.3f} +-{score.over_bound_error[k]:6.3f}"
+                f" {score.chi2[k]:6.2f} +-{score.chi2_error[k]:5.2f}"
             )
     worst = np.nanmax(np.abs(score.phase_bias_px)) if np.isfinite(score.phase_bias_px).any() else np.nan
     error = np.nanmax(score.phase_error_px) if np.isfinite(score.phase_error_px).any() else np.nan

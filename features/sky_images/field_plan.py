@@ -87,9 +87,7 @@ def plan_sky(path: Path | None, request: SkyPlanRequest, settings: StarSettings)
         none = f"no plan: {most} stars at most in a field do not determine the camera"
         return [*lines, f"{none}: a wider field or fainter stars are needed"], DATA_DID_NOT_ALLOW
     table = _table(camera, plan)
-    lines.append(
-        "image   RA deg   Dec deg  roll deg  stars   largest error of the model after it, px (random)"
-    )
+    lines.append("image   RA deg   Dec deg  roll deg  stars   largest error after it, px (random)")
     lines += [
         f"{row.image:5d}  {row.ra_deg:7.2f}  {row.dec_deg:8.2f}  {row.roll_deg:8.2f}  {row.stars:5d}"
         f"   {row.largest_sigma_px:.4f}  ({row.random_sigma_px:.4f})"

@@ -10,6 +10,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.saved import Number, number_from
+from boresight.pipeline.results.summary import two_digits
 
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 
@@ -143,14 +144,15 @@ def _blind_row(installation: dict[str, Any], source: str, n: int) -> BlindRow:
     def number(key: str, form: str, scale: float = 1.0) -> Number:
         return number_from(installation, source, f"blind_spots.{n}.{key}", form, scale=scale)
 
+    effect_arcsec, found = one["effect_rad"][axis] / ARCSEC, float(one["detectable"] or np.inf)
     return BlindRow(
         cause=str(one["cause"]),
         item=str(one["item"]),
         unit=str(one["unit"]),
         where=f"{one['file']} {one['field']}".strip(),
         axis="XYZ"[axis],
-        effect_arcsec=number(f"effect_rad.{axis}", "+.2g", 1.0 / ARCSEC),
-        detectable=number("detectable", ".2g"),
+        effect_arcsec=number(f"effect_rad.{axis}", f"+{two_digits(effect_arcsec)}", 1.0 / ARCSEC),
+        detectable=number("detectable", two_digits(found)),
         hidden_sigma=number("hidden_sigma", ".1f"),
         is_unseen=bool(one["is_unseen"]),
     )

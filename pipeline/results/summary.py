@@ -33,6 +33,7 @@ __all__ = [
     "finding_lines",
     "joint_summary",
     "omission_lines",
+    "two_digits",
     "unit_effect",
     "validation_summary",
     "verdict_lines",
@@ -122,9 +123,13 @@ def unit_effect(one: Mapping[str, Any]) -> str:
     """What one unit of an error does to the axis that it moves most: "1 ms: 2.8″ Y"."""
     effect = np.abs(np.array(one["effect_rad"])) / ARCSEC
     axis = int(np.argmax(effect))
-    told = f"{effect[axis]:.0f}" if effect[axis] >= 10.0 else f"{effect[axis]:.2g}"
     amount = "all of it" if one["unit"] == "times" else f"1 {one['unit']}"
-    return f"{amount}: {told}″ {'XYZ'[axis]}"
+    return f"{amount}: {effect[axis]:{two_digits(effect[axis])}}″ {'XYZ'[axis]}"
+
+
+def two_digits(value: float) -> str:
+    """Format of a number of two digits that is read by people: 104, not 1e+02; 0.38; 2.5."""
+    return ".0f" if 9.95 <= abs(value) < 1e6 else ".2g"
 
 
 def _equal_names(group: Sequence[str]) -> str:
