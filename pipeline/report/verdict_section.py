@@ -53,6 +53,11 @@ class BlindRow:
     is_unseen: bool = scalar("nothing shows it")
 
     @property
+    def amount(self) -> str:
+        """A unit of the error in words."""
+        return "all of it" if self.unit == "times" else f"1 {self.unit}"
+
+    @property
     def kind(self) -> str:
         """The cause without its direction."""
         return self.cause.partition(",")[0]
