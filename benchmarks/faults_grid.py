@@ -29,7 +29,7 @@ import time
 import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from io import StringIO
 from pathlib import Path
@@ -44,6 +44,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.console import run_command_line as main_of_program
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.run.settings import Settings
 
@@ -103,10 +104,11 @@ def calibrated(dump: Path, folder: Path, work: Path | None) -> tuple[int, float,
     """The command's answer for a dump; finished units are taken from the folder `work` of another result."""
     out = folder / "result"
     shutil.rmtree(out, ignore_errors=True)
-    if work is not None:
-        with claimed(out, [dump], Settings()):
-            pass
-        shutil.copytree(work, out / "work", copy_function=os.link)
+    with suppress(RawDataError):  # of a dump.toml that cannot be read; the command says so
+        if work is not None:
+            with claimed(out, [dump], Settings()):
+                pass
+            shutil.copytree(work, out / "work", copy_function=os.link)
     return answer_of(
         ["calibrate", str(dump), "--out", str(out), "--workers", "1", "--json", "--no-report"], folder
     )

@@ -280,8 +280,8 @@ class HeadFile(_Strict):
         line = self.line_of_sight
         if line is None and self.aberration_removed in ("none", "annual"):
             raise ValueError(
-                f"aberration_removed = {self.aberration_removed!r} needs the key line_of_sight, a unit "
-                "vector in the axes of the quaternions ([0, 0, 1] for z): the rest is put right along it"
+                f"aberration_removed = {self.aberration_removed!r} of {self.name} needs line_of_sight, a "
+                "unit vector in the axes of the quaternions ([0, 0, 1] for z): it is put right along it"
             )
         if line is not None and abs((length := math.hypot(*line)) - 1.0) > DIRECTION_LENGTH:
             raise ValueError(

@@ -51,12 +51,12 @@ from boresight.pipeline.stages.moved_inputs import moved_inputs
 from boresight.pipeline.stages.point_slips import without_hidden_points
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.repeated_targets import targets_once
-from boresight.pipeline.stages.sky_losses import LOST_SHARE as STARS_LOST
 from boresight.pipeline.stages.sky_losses import (
     named_alone,
     reversed_strips,
     sky_counts,
     strips_without_stars,
+    without_stars,
 )
 from boresight.pipeline.stages.sky_side import (
     SkySide,
@@ -423,7 +423,7 @@ def _target_findings(
         *exchanged,
         *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
         *lost_targets(last.tasks, last.matched, items),
-        *lost_stars(images, apart, STARS_LOST, items),
+        *lost_stars(images, apart, without_stars(apart), items),
         *strips_without_stars(dump, last.sky, last.named, stars, strips),
     ]
 

@@ -58,7 +58,9 @@ def _joined(strip: StripSightings, more: StripSightings) -> StripSightings:
 Counts = Mapping[tuple[str, int], tuple[int, int]]  # by strip and CCD: found, and in view
 
 
-def lost_ccds(counts: Counts, share: float = LOST_SHARE) -> dict[int, tuple[int, int]]:
+def lost_ccds(
+    counts: Counts, share: float = LOST_SHARE, probability: float = PROBABILITY
+) -> dict[int, tuple[int, int]]:
     """CCDs that lost more of their targets, or stars, than the share that good strips lose: found, in view.
 
     Those of which least was found are tested together, one more at a time, against all choices of as many.
@@ -68,7 +70,7 @@ def lost_ccds(counts: Counts, share: float = LOST_SHARE) -> dict[int, tuple[int,
     lost: list[int] = []
     for k in range(1, len(order)):
         kept, n = (sum(every[ccd][part] for ccd in order[:k]) for part in (0, 1))
-        if float(bdtrc(n - kept - 1, n, share)) * comb(len(order), k) < PROBABILITY:
+        if float(bdtrc(n - kept - 1, n, share)) * comb(len(order), k) < probability:
             lost = [ccd for ccd in order[:k] if 2 * every[ccd][0] < every[ccd][1]]
     return {ccd: every[ccd] for ccd in sorted(lost)}
 

@@ -48,7 +48,13 @@ def what_is_missing(
     every = [*omissions, *(o for one in matched for o in one.omissions)]
     if tasks and dump.targets and n_targets == 0 and not any(o.kind == "target" for o in every):
         return f"{_no_target(dump, tasks)}; {counts}"
-    lost = [o for o in every if o.kind == "target" and o.cause == "no common rotation"]
+    of_targets = [o for o in every if o.kind == "target"]
+    hidden = [o for o in of_targets if o.cause == Cause.OUTSIDE_CHIP and o.file == "points.csv"]
+    if n_targets == 0 and len(hidden) == len(of_targets) > 0:
+        text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "
+        text += "the orbit, or that it is of this revolution, and lat_deg and lon_deg in points.csv"
+        return f"{text}; {counts}; {hidden[0].name}: {hidden[0].reason}"
+    lost = [o for o in of_targets if o.cause == "no common rotation"]
     if n_targets == 0 and lost and len(lost) < FEW_TARGETS * len(matched):
         most = max(Counter(o.name.partition("/")[0] for o in lost).values())
         text = f"too few targets: at most {most} in view of a strip, so few agree on one rotation by chance; "

@@ -31,11 +31,13 @@ __all__ = [
     "sky_counts",
     "stars_found",
     "strips_without_stars",
+    "without_stars",
 ]
 
 FEWEST = 3  # stars that agree by themselves
 LOST_SHARE = 0.04  # of a CCD's bright stars that are missing in a good strip: none of 259 were
 
+PROBABILITY_LOST = 1e-3  # that a CCD of good strips is named; three stars of three are enough
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
@@ -128,11 +130,16 @@ def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rot
     return {key: count for counts in each for key, count in counts.items()}
 
 
+def without_stars(counts: Counts) -> dict[int, tuple[int, int]]:
+    """CCDs in which too many bright stars are missing: found, expected."""
+    return lost_ccds(counts, LOST_SHARE, PROBABILITY_LOST)
+
+
 def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:
     """Stars of CCDs in which too many are missing, named by those CCDs alone: all such together or, where
     they do not agree, each by itself.
     """
-    if not (lost := list(lost_ccds(counts, LOST_SHARE))):
+    if not (lost := list(without_stars(counts))):
         return []
     for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
         of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -286,10 +286,13 @@ def displaced_ccds(
 
 
 def lost_stars(
-    images: Mapping[str, StripFiles], counts: Counts, share: float, explained: Sequence[str]
+    images: Mapping[str, StripFiles],
+    counts: Counts,
+    lost: Collection[int],
+    explained: Sequence[str],
 ) -> Iterator[Finding]:
-    """CCDs in which too many stars of strips of the sky are missing, but the items `explained`."""
-    every, lost = over_strips(counts), lost_ccds(counts, share)
+    """CCDs `lost`, in which too many stars of strips of the sky are missing, but the items `explained`."""
+    every = over_strips(counts)
     dark: dict[int, list[str]] = {}
     for (strip_id, ccd), (found, _) in counts.items():
         if not found and is_flat(images[strip_id], ccd, FLAT_SKY_COUNTS):
@@ -352,8 +355,8 @@ def _lost_ground(n: int) -> Finding:
     return Finding(
         cause="orbit, times or coordinates",
         item="all strips of the ground",
-        text=f"none of {n} targets found in any: check times and frame of the orbit, utc_first_row in "
-        "strips.csv, targets.csv; or cloud.",
+        text=f"none of {n} targets found in any: check times and frame of the orbit, file and utc_first_row "
+        "in strips.csv, targets.csv; or cloud.",
         file="orbit, strips.csv",
     )
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from outside import ROOT
+from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
@@ -272,6 +273,19 @@ def test_an_orbit_that_contradicts_all_heads_alike_is_named_and_no_head(told):
     with pytest.raises(RawDataError) as raised:
         told(mirrored)
     assert raised.value.file == "orbit.oem" and "STR" not in str(raised.value)
+
+
+def test_an_orbit_of_another_revolution_is_told_where_it_sees_no_point_at_all(told):
+    def turned(dump: Path) -> None:
+        R = Rotation.from_rotvec([0.0, 0.0, -faults.EARTH_RAD_S * faults.REVOLUTION_S])
+
+        def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
+            p[:], v[:] = R.apply(p), R.apply(v)
+
+        faults.states(edit, dump)
+
+    with pytest.raises(DataNotSufficientError, match="none of 99 measured points is in view"):
+        told(turned)
 
 
 def test_the_same_points_under_other_ids_count_once(told, right):

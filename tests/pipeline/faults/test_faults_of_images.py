@@ -149,6 +149,12 @@ ROWS = [
         REFUTED,
         [("focal length of the star camera", "all exposures", -0.01, "star_camera.toml")],
     ),
+    (
+        "sky",  # of whose three stars none is where it must be
+        number(REMOTE, "x_offset_mm", lambda v: v - 9 * PITCH_MM, 2),
+        FINDINGS,
+        [("place of a CCD, along the track", "CCD 2", -9.0, REMOTE)],
+    ),
     ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
 ]
 

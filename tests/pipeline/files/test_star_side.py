@@ -96,7 +96,7 @@ def test_white_noise_is_stated_once(attitudes: Path) -> None:
         ('level = "attitudes"', 'level = "images"', "needs the key camera"),
         ('rotation = "head to inertial"\n', "", "rotation of str1.csv"),
         ('rotation = "head to inertial"', 'rotation = "inertial to head"', "likely|inverse rotation"),
-        ("line_of_sight = [0.0, 0.0, 1.0]\n", "", "'annual' needs the key line_of_sight"),
+        ("line_of_sight = [0.0, 0.0, 1.0]\n", "", "needs line_of_sight"),
         ("line_of_sight = [0.0, 0.0, 1.0]", "line_of_sight = [0.0, 0.6, 0.6]", "has length 0.8485, 1 within"),
         ("#installation", "installation", "exclude one another"),
         ('points = "points.csv"', "", "files.targets|nothing"),
