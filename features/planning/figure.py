@@ -18,21 +18,21 @@ def plot_forecast(
     figure, axes = panels(1, 3, 3.4)
     strips, targets, sources = axes[0]
     names = list(without["source"].unique())
-    for n, (axis, (colour, _, marker)) in enumerate(zip(AXES, SERIES)):
+    for n, (axis, (colour, dash, marker)) in enumerate(zip(AXES, SERIES)):
         part = table[table["axis"] == axis]
-        strips.plot(part["strips"], part["sigma_arcsec"], color=colour, lw=1.8, label=axis)
+        strips.plot(part["strips"], part["sigma_arcsec"], dash, color=colour, lw=1.8, label=axis)
         floor = part["floor_arcsec"].iloc[0]
         if floor > 0.0:
             strips.axhline(floor, color=colour, ls=":", lw=1)
         part = by_targets[by_targets["axis"] == axis]
-        targets.plot(part["targets"], part["sigma_arcsec"], marker, ls="-", color=colour, ms=4, label=axis)
+        targets.plot(part["targets"], part["sigma_arcsec"], marker, ls=dash, color=colour, ms=4, label=axis)
         part = without[without["axis"] == axis]
         at = np.arange(len(names)) + 0.26 * (n - 1)
         sources.barh(at, part["sigma_arcsec"], 0.24, color=colour, label=axis)
     if target_arcsec is not None:
         strips.axhline(target_arcsec, label=f"target {target_arcsec:g}″", **BOUND)
     strips.set(xscale="log", yscale="log", xlabel="strips", ylabel="predicted 1σ of θ, arcsec")
-    strips.set_title("strips; dotted: never below", fontsize=9)
+    strips.set_title("strips; thin dotted: never below", fontsize=9)
     targets.set(xscale="log", yscale="log", xlabel="targets a strip")
     targets.set_xticks([3, 6, 12, 24, 48], ["3", "6", "12", "24", "48"], minor=False)
     targets.xaxis.minorticks_off()
