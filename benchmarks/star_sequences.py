@@ -1,17 +1,22 @@
 """Sequences of star images: states, errors and processor time of `bs.track` beside one by one.
 
-    python benchmarks/star_sequences.py [--sequences 20] [--frames 60] [--seed 1]
+    python benchmarks/star_sequences.py [--sequences 20] [--frames 60] [--seed 1] [--long 1000]
 
 1024² px, 14.6 deg, PSF sigma 1.25 px, 10 frames a second, 0.05 s exposure. Each sequence slews up to its
 fastest rate and back; five frames are missing and one shows glare. One by one means `bs.identify` of each
 image with its camera, in turn with `bs.track` on the same images; the search index is built before.
+
+The long sequence swings at up to 0.2 deg/s about each axis; its camera is given 0.05 % too long, and its true
+focal length drifts by 1e-5 in one second. Every tenth frame is also identified one by one.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +24,14 @@ from record import band_of_mean_nees, exit_status, head, verdict
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, sequence
+from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, long_sequence, sequence
 
 import boresight as bs
 from boresight.features.sky_images.identify_images import sky_index
 from boresight.geometry.constants import ARCSEC
 from boresight.star_id.settings import StarSettings
 
+LONG_DEG_S, LONG_DRIFT = 0.2, 1e-5  # fastest rate about an axis, and drift of the focal length in one second
 WRONG = 60.0 * ARCSEC  # an error about any axis that no frame has by noise: 10 sigma of roll and more
 
 
@@ -34,9 +40,17 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, default=20)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--long", type=int, default=1000)
     arguments = parser.parse_args()
     head("star_id: sequences of 1024 x 1024 px")
     index = sky_index(CAMERA, None, StarSettings())
+    if arguments.sequences:
+        _short(arguments, index)
+    if arguments.long:
+        _long(index, arguments.long, arguments.seed)
+
+
+def _short(arguments, index) -> None:
     squares, wrong, slow_recovery, glare_named = [], 0, 0, 0
     print("fastest deg/s   frames  tracked  anew  lost   NEES   ms a frame: track  one by one  ratio")
     ratios, total = [], np.zeros(2)
@@ -78,6 +92,45 @@ def main() -> None:
     verdict("the normalised error squared is from 0.8 to 1.2", 0.8 < mean < 1.2)
     verdict("all sequences together take 5 times less than one by one", total[1] > 5.0 * total[0])
     verdict("each sequence takes 5 times less than one by one", min(ratios) > 5.0)
+
+
+def _long(index, frames: int, seed: int) -> None:
+    """One sequence with a wrong, drifting focal length: attitude, focal length and time of its frames."""
+    given = replace(CAMERA, focal_m=1.0005 * CAMERA.focal_m)
+    with tempfile.TemporaryDirectory() as name:
+        made = long_sequence(
+            index, Path(name), seed, frames, fastest_deg_s=LONG_DEG_S, focal_drift=LONG_DRIFT
+        )
+        found = bs.track(
+            made.paths, camera=given, times_s=made.times_s, exposure_s=EXPOSURE_S, focal_drift=LONG_DRIFT
+        )
+        images, alone_ms = [np.load(path) for path in made.paths[::10]], []
+        for image in images:
+            start = time.process_time()
+            bs.identify(image, camera=CAMERA)
+            alone_ms.append(1e3 * (time.process_time() - start))
+    error, square = errors_of(found, made.truth)
+    known = np.isfinite(square)
+    focal = (found.focal_px - made.focal_px) / found.focal_sigma_px
+    settled = known & (np.arange(len(known)) >= 10)
+    lost = [n for n, state in enumerate(found.state) if state == "lost"]
+    slow_recovery = sum(n + 1 < len(found) and n + 1 not in made.glare and n + 1 in lost for n in made.glare)
+    wrong = int((np.abs(error[known]) > WRONG).any(axis=1).sum())
+    ratio = np.mean(alone_ms) / found.cpu_ms.mean()
+    counts = ", ".join(f"{found.state.count(s)} {s}" for s in ("tracked", "found anew", "lost"))
+    print(f"\none sequence of {len(found)} frames: {counts}")
+    print(
+        f"ms a frame: track {found.cpu_ms.mean():.2f}, one by one {np.mean(alone_ms):.2f}, ratio {ratio:.1f}"
+    )
+    print(f"focal length: given {given.focal_m / given.pixel_m:.2f} px, at last {made.focal_px[-1]:.3f} px,")
+    print(f"  found {found.focal_px[-1]:.3f} +- {found.focal_sigma_px[-1]:.3f} px")
+    print(f"frames with a misfit of the camera: {int((found.misfit_px[known] > 0.0).sum())}")
+    mean, scaled = float(square[known].mean()), float((focal[settled] ** 2).mean())
+    verdict("long sequence: every frame is right or lost", wrong == 0 and set(lost) <= set(made.glare))
+    verdict("long sequence: the frame after glare is found", slow_recovery == 0)
+    verdict(f"long sequence: NEES of attitude {mean:.2f}, 0.8 to 1.2", 0.8 < mean < 1.2)
+    verdict(f"long sequence: NEES of focal length {scaled:.2f}, 0.8 to 1.2", 0.8 < scaled < 1.2)
+    verdict(f"long sequence: {ratio:.1f} times less time than one by one, 5 asked", ratio >= 5.0)
 
 
 if __name__ == "__main__":

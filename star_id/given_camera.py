@@ -15,13 +15,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.record import Bools, Floats
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field_fit import FieldFit, common_variance
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 
-__all__ = ["fit_known_camera"]
+__all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 
 
 # Probability of rejecting a good star, by the scatter of all: they are many, and the camera is only roughly
@@ -61,8 +61,63 @@ def fit_known_camera(
     return FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
 
 
+@record(kw_only=True)
+class ScaledFit:
+    """Attitude of one image and the scale of its camera."""
+
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
+    log_scale: float = scalar("logarithm of the focal length over the camera's; 0 if it was not measured")
+    covariance: Floats = array(
+        "P, P", "of a small rotation about the axes of s, rad, and of log_scale, if it was measured"
+    )
+    misfit_px: float = scalar("rms displacement of stars from the camera's model, an axis, px; 0: none seen")
+
+
+def fit_scaled_camera(
+    camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, R_si: Rotation
+) -> ScaledFit:
+    """Attitude and scale of a calibrated camera; arguments as in `fit_known_camera`.
+
+    Where the stars show more than another focal length, the attitude is that of `_departing`, and the scale
+    is not measured.
+    """
+    slopes = camera.pixel_slopes(xy_px)
+    by_scale = focal_derivatives(camera, slopes, R_si.apply(u_i))
+    fit = fit_image_attitude(slopes, cov_px, u_i, R_si, _FALSE_ALARM, by_scale=by_scale)
+    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, fit):
+        departing = _departing(camera, xy_px, cov_px, u_i, fit)
+        if departing is not None and departing.misfit_px > 0.0:
+            return ScaledFit(
+                R_si=departing.R_si,
+                log_scale=0.0,
+                covariance=departing.cov_s,
+                misfit_px=departing.misfit_px,
+            )
+    variance_factor = max(1.0, fit.chi2 / max(fit.dof, 1))
+    return ScaledFit(
+        R_si=fit.R_si, log_scale=fit.scale, covariance=variance_factor * fit.covariance, misfit_px=0.0
+    )
+
+
+def focal_derivatives(camera: StarCamera, slopes: Floats, u_s: Floats) -> Floats:
+    """Derivatives (N, 2) of the pixels of directions (N, 3), frame s, by the logarithm of the focal length,
+    from those by direction, `slopes` (N, 2, 3).
+
+    An image point at r(t) from the axis, t its angle, has the derivatives r by the former and -sin(t) r'(t)
+    by the z of the direction: r = f tan t or f t.
+    """
+    z = u_s[:, 2]
+    if camera.projection == "tangent":
+        factor = z
+    else:
+        angle = np.maximum(np.arccos(np.minimum(z, 1.0)), 1e-9)
+        factor = angle / np.sin(angle)
+    return np.asarray(-slopes[:, :, 2] * factor[:, None])
+
+
 def _is_seen_to_depart(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) -> bool:
-    """Whether chi-square, or a scale and stretch in the residuals of pixels (N, 2), are beyond chance.
+    """Whether chi-square, or a scale (unless it is fitted) and stretch in the residuals of pixels (N, 2), are
+    beyond chance.
 
     With z the star's place from the mean, r its residual, both as complex numbers, and v its variance, the
     estimate of a scale is  sum Re(conj(z) r) / v  over  sum |z|^2 / v,  that of a stretch  sum z r / v.

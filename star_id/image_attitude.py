@@ -40,17 +40,32 @@ class ImageAttitude:
     """Attitude of one image, and what its stars leave."""
 
     R_si: Rotation = scalar("GCRS to star camera")
-    cov_s: Floats = array("3, 3", "rad², of a small right-handed rotation about the axes of s")
+    scale: float = scalar("by which the focal length exceeds the camera's, relative; 0 if it was not fitted")
+    covariance: Floats = array(
+        "P, P",
+        "of a small right-handed rotation about the axes of s, rad, and of the scale, if it was fitted",
+    )
     chi2: float = scalar("sum of squared residuals over their variances, kept stars")
     dof: int = scalar("degrees of freedom of chi2")
     kept: Bools = array("N", "stars that were not rejected")
     residual_px: Floats = array("N, 2", "measured minus predicted pixels, to first order")
 
+    @property
+    def cov_s(self) -> Floats:
+        """(3, 3) rad², of a small right-handed rotation about the axes of s."""
+        return self.covariance[:3, :3]
+
 
 def fit_image_attitude(
-    slopes: Floats, cov_px: Floats, u_i: Floats, R_si: Rotation, false_alarm: float
+    slopes: Floats,
+    cov_px: Floats,
+    u_i: Floats,
+    R_si: Rotation,
+    false_alarm: float,
+    *,
+    by_scale: Floats | None = None,
 ) -> ImageAttitude:
-    """Attitude of an image near `R_si`.
+    """Attitude of an image near `R_si`, and its scale with `by_scale`.
 
     Parameters
     ----------
@@ -64,6 +79,8 @@ def fit_image_attitude(
         Attitude good to some pixels.
     false_alarm : float
         Probability of rejecting a star whose covariance, times the scatter of all stars, holds.
+    by_scale : (N, 2) array, optional
+        Derivatives of the pixels by the logarithm of the focal length, which is then fitted, too.
 
     Returns
     -------
@@ -75,27 +92,30 @@ def fit_image_attitude(
         If there are fewer than two stars or they are too close together to fix all three angles.
     """
     n = len(u_i)
-    stars, kept = _Whitened.of(slopes, cov_px, u_i), np.ones(n) > 0.0
-    R = stars.refined(R_si.as_matrix())
-    z, D = stars.linear(R)
+    stars, kept, start = _Whitened.of(slopes, cov_px, u_i, by_scale), np.ones(n) > 0.0, R_si.as_matrix()
+    R, scale = stars.refined(start)
+    z, D = stars.linear(R, scale)
     square = (z * z).sum(axis=0)
     scatter = max(1.0, _median(square) / _MEDIAN) if n else 1.0
     limit = scatter * float(chdtri(2, false_alarm))
     if (square > limit).any():
         gross = (square > GROSS * scatter).any()
-        R_kept, found = stars.without_outliers(stars.robust(R_si.as_matrix()) if gross else R, limit)
+        R_kept, scale_kept, found = stars.without_outliers(
+            *(stars.robust(start) if gross else (R, scale)), limit
+        )
         if np.count_nonzero(found) >= _FEWEST:
-            R, kept = R_kept, found
-            z, D = stars.linear(R)
-    F = _normal(D, z, kept)[0]
+            R, scale, kept = R_kept, scale_kept, found
+            z, D = stars.linear(R, scale)
+    F = _normal(z, D, kept)[0]
     values = np.linalg.eigvalsh(F)
-    if n < 2 or not values[0] > _SMALLEST_EIGENVALUE * values[2]:
+    if n < 2 or not values[0] > _SMALLEST_EIGENVALUE * values[-1]:
         raise ValueError(f"{n} directions, too few or too close together to fix all three angles")
     return ImageAttitude(
         R_si=_turned(R_si, R),
-        cov_s=np.asarray(np.linalg.inv(F), dtype=np.float64),
+        scale=scale,
+        covariance=np.asarray(np.linalg.inv(F), dtype=np.float64),
         chi2=float((z * z).sum(axis=0) @ kept),
-        dof=2 * int(np.count_nonzero(kept)) - 3,
+        dof=2 * int(np.count_nonzero(kept)) - len(F),
         kept=kept,
         residual_px=stars.pixels(z),
     )
@@ -110,10 +130,12 @@ class _Whitened:
     first: Floats  # (N,) Cholesky factor of the covariances in pixels: (first, 0), (mixed, second)
     mixed: Floats  # (N,)
     second: Floats  # (N,)
+    by_scale: Floats | None  # (2, N) derivatives of the residuals by the scale, signs reversed; None: fixed
 
     @classmethod
-    def of(cls, slopes: Floats, cov_px: Floats, u_i: Floats) -> _Whitened:
-        """Of slopes (N, 2, 3), covariances (N, 2, 2), px², and directions (N, 3), GCRS axes."""
+    def of(cls, slopes: Floats, cov_px: Floats, u_i: Floats, by_scale: Floats | None) -> _Whitened:
+        """Of slopes (N, 2, 3), covariances (N, 2, 2), px², directions (N, 3), GCRS axes, and derivatives by
+        scale (N, 2)."""
         first = np.sqrt(cov_px[:, 0, 0])
         mixed = cov_px[:, 0, 1] / first
         second = np.sqrt(cov_px[:, 1, 1] - mixed * mixed)
@@ -121,49 +143,56 @@ class _Whitened:
         B[0] /= first
         B[1] -= mixed * B[0]
         B[1] /= second
-        return cls(B, np.ascontiguousarray(u_i.T), first, mixed, second)
+        E = None
+        if by_scale is not None:
+            E = by_scale.T / first
+            E[1] = (by_scale[:, 1] - mixed * E[0]) / second
+        return cls(B, np.ascontiguousarray(u_i.T), first, mixed, second, E)
 
-    def linear(self, R: Floats) -> tuple[Floats, Floats]:
-        """Residuals (2, N) at attitude R (3, 3), and their derivatives (3, 2, N) by a rotation, signs
-        reversed."""
-        w, B = R @ self.u_i, self.B
+    def linear(self, R: Floats, scale: float) -> tuple[Floats, Floats]:
+        """Residuals (2, N) at attitude R (3, 3) and a scale, and their derivatives (P, 2, N) by a rotation
+        and the scale, signs reversed."""
+        w, B, E = R @ self.u_i, self.B, self.by_scale
         z = -(B * w).sum(axis=1)  # slopes are normal to the measured direction: B (u_s - w)
-        D = np.empty((3, *z.shape))
+        D = np.empty((3 if E is None else 4, *z.shape))
         for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
             np.subtract(w[i] * B[:, j], w[j] * B[:, i], out=D[k])
+        if E is not None:
+            z -= scale * E
+            D[3] = E
         return z, D
 
-    def refined(self, R: Floats) -> Floats:
-        """Attitude (3, 3) of all stars by Gauss-Newton from R (3, 3)."""
+    def refined(self, R: Floats) -> tuple[Floats, float]:
+        """Attitude (3, 3) and scale of all stars by Gauss-Newton from R (3, 3)."""
+        scale = 0.0
         for _ in range(_STEPS):
-            z, D = self.linear(R)
-            psi = _solved(*_normal(D, z))
-            R = _rotation_matrix(psi) @ R
-            if max(map(abs, psi)) < _SETTLED_RAD:
+            R, scale, largest = _stepped(R, scale, *_normal(*self.linear(R, scale)))
+            if largest < _SETTLED_RAD:
                 break
-        return R
+        return R, scale
 
-    def without_outliers(self, R: Floats, limit: float) -> tuple[Floats, Bools]:
-        """Attitude (3, 3) near R (3, 3), and the stars (N,) whose squared residuals are below `limit`."""
+    def without_outliers(self, R: Floats, scale: float, limit: float) -> tuple[Floats, float, Bools]:
+        """Attitude (3, 3) near R (3, 3), scale, and the stars (N,) whose squared residuals are below
+        `limit`."""
         kept = None
         for _ in range(_ROUNDS):
-            z, D = self.linear(R)
+            z, D = self.linear(R, scale)
             before, kept = kept, (z * z).sum(axis=0) <= limit
-            psi = _solved(*_normal(D, z, kept))
-            R = _rotation_matrix(psi) @ R
-            if max(map(abs, psi)) < _SETTLED_RAD and before is not None and (before == kept).all():
+            R, scale, largest = _stepped(R, scale, *_normal(z, D, kept))
+            if largest < _SETTLED_RAD and before is not None and (before == kept).all():
                 break
         assert kept is not None
-        return R, kept
+        return R, scale, kept
 
-    def robust(self, R: Floats) -> Floats:
-        """Attitude (3, 3) that gross outliers do not displace."""
+    def robust(self, R: Floats) -> tuple[Floats, float]:
+        """Attitude (3, 3) and scale that gross outliers do not displace."""
+        scale = 0.0
         for limit in (*(0.0,) * _ABSOLUTE_ROUNDS, *_LIMITS):
-            z, D = self.linear(R)
+            z, D = self.linear(R, scale)
             square = (z * z).sum(axis=0)
             weight = (1.0 + square / limit**2) ** -2.0 if limit else 1.0 / np.sqrt(np.maximum(square, 1.0))
-            R = _rotation_matrix(_solved(*_normal(D, z, weight))) @ R
-        return R
+            R, scale, _ = _stepped(R, scale, *_normal(z, D, weight))
+        return R, scale
 
     def pixels(self, z: Floats) -> Floats:
         """Residuals (N, 2), px, of (2, N) standard deviations."""
@@ -186,19 +215,22 @@ def _median(values: Floats) -> float:
     return float(0.5 * (ordered[(n - 1) // 2] + ordered[n // 2]))
 
 
-def _normal(D: Floats, z: Floats, weight: Floats | Bools | None = None) -> tuple[Floats, Floats]:
-    """Normal matrix (3, 3) and right-hand side (3,) of derivatives (3, 2, N), residuals (2, N) and weights
+def _normal(z: Floats, D: Floats, weight: Floats | Bools | None = None) -> tuple[Floats, Floats]:
+    """Normal matrix (P, P) and right-hand side (P,) of residuals (2, N), derivatives (P, 2, N) and weights
     (N,)."""
-    flat = D.reshape(3, -1)
-    weighted = flat if weight is None else (D * weight).reshape(3, -1)
+    flat = D.reshape(len(D), -1)
+    weighted = flat if weight is None else (D * weight).reshape(len(D), -1)
     return weighted @ flat.T, weighted @ z.ravel()
 
 
-def _solved(F: Floats, right: Floats) -> list[float]:
-    """Rotation vector of normal equations; zero where they do not fix it or it is beyond 0.1 rad."""
-    _, psi, info = dposv(F, right)
-    step: list[float] = psi.tolist()
-    return step if info == 0 and math.hypot(*step) < 0.1 else [0.0, 0.0, 0.0]
+def _stepped(R: Floats, scale: float, F: Floats, right: Floats) -> tuple[Floats, float, float]:
+    """Attitude and scale after the step of normal equations, and the step's largest component; none where
+    they do not fix it or it is beyond 0.1."""
+    _, solved, info = dposv(F, right)
+    step: list[float] = solved.tolist()
+    if info != 0 or not math.hypot(*step) < 0.1:
+        return R, scale, 0.0
+    return _rotation_matrix(step[:3]) @ R, scale + sum(step[3:]), max(map(abs, step))
 
 
 def _rotation_matrix(psi: list[float]) -> Floats:

@@ -1,6 +1,7 @@
 """Rendered sequences of a star camera of 1024² pixels: slews, a gap, a frame of glare; with their truth."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from frames import Sensor, star_frame
@@ -50,6 +51,44 @@ def sequence(index: StarIndex, seed: int, frames: int, *, fastest_deg_s: float =
         times.append(k * INTERVAL_S)
         truth.append(R)
     return Sequence(images, np.array(times), Rotation.concatenate(truth), tuple(blind))
+
+
+@dataclass(frozen=True)
+class LongSequence:
+    paths: list[Path]  # of images, in the order of time
+    times_s: np.ndarray
+    truth: Rotation  # of each frame
+    focal_px: np.ndarray  # of each frame
+    glare: tuple[int, ...]  # frames without stars
+
+
+def long_sequence(
+    index: StarIndex, folder: Path, seed: int, frames: int, *, fastest_deg_s: float, focal_drift: float
+) -> LongSequence:
+    """A sequence whose rate swings about each axis and whose focal length drifts by a random walk,
+    `focal_drift` of it in one second; a gap of ten frames and two frames of glare in each 250 frames."""
+    rng, places = np.random.default_rng(seed), places_of(index)
+    R, log_scale, period_s = Rotation.random(random_state=rng), 0.0, np.array([37.0, 23.0, 31.0])
+    paths, times, truth, focal, blind = [], [], [], [], []
+    for k in range(frames):
+        rate = np.radians(fastest_deg_s) * np.sin(2.0 * np.pi * k * INTERVAL_S / period_s + np.arange(3.0))
+        R = Rotation.from_rotvec(-rate * INTERVAL_S) * R
+        log_scale += focal_drift * np.sqrt(INTERVAL_S) * rng.normal()
+        if 100 <= k % 250 < 110:
+            continue
+        camera = replace(CAMERA, focal_m=CAMERA.focal_m * np.exp(log_scale))
+        focal_px = camera.focal_m / camera.pixel_m
+        smear = (focal_px * rate[1] * EXPOSURE_S, -focal_px * rate[0] * EXPOSURE_S)
+        image, _ = star_frame(camera, R, places, replace(Sensor(), smear_px=smear), rng)
+        if k % 250 in (180, 181):
+            image = np.clip(rng.normal(230.0, 25.0, image.shape), 0, 255).astype(np.uint8)
+            blind.append(len(paths))
+        paths.append(folder / f"f{k:05d}.npy")
+        np.save(paths[-1], image)
+        times.append(k * INTERVAL_S)
+        truth.append(R)
+        focal.append(focal_px)
+    return LongSequence(paths, np.array(times), Rotation.concatenate(truth), np.array(focal), tuple(blind))
 
 
 def errors_of(found, truth: Rotation) -> tuple[np.ndarray, np.ndarray]:

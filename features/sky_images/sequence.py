@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -48,6 +49,11 @@ class StarTrack(Result):
     quat_si: Floats = array("N, 4", "attitude, GCRS to star-camera frame s, as quaternion x, y, z, w")
     cov_s: Floats = array("N, 3, 3", "covariance of a small rotation about the axes of s, rad²")
     rate_deg_s: Floats = array("N, 3", "rotation of the camera about the axes of s, deg/s; NaN: unknown")
+    focal_px: Floats = array("N", "focal length, px")
+    focal_sigma_px: Floats = array("N", "its 1 sigma, px; 0: taken as exact")
+    misfit_px: Floats = array(
+        "N", "rms displacement of stars from a camera with that focal length, an axis, px; 0: none seen"
+    )
     stars: Ints = array("N", "stars that each frame's attitude rests on")
     cpu_ms: Floats = array("N", "processor time of each frame, ms")
     reason: tuple[str, ...] = array("N", "why a frame is lost; else empty")
@@ -72,10 +78,12 @@ class StarTrack(Result):
         across = self.camera.middle_axes()[:, :2]
         both = np.einsum("ia,nij,ja->n", across, self.cov_s[known], across)
         median = f"{np.median(np.sqrt(0.5 * both)) / ARCSEC:.2f}" if known.any() else "-"
+        last = np.flatnonzero(known)[-1:]
+        focal = "".join(f"{self.focal_px[n]:.3f} +- {self.focal_sigma_px[n]:.3f}" for n in last) or "-"
         return (
             f"{len(self)} frames: {count[TRACKED]} tracked, {count[FOUND_ANEW]} found anew,"
             f" {count[LOST]} lost\n"
-            f"median error of the direction {median} arcsec (1 sigma an axis)\n"
+            f"median error of the direction {median} arcsec (1 sigma an axis); focal length {focal} px\n"
             f"processor time {self.cpu_ms.mean():.1f} ms a frame, {self.cpu_ms.max():.0f} ms at most"
         )
 
@@ -91,6 +99,7 @@ class StarTrack(Result):
         columns |= {"pointing_sigma_arcsec": np.sqrt(0.5 * variance[:, :2].sum(axis=1)) / ARCSEC}
         columns |= {"roll_sigma_arcsec": np.sqrt(variance[:, 2]) / ARCSEC}
         columns |= dict(zip(("rate_x_deg_s", "rate_y_deg_s", "rate_z_deg_s"), self.rate_deg_s.T))
+        columns |= {name: getattr(self, name) for name in ("focal_px", "focal_sigma_px", "misfit_px")}
         return pd.DataFrame(columns | {"stars": self.stars, "cpu_ms": self.cpu_ms, "reason": self.reason})
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -113,6 +122,8 @@ def track(
     interval_s: float = 0.1,
     exposure_s: float | None = None,
     acceleration_deg_s2: float = 0.5,
+    focal_error: float = 1e-3,
+    focal_drift: float = 1e-7,
     settings: StarSettings = StarSettings(),  # noqa: B008
 ) -> StarTrack:
     """Attitude and rate of each frame of a sequence, predicted from the frame before.
@@ -136,6 +147,11 @@ def track(
         exposure.
     acceleration_deg_s2 : float
         Change of the rate that is to be expected, 1 sigma about each axis, deg/s².
+    focal_error : float
+        Error of the camera's focal length, relative, 1 sigma: it is refined by the stars, frame by frame. 0:
+        it is exact.
+    focal_drift : float
+        Relative change of the focal length in one second, 1 sigma; of a random walk.
     settings : StarSettings
         Limits of detection and identification.
 
@@ -165,6 +181,7 @@ def track(
         raise wrong("interval_s", interval_s, "a time above 0 s")
     exposure = None if exposure_s is None else number_of(exposure_s, "exposure_s", 0.0)
     push = float(np.radians(number_of(acceleration_deg_s2, "acceleration_deg_s2", 0.0)))
+    errors = number_of(focal_error, "focal_error", 0.0), number_of(focal_drift, "focal_drift", 0.0)
     given = listed(frames, "frames", "arrays or paths")
     if not given:
         raise wrong("frames", "none", "at least one")
@@ -172,15 +189,18 @@ def track(
     t_s = np.asarray(at, dtype=np.float64)
     if t_s.shape != (len(given),) or not (np.isfinite(t_s).all() and (np.diff(t_s) > 0.0).all()):
         raise wrong("times_s", f"{t_s.shape}", f"{len(given)} increasing times, one a frame")
-    tracker = _Tracker(known, sky_index(known, None, chosen), chosen, exposure, push)
+    tracker = _Tracker(known, sky_index(known, None, chosen), chosen, exposure, push, *errors)
     rows = [tracker.next(image, float(t)) for image, t in zip(given, t_s)]
-    state, quat, cov, rate, stars, cpu, reason = zip(*rows)
+    state, quat, cov, rate, focal, sigma, misfit, stars, cpu, reason = zip(*rows)
     return StarTrack(
         t_s=t_s,
         state=state,
         quat_si=np.array(quat),
         cov_s=np.array(cov),
         rate_deg_s=np.degrees(rate),
+        focal_px=np.array(focal),
+        focal_sigma_px=np.array(sigma),
+        misfit_px=np.array(misfit),
         stars=np.array(stars),
         cpu_ms=np.array(cpu),
         reason=reason,
@@ -188,7 +208,7 @@ def track(
     )
 
 
-_Row = tuple[str, Floats, Floats, Floats, int, float, str]
+_Row = tuple[str, Floats, Floats, Floats, float, float, float, int, float, str]
 
 
 class _Tracker:
@@ -201,9 +221,12 @@ class _Tracker:
         settings: StarSettings,
         exposure_s: float | None,
         push: float,
+        focal_error: float,
+        focal_drift: float,
     ) -> None:
         self.camera, self.index, self.settings = camera, index, settings
         self.exposure_s, self.push = exposure_s, push
+        self.focal_error, self.focal_drift = focal_error, focal_drift
         self.motion: CameraMotion | None = None
         self.seen: StarList | None = None  # of the last frame that was searched as a whole
 
@@ -213,7 +236,9 @@ class _Tracker:
         if (size := (pixels.shape[1], pixels.shape[0])) != (self.camera.width_px, self.camera.height_px):
             raise wrong("frames", f"{size[0]} x {size[1]} px", "images of the camera's size")
         started_s, fix, state, reason = time.process_time(), None, TRACKED, ""
-        now = None if self.motion is None else predicted_motion(self.motion, t_s, self.push)
+        now = None
+        if self.motion is not None:
+            now = predicted_motion(self.motion, t_s, self.push, self.focal_drift)
         if now is not None and self.seen is not None:
             fix = near_prediction(
                 pixels,
@@ -229,10 +254,14 @@ class _Tracker:
         cpu_ms = 1e3 * (time.process_time() - started_s)
         if fix is None:
             unknown = np.full(4, np.nan), np.full((3, 3), np.nan), np.full(3, np.nan)
-            return LOST, *unknown, 0, cpu_ms, reason
-        self.motion = motion = motion_of_fix(fix, t_s) if now is None else with_fix(now, fix)
+            return LOST, *unknown, np.nan, np.nan, np.nan, 0, cpu_ms, reason
+        first = motion_of_fix(fix, t_s, self.focal_error)
+        self.motion = motion = first if now is None else with_fix(now, fix)
         rate = motion.rate_s if motion.rate_known else np.full(3, np.nan)
-        return state, motion.R_si.as_quat(), motion.covariance[:3, :3], rate, fix.stars, cpu_ms, ""
+        focal_px = self.camera.focal_m / self.camera.pixel_m * math.exp(motion.log_scale)
+        sigma_px = focal_px * math.sqrt(motion.covariance[6, 6])
+        attitude = motion.R_si.as_quat(), motion.covariance[:3, :3], rate
+        return state, *attitude, focal_px, sigma_px, fix.misfit_px, fix.stars, cpu_ms, ""
 
     def _anew(self, pixels: NDArray[Any]) -> tuple[StarFix | None, str]:
         """The attitude of a frame of which nothing is known, or why there is none."""
@@ -246,4 +275,4 @@ class _Tracker:
         trailed = psf.shape is not None or psf.smear_px != (0.0, 0.0)
         if self.seen is None or self.exposure_s is None or not trailed:
             self.seen = stars.star_list  # else the rate gives the trail, and the PSF is that of sharp stars
-        return StarFix(found.R_si, found.cov_s, len(found.hip)), ""
+        return StarFix(found.R_si, found.cov_s, len(found.hip), 0.0, found.misfit_px), ""

@@ -26,6 +26,8 @@ __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 
 # Step, in standard errors, at which a fit has converged: those after it add less than a twentieth of one.
 _SMALL_STEP = 0.1
+# Step, px, of a fit that has converged, if it is a faint star's.
+_SMALL_STEP_PX = 0.1
 # Newton steps of all stars at once.
 _STEPS = 2
 # Further steps of those that have not converged (set by hand; twice as many with a flat PSF).
@@ -87,11 +89,19 @@ class Counts:
 
 
 def fit_stars(
-    image: NDArray[Any], pixels: Ints, offset: Floats, background: Background, psf: Psf, counts: Counts
+    image: NDArray[Any],
+    pixels: Ints,
+    offset: Floats,
+    background: Background,
+    psf: Psf,
+    counts: Counts,
+    *,
+    one_step: bool = False,
 ) -> StarFits:
     """Fits of stars near `pixels` + `offset` (N, 2), whole pixels and starting offsets, as (column, row).
 
-    Saturated pixels have no weight.
+    Saturated pixels have no weight. With `one_step` the start is the star's place to a tenth of a pixel: the
+    model is linear between both, and one step is enough.
     """
     if len(pixels) == 0:
         return _no_fits()
@@ -100,12 +110,12 @@ def fit_stars(
     windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
     full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
-        return _fit(windows, pixels, offset, sigma, psf, gain)
+        return _fit(windows, pixels, offset, sigma, psf, gain, one_step)
     large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + psf.reach_px))
     wide = star_windows(image, pixels[full], background, large, counts.saturation_dn)
     parts = [
-        _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain),
-        _fit(wide, pixels[full], offset[full], sigma[full], psf, gain),
+        _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain, one_step),
+        _fit(wide, pixels[full], offset[full], sigma[full], psf, gain, one_step),
     ]
     order = np.argsort(np.concatenate([np.flatnonzero(~full), np.flatnonzero(full)]))
     joined = {name: np.concatenate([getattr(fit, name) for fit in parts]) for name in _COLUMNS}
@@ -125,23 +135,31 @@ def covariance_inflation(chi2: Floats, dof: Floats, snr: Floats) -> Floats:
     return np.asarray(misfit * (1.0 + 3.0 / snr**2 + 230.0 / snr**4))
 
 
-def _fit(windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: Psf, gain: float) -> StarFits:
+def _fit(
+    windows: StarWindows,
+    pixels: Ints,
+    start: Floats,
+    sigma: Floats,
+    psf: Psf,
+    gain: float,
+    one_step: bool,
+) -> StarFits:
     if len(pixels) == 0:
         return _no_fits()
     offset = windows.offsets(pixels + start)
     images = images_at(psf, pixels, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
-    fit = _iterate(windows, pixels, state, images, sigma, psf, gain, steps=_STEPS)
+    fit = _iterate(windows, pixels, state, images, sigma, psf, gain, steps=1 if one_step else _STEPS)
     good = _without_outliers(fit)
-    slow = np.flatnonzero((fit.last > _SMALL_STEP) | (good != fit.good).any(axis=1))
+    slow = np.flatnonzero(((fit.last > _SMALL_STEP) & (not one_step)) | (good != fit.good).any(axis=1))
     if len(slow):
         rest = replace(windows.take(slow), good=good[slow])
         images = images_at(psf, pixels[slow], fit.state[slow, :2], sigma[slow], windows.radius)
-        steps = 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
+        steps = 1 if one_step else 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
         more = _iterate(rest, pixels[slow], fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels, psf)
+    return _stars_of(fit, windows, pixels, psf, settled_px=_LARGEST_STEP_PX if one_step else _SMALL_STEP_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +203,7 @@ def _iterate(
     return _Fit(state, normal, residual, weight, windows.good, images.value, last, moved.max(axis=1))
 
 
-def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf) -> StarFits:
+def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf, *, settled_px: float) -> StarFits:
     settled = _SETTLED if psf.is_flat else 0.0
     cov = _safe_inverse(fit.normal)
     chi2 = np.einsum("nm,nm,nm->n", fit.residual, fit.residual, fit.weight).astype(float)
@@ -207,7 +225,7 @@ def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf) -> StarFi
         chi2=chi2,
         dof=dof,
         saturated=windows.saturated,
-        converged=((fit.last_px < 0.1) | (fit.last < settled)) & near & (fit.state[:, 2] > 0),
+        converged=((fit.last_px < settled_px) | (fit.last < settled)) & near & (fit.state[:, 2] > 0),
     )
 
 

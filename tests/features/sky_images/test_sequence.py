@@ -99,25 +99,56 @@ def test_frames_have_the_width_and_height_of_the_camera() -> None:
 
 
 def test_the_filter_of_known_motion_states_its_errors() -> None:
-    """Monte Carlo without images: accelerations and measurement errors are drawn as the filter assumes."""
+    """Monte Carlo without images: accelerations, drifts of the focal length and measurement errors are drawn
+    as the filter assumes."""
     rng, sigma, push, dt = np.random.default_rng(3), np.array([1.0, 1.0, 8.0]) * ARCSEC, 2e-4, 0.1
-    squares = []
+    focal_error, focal_drift, scale_sigma, squares = 1e-3, 1e-5, 2e-5, []
     for _ in range(100):
         R, rate = Rotation.random(random_state=rng), rng.normal(size=3) * 0.01
+        scale = focal_error * rng.normal()
 
-        def measured(R: Rotation) -> StarFix:
-            return StarFix(Rotation.from_rotvec(rng.normal(size=3) * sigma) * R, np.diag(sigma**2), 40)
+        def measured(R: Rotation, scale: float) -> StarFix:
+            turned = Rotation.from_rotvec(rng.normal(size=3) * sigma) * R
+            covariance = np.diag([*sigma**2, scale_sigma**2])
+            return StarFix(turned, covariance, 40, scale + scale_sigma * rng.normal())
 
-        motion: CameraMotion = motion_of_fix(measured(R), 0.0)
+        motion: CameraMotion = motion_of_fix(measured(R, scale), 0.0, focal_error)
         for k in range(1, 10):
             change = push * rng.normal(size=3)
             R = Rotation.from_rotvec(-(rate + 0.5 * change * dt) * dt) * R
-            rate = rate + change * dt
-            motion = with_fix(predicted_motion(motion, k * dt, push), measured(R))
-        error = np.concatenate([(R * motion.R_si.inv()).as_rotvec(), rate - motion.rate_s])
-        squares.append(error @ np.linalg.solve(motion.covariance, error) / 6.0)
-    low, high = chi2(600).ppf([0.0005, 0.9995]) / 600
+            rate, scale = rate + change * dt, scale + focal_drift * np.sqrt(dt) * rng.normal()
+            predicted = predicted_motion(motion, k * dt, push, focal_drift)
+            motion = with_fix(predicted, measured(R, scale))
+        turned = (R * motion.R_si.inv()).as_rotvec()
+        error = np.concatenate([turned, rate - motion.rate_s, [scale - motion.log_scale]])
+        squares.append(error @ np.linalg.solve(motion.covariance, error) / 7.0)
+    low, high = chi2(700).ppf([0.0005, 0.9995]) / 700
     assert low < np.mean(squares) < high
+
+
+def test_a_wrong_focal_length_is_refined_and_its_error_is_as_stated() -> None:
+    """The camera is given 0.05 % too long: 0.25 px at the edge."""
+    long, squares = replace(CAMERA, focal_m=1.0005 * CAMERA.focal_m), []
+    true_px = CAMERA.focal_m / CAMERA.pixel_m
+    for seed in range(41, 45):
+        simulated = sequence(INDEX, seed, 20, fastest_deg_s=0.2)
+        found = bs.track(simulated.images, camera=long, times_s=simulated.times_s, exposure_s=EXPOSURE_S)
+        error, square = errors_of(found, simulated.truth)
+        known = np.isfinite(square)
+        assert np.abs(error[known]).max() < 30.0 * ARCSEC
+        squares.append(((found.focal_px[-1] - true_px) / found.focal_sigma_px[-1]) ** 2)
+        # px: 14 frames, each of some 0.05 px by 48 stars; before 2 px wrong
+        assert abs(found.focal_px[-1] - true_px) < 0.1 and found.focal_sigma_px[-1] < 0.03
+    low, high = chi2(4).ppf([0.0005, 0.9995]) / 4
+    assert low < np.mean(squares) < high
+
+
+def test_a_focal_length_that_is_exact_is_kept() -> None:
+    simulated = sequence(INDEX, 46, 8, fastest_deg_s=0.0)
+    found = bs.track(simulated.images, camera=CAMERA, focal_error=0.0)
+    known = np.array(found.state) != "lost"
+    np.testing.assert_allclose(found.focal_px[known], CAMERA.focal_m / CAMERA.pixel_m)
+    assert (found.focal_sigma_px[known] == 0.0).all()
 
 
 def test_the_command_says_of_every_frame_what_it_is(tmp_path, monkeypatch) -> None:
