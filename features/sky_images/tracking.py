@@ -41,6 +41,10 @@ _UNKNOWN_RATE = math.radians(5.0)
 _LARGEST_REACH_PX = 32.0
 # Stars that are measured, the brightest, and those that give the common shift (set by hand).
 _STARS, _STARS_FOR_SHIFT = 48, 16
+# Brightest stars of which those are taken, should many be saturated (wide fields; set by hand).
+_MOST_IN_VIEW = 400
+# Rows and columns of a pixel and its eight neighbours, from it.
+_AROUND = np.repeat([-1, 0, 1], 3), np.tile([-1, 0, 1], 3)
 # Distance, px, from the shifted prediction within which a star is the predicted one.
 _SAME_PX = 3
 # Length of a trail over the width of the PSF below which there is none: it widens a star by 0.2 %.
@@ -194,7 +198,7 @@ def near_prediction(
     reach = 4.0 * focal_px * math.sqrt(np.linalg.eigvalsh(motion.covariance[:3, :3])[-1]) + 1.0
     if not reach < _LARGEST_REACH_PX:
         return None
-    rows, xy, u_i = _in_view(motion.R_si, before, camera, lens, index, settings, observer, reach)
+    rows, xy, u_i = _in_view(image, motion.R_si, before, camera, lens, index, settings, observer, reach)
     if len(rows) < _FEWEST:
         return None
     sky, psf = _sky_now(image, before), _psf_now(before.psf, motion, camera, exposure_s)
@@ -260,6 +264,7 @@ def _measured(
 
 
 def _in_view(
+    image: NDArray[Any],
     R_si: Rotation,
     before: StarList,
     camera: StarCamera,
@@ -269,17 +274,20 @@ def _in_view(
     observer: Observer | None,
     reach: float,
 ) -> tuple[Ints, Floats, Floats]:
-    """The brightest reliable stars of the index in view, as rows, pixels (N, 2) and directions (N, 3); `lens`
-    is the camera with its present focal length."""
+    """The brightest reliable stars of the index in view that are not saturated in the image (H, W), as rows,
+    pixels (N, 2) and directions (N, 3); `lens` is the camera with its present focal length."""
     rows = index.near(camera.middle_axes()[:, 2] @ R_si.as_matrix(), _radius_about_middle(camera))
     xy = lens.pixels_from_directions(R_si.apply(index.u_i[rows]))
     with np.errstate(invalid="ignore"):
         inside = (xy > reach) & (xy < np.array([camera.width_px, camera.height_px]) - 1.0 - reach)
-    chosen = np.flatnonzero(inside.all(axis=1))[: 2 * _STARS]
-    sound = _reliable(index, camera, before.psf.sigma_px, settings)[rows[chosen]]
-    rows = rows[chosen[sound][:_STARS]]
+    chosen = np.flatnonzero(inside.all(axis=1))
+    chosen = chosen[_reliable(index, camera, before.psf.sigma_px, settings)[rows[chosen]]][:_MOST_IN_VIEW]
+    column, row = np.rint(xy[chosen]).astype(np.int64).T[:, :, None]
+    around = image[row + _AROUND[0], column + _AROUND[1]]
+    chosen = chosen[(around < before.saturation_dn).all(axis=1)][:_STARS]
+    rows, xy = rows[chosen], xy[chosen]
     if observer is None:
-        return rows, xy[chosen[sound][:_STARS]], index.u_i[rows]
+        return rows, xy, index.u_i[rows]
     u_i = star_directions(index, rows, observer)
     return rows, lens.pixels_from_directions(R_si.apply(u_i)), u_i
 

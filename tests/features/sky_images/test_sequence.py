@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import tomlkit
 from command_line import app
-from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, sequence
+from frames import Sensor, star_frame
+from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, places_of, sequence
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from typer.testing import CliRunner
@@ -164,3 +165,29 @@ def test_the_command_says_of_every_frame_what_it_is(tmp_path, monkeypatch) -> No
     assert ["found anew" in lines[0], "found anew" in lines[1], "tracked" in lines[2]] == [True] * 3
     refused = CliRunner().invoke(app, ["identify", *names, "--sequence"])
     assert refused.exit_code == 2
+
+
+def test_frames_of_a_fisheye_are_tracked() -> None:
+    """110 degrees along columns, equidistant: stars to V 5, 400 in view."""
+    focal_px = 0.5 * 1536 / np.radians(55.0)
+    fisheye = replace(
+        CAMERA,
+        focal_m=focal_px * CAMERA.pixel_m,
+        width_px=1536,
+        height_px=1152,
+        principal_px=(767.5, 575.5),
+        projection="equidistant",
+    )
+    bright, rng, R = places_of(INDEX), np.random.default_rng(5), Rotation.random(random_state=8)
+    bright = bright.take(np.flatnonzero(bright.v_mag < 5.0))
+    images, truth, rate = [], [], np.radians([0.2, -0.1, 0.3])
+    for _ in range(5):
+        R = Rotation.from_rotvec(-0.1 * rate) * R
+        images.append(star_frame(fisheye, R, bright, Sensor(), rng)[0])
+        truth.append(R)
+    found = bs.track(images, camera=fisheye, exposure_s=0.0)
+    assert found.state[2:] == ("tracked",) * 3
+    error, square = errors_of(found, Rotation.concatenate(truth))
+    low, high = chi2(3 * 5).ppf([0.0005, 0.9995]) / (3 * 5)
+    assert low < square.mean() < high
+    assert np.abs(error).max() < 60.0 * ARCSEC  # a pixel is 260 arcsec
