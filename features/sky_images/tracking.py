@@ -223,7 +223,7 @@ def near_prediction(
 
 def _shift_of(image: NDArray[Any], xy_px: Floats, psf: Psf, reach: float) -> tuple[Floats, float]:
     """The shift (2,) of stars from their predicted places (N, 2), brightest first, by the brightest pixels
-    within `reach`, and the number of shifts that are told from one another; px."""
+    within `reach`, and the number of different shifts; px."""
     width = max(3, round(2.0 * psf.sigma_px + 0.5 * math.hypot(*psf.smear_px)) | 1)
     first, shifts = xy_px[:_STARS_FOR_SHIFT], 1.0
     shift: Floats = np.zeros(2)
