@@ -76,7 +76,7 @@ class ScaledFit:
 def fit_scaled_camera(
     camera: StarCamera, xy_px: Floats, cov_px: Floats, u_i: Floats, R_si: Rotation
 ) -> ScaledFit:
-    """Attitude and scale of a calibrated camera; arguments as in `fit_known_camera`.
+    """Attitude and scale of a calibrated camera from N stars; arguments (N, ...) as in `fit_known_camera`.
 
     Where the stars show more than another focal length, the attitude is that of `_departing`, and the scale
     is not measured.
