@@ -7,16 +7,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rasterio
 import tifffile
 from astropy.io import fits
 from handmade import write_strip
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 from PIL import Image
+from pyproj import Transformer
 
 from boresight.features.sky_images.image_time import time_of_image
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.image_files import grid_place, read_grid
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 
 WIDTH, HEIGHT = 48, 40
@@ -190,3 +192,26 @@ def test_the_time_of_an_image_is_that_of_its_header(tmp_path: Path) -> None:
     assert time_of_image(tmp_path / "a.jpg") == "2020-07-03T23:30:15.000000Z"
     (tmp_path / "b.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:60])
     assert time_of_image(tmp_path / "b.jpg") is None
+
+
+def test_the_place_of_a_raster_is_that_of_its_corners_and_middle(tmp_path: Path) -> None:
+    transform = rasterio.Affine(20.0, 3.0, 305_000.0, 2.0, -30.0, 5_200_000.0)  # turned and unequal
+    profile = {
+        "driver": "GTiff",
+        "width": 70,
+        "height": 40,
+        "count": 1,
+        "dtype": "uint8",
+        "crs": "EPSG:32719",
+    }
+    with rasterio.open(tmp_path / "a.tif", "w", transform=transform, crs="EPSG:32719", **profile) as file:
+        file.write(np.zeros((1, 40, 70), dtype=np.uint8))
+    place = grid_place(tmp_path / "a.tif", "a.tif")
+    east, north = 305_000.0 + 35 * 20.0 + 20 * 3.0, 5_200_000.0 + 35 * 2.0 - 20 * 30.0
+    lon, lat = Transformer.from_crs(32719, 4326, always_xy=True).transform(east, north)
+    assert place.middle_deg == pytest.approx((lat, lon), abs=1e-9)
+    inside = [(1.0, 1.0), (69.0, 39.0), (35.0, 20.0)]
+    outside = [(-1.0, 20.0), (71.0, 20.0), (35.0, -1.0), (35.0, 41.0)]
+    there = [tuple(transform @ pixel) for pixel in (*inside, *outside)]
+    lon, lat = Transformer.from_crs(32719, 4326, always_xy=True).transform(*np.transpose(there))
+    assert place.contains(np.column_stack([lat, lon])).tolist() == [True] * 3 + [False] * 4

@@ -13,6 +13,7 @@ import pytest
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.strip_stars import strip_star_rows
 
 
 def card(row: int, **more: Any) -> TargetCard:
@@ -73,3 +74,37 @@ def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
             np.testing.assert_allclose(length, [e, n], atol=0.01 * view.residual_metres)
     assert [spots[row].is_cut for row in (1, 2)] == [False, False]
     assert view.scenes[0].caption == "s01   33.00° S, 70.00° W"
+
+
+def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
+    covariance = [0.0121, 0.002, 0.002, 0.0484]  # px², row after row
+    row = {
+        "range_m": float("inf"),
+        "kept": True,
+        "normalised": 6.25,  # squared
+        "strip_id": "sky01",
+        "target_id": "HIP 17499",
+        "ccd": 2,
+        "xy_px": [211.5, 907.25],
+        "cov_px": covariance,
+        "residual_c": [3e-6, -7e-6],
+        "t_s": 12.5,
+        "probability_wrong": 2e-7,
+    }
+    table = pa.Table.from_pylist([row])
+    no_matches = pa.table({name: [] for name in ("strip_id", "target_id", "ccd")})
+    saved = SimpleNamespace(targets=table, matches=no_matches, cell=lambda _, name, n, form: row[name])
+    (star,) = strip_star_rows(saved, 3)  # type: ignore[arg-type]
+    arcsec = 648_000.0 / np.pi
+    expected = {
+        "sigmas": 2.5,
+        "sample_px": 211.5,
+        "line_px": 907.25,
+        "sigma_sample_px": 0.11,
+        "sigma_line_px": 0.22,
+        "residual_x": 3e-6 * arcsec,
+        "residual_y": -7e-6 * arcsec,
+    }
+    shown = {name: star.numbers[name] for name in expected}
+    assert {name: one.exact * one.scale for name, one in shown.items()} == pytest.approx(expected)
+    assert star.name == "HIP 17499, strip sky01, CCD 2" and star.key == "used" and star.printed
