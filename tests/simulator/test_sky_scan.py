@@ -116,6 +116,15 @@ def test_an_image_holds_the_stars_charge_with_its_middle_at_the_crossing(rate, d
     assert alone >= 4
 
 
+def test_a_star_leaves_charge_for_as_long_as_it_crosses_the_stages():
+    slow, fast = (scanned(16, rate=rate, drift=0.0) for rate in (0.8, 1.2))
+    charges = [{star.hip: star.charge_e for star in one.truth.sky_stars} for one in (slow, fast)]
+    both = sorted(set(charges[0]) & set(charges[1]) - {0})
+    assert len(both) > 3
+    ratio = [charges[0][hip] / charges[1][hip] for hip in both]
+    assert np.allclose(ratio, 1.2 / 0.8, rtol=1e-6)
+
+
 def test_without_scans_the_scenario_is_stored_as_before_and_with_them_it_is_complete():
     mini = mini_scenario()
     assert "sky_strips" not in scenario_to_dict(mini)

@@ -75,6 +75,12 @@ def test_what_an_isd_reader_asks_for_is_there(pieces):
     for key in ("body_rotation", "instrument_pointing"):
         assert {"ephemeris_times", "quaternions", "angular_velocities", "reference_frame"} <= set(isd[key])
     assert {"positions", "velocities", "ephemeris_times", "reference_frame"} <= set(isd["sun_position"])
+    path = isd["instrument_position"]
+    assert path["reference_frame"] == 1  # turns with the Earth
+    times, p_km, v_km_s = (np.array(path[k]) for k in ("ephemeris_times", "positions", "velocities"))
+    slope = (p_km[2:] - p_km[:-2]) / (times[2:] - times[:-2])[:, None]
+    assert np.allclose(v_km_s[1:-1], slope, rtol=1e-5, atol=1e-4)  # km/s; nodes some seconds apart
+    assert np.allclose(np.linalg.norm(p_km, axis=1), 6900.0, atol=60.0)
     sun = np.array(isd["sun_position"]["positions"][0])
     # 20 March 2025, 02:31 UTC: equinox at 09:01, so the Sun stands over longitude 180 - 15 * 2.5 = 144
     # degrees (and
