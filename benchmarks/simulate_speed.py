@@ -28,7 +28,7 @@ JOBS = {
 HERE = Path(__file__).resolve().parents[1]
 
 
-def cost(checkout: Path, job: tuple[str, ...], workers: int) -> tuple[float, float]:
+def cost(checkout: Path, job: tuple[str, ...], *workers: str) -> tuple[float, float]:
     """Processor time and elapsed time of one run, s."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1")
     environment = os.environ | threads | {"PYTHONPATH": str(checkout)}
@@ -36,7 +36,7 @@ def cost(checkout: Path, job: tuple[str, ...], workers: int) -> tuple[float, flo
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, "-m", "boresight", "simulate", job[0], out / "dump", "--seed", "7", *job[1:]]
     subprocess.run(
-        [*map(str, command), "--workers", str(workers)],
+        [*map(str, command), *workers],
         env=environment,
         cwd=out,
         check=True,
@@ -60,9 +60,9 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name, job in JOBS.items():
         for n in range(given.rounds):
-            old, _ = cost(given.before.resolve(), job, 1)
-            new, one = cost(HERE, job, 1)
-            _, two = cost(HERE, job, 2)
+            old, _ = cost(given.before.resolve(), job)  # it may not know the option --workers
+            new, one = cost(HERE, job, "--workers", "1")
+            _, two = cost(HERE, job, "--workers", "2")
             costs = f"{old:.1f} | {new:.1f} | {new / old:.2f} | {one:.1f} | {two:.1f}"
             print(f"| {name} | {n + 1} | {costs} |", flush=True)
 

@@ -230,7 +230,7 @@ class Calibration(Result):
     def export(
         self,
         formats: str | Sequence[str],
-        path: PathLike,
+        out: PathLike,
         *,
         dump: DumpLike | None = None,
         strips: str | Sequence[str] = (),
@@ -242,7 +242,7 @@ class Calibration(Result):
         formats : str, or sequence of str
             `spice`, `spice-ck`, `aem`, `acm`, `operator`, `json`, `csv`, `csm-isd`, `rpc`, `vrt`, `kml`,
             `asp`, `geojson`, `envi`, `qgis` or `fits` (docs/exports.md).
-        path : path
+        out : path
             Folder for the files; it is made.
         dump : path or Dump, optional
             The dump; default: the one that the result was made from.
@@ -254,7 +254,7 @@ class Calibration(Result):
         """
         write: Callable[..., list[Path]] = feature_function("exports", "export_files")
         place = None if dump is None else open_dump(source_of_dump(dump)).root
-        return write(Path(self), formats, path, dump=place, strips=strips)
+        return write(Path(self), formats, out, dump=place, strips=strips)
 
     def geolocate(
         self,
@@ -269,7 +269,7 @@ class Calibration(Result):
         """Where on the ground pixels (line, sample) of a strip look, as `boresight.geolocate`."""
         find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
         place = None if dump is None else open_dump(source_of_dump(dump)).root
-        return find(self, strip, ccd, line_px=line, sample_px=sample, dump=place, height_m=height_m)
+        return find(self, strip, ccd, line, sample, dump=place, height_m=height_m)
 
 
 @record(kw_only=True)

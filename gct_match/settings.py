@@ -36,10 +36,10 @@ class MatchSettings:
     attitude_sigma_px: float = scalar("error of a star exposure's attitude (0.3 arcsec)", default=1.5)
     attitude_step_s: float = scalar("interval of star exposures, s: attitude errors correlate", default=0.2)
     least_correlation: float = scalar("filtered, robust: below, most of the chip has changed", default=0.4)
-    saturation: float = scalar("grey values from here on are not used", default=float("inf"))
+    saturation_dn: float = scalar("grey values from here on are not used", default=float("inf"))
     no_data: float = scalar("grey value that marks missing data", default=float("nan"))
 
     def __post_init__(self) -> None:
         limits = ("probability_chance", "probability_chance_match", "probability_wrong", "least_correlation")
         zero = ("margin_px", "attitude_sigma_px", *limits)
-        check_numbers(self, any_value=("saturation", "no_data"), zero=zero)
+        check_numbers(self, any_value=("saturation_dn", "no_data"), zero=zero)

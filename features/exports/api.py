@@ -22,12 +22,12 @@ SPACECRAFT = -999
 def export_files(
     result: PathLike,
     formats: str | Sequence[str],
-    path: PathLike,
+    out: PathLike,
     *,
     dump: PathLike | None = None,
     strips: str | Sequence[str] = (),
 ) -> list[Path]:
-    """Write a result folder in `formats` into the folder `path`; the files written.
+    """Write a result folder in `formats` into the folder `out`; the files written.
 
     Names and ids for SPICE are those of `boresight export`. Raises `ValueError` for an unknown format,
     `RawDataError` for a damaged result, `DataNotSufficientError` where a format has nothing to write.
@@ -37,7 +37,7 @@ def export_files(
         raise wrong("formats", unknown[0], f"names among {', '.join(FORMATS)}")
     if not names:
         raise wrong("formats", "no names", "at least one")
-    folder = new_folder_of(path, "path")
+    folder = new_folder_of(out, "out")
     request = ExportRequest(
         result=path_of(result, "result"),
         dump=None if dump is None else path_of(dump, "dump"),

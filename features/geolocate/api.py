@@ -27,9 +27,9 @@ def geolocate(
     result: PathLike,
     strip: str,
     ccd: ArrayLike,
+    line: ArrayLike,
+    sample: ArrayLike,
     *,
-    sample_px: ArrayLike,
-    line_px: ArrayLike,
     dump: PathLike | None = None,
     height_m: float | None = None,
 ) -> pd.DataFrame:
@@ -43,8 +43,8 @@ def geolocate(
         Id of the strip.
     ccd : (N,) array or number
         CCD number from 0.
-    sample_px, line_px : (N,) arrays or numbers
-        The image point; (0, 0) is the centre of the first pixel. Arrays and numbers are broadcast.
+    line, sample : (N,) arrays or numbers
+        The image point, px; (0, 0) is the centre of the first pixel. Arrays and numbers are broadcast.
     dump : path, optional
         The dump; default: the one that the result names.
     height_m : float, optional
@@ -69,7 +69,7 @@ def geolocate(
         raise wrong("strip", strip, "the id of a strip")
     folder = path_of(result, "result")
     place = None if dump is None else dump_folder(source_of(dump, "dump"))
-    pixels = _pixels(ccd, sample_px, line_px)
+    pixels = _pixels(ccd, line, sample)
     height = None if height_m is None else number_of(height_m, "height_m", -MOST_HEIGHT_M, MOST_HEIGHT_M)
     calibrated = open_calibrated(folder, place)
     surface = surface_of(calibrated.dump.terrain) if height is None else ConstantHeight(height)
@@ -78,9 +78,9 @@ def geolocate(
     return pd.DataFrame({name: getattr(found, name) for name in columns})
 
 
-def _pixels(ccd: ArrayLike, sample_px: ArrayLike, line_px: ArrayLike) -> Pixels:
+def _pixels(ccd: ArrayLike, line: ArrayLike, sample: ArrayLike) -> Pixels:
     """Image points of broadcast arrays."""
-    given = {"ccd": ccd, "sample_px": sample_px, "line_px": line_px}
+    given = {"ccd": ccd, "line": line, "sample": sample}
     parts: dict[str, NDArray[Any]] = {}
     for name, value in given.items():
         parts[name] = np.atleast_1d(floats_of(value, name, "(N,)"))
@@ -92,8 +92,8 @@ def _pixels(ccd: ArrayLike, sample_px: ArrayLike, line_px: ArrayLike) -> Pixels:
     if (numbers != np.rint(numbers)).any() or (np.abs(numbers) > 2**31).any():
         raise wrong("ccd", float(numbers[0]), "whole numbers from 0")
     try:
-        whole, sample, line = np.broadcast_arrays(*parts.values())
+        whole, at_line, at_sample = np.broadcast_arrays(*parts.values())
     except ValueError:
         lengths = ", ".join(f"{name} {len(part)}" for name, part in parts.items())
-        raise wrong("ccd, sample_px, line_px", lengths, "arrays of one length, or numbers") from None
-    return Pixels(whole.astype(np.int64), sample, line)
+        raise wrong("ccd, line, sample", lengths, "arrays of one length, or numbers") from None
+    return Pixels(whole.astype(np.int64), at_sample, at_line)

@@ -69,7 +69,7 @@ def means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDA
     """Means (H / factor, W / factor) over `factor`² px of grey values (H, W), a power of two that divides H;
     NaN where few are valid. 8 and 16 bit integers keep their type if all are.
     """
-    limits = np.isfinite([settings.saturation, settings.no_data])
+    limits = np.isfinite([settings.saturation_dn, settings.no_data])
     if block.dtype.kind in "iu" and not limits.any():  # every value is valid
         return _block_means(block, factor)
     good = _usable(block, settings)
@@ -81,8 +81,8 @@ def means_of_usable(block: NDArray, factor: int, settings: MatchSettings) -> NDA
 
 def _usable(image: NDArray, settings: MatchSettings) -> Bools:
     usable = np.ones(image.shape, dtype=bool) if image.dtype.kind in "iu" else np.isfinite(image)
-    if np.isfinite(settings.saturation):
-        usable &= image < settings.saturation
+    if np.isfinite(settings.saturation_dn):
+        usable &= image < settings.saturation_dn
     if np.isfinite(settings.no_data):
         usable &= image != settings.no_data
     return usable

@@ -142,7 +142,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door(
             "geolocate",
             bs.geolocate,
-            {"result": result, **places, "sample_px": 3.0, "line_px": 9.0},
+            {"result": result, **places, "sample": 3.0, "line": 9.0},
             share=0.3,
         ),
         Door("forecast", bs.forecast, {"plan": nowhere}),
@@ -151,7 +151,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("pixel_to_sky", solution.pixel_to_sky, {"xy_px": [(3.0, 4.0)]}),
         Door("wcs", solution.wcs, {}, share=0.5),
         Door("residuals", result.residuals, {}),
-        Door("export", result.export, {"formats": "json", "path": out / "kernels", "dump": dump}, share=0.3),
+        Door("export", result.export, {"formats": "json", "out": out / "kernels", "dump": dump}, share=0.3),
         Door("report", result.report, {"path": ""}, share=0.1),
         Door("method geolocate", result.geolocate, {**places, "line": 9.0, "sample": 3.0}, share=0.3),
         Door("StarSettings", stars_found_with, {"image": noise}),

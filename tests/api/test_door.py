@@ -202,7 +202,7 @@ def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(
     assert bs.validate(again, dump).nees == validation.nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
     page = estimate.report(tmp_path / "memory.html")
     assert "<html" in page.read_text()[:500]
-    ground = bs.geolocate(tmp_path / "result", "s01", 1, sample_px=[10.0, 500.0], line_px=1000.0)
+    ground = bs.geolocate(tmp_path / "result", "s01", 1, sample=[10.0, 500.0], line=1000.0)
     assert np.isfinite(ground.to_numpy()).all()
     assert (ground["sigma_across_m"] < 30.0).all()  # m: 10 arcsec from 530 km
 
@@ -311,7 +311,7 @@ reveal_type(bs.read_result("result"))
 validation = bs.validate(estimate, "dump")
 reveal_type(validation)
 reveal_type(validation.nees)
-reveal_type(bs.geolocate("result", "s01", 0, sample_px=1.0, line_px=2.0))
+reveal_type(bs.geolocate("result", "s01", 0, sample=1.0, line=2.0))
 reveal_type(bs.open_dump("dump").star_camera)
 reveal_type(bs.simulate("mini", "out"))
 reveal_type(bs.forecast("plan.toml").table)

@@ -236,7 +236,7 @@ def test_cloud_and_saturation_are_kept_out(case: Case):
             case.chips,
             SURFACE,
             SIGMA,
-            MatchSettings(saturation=4000.0),
+            MatchSettings(saturation_dn=4000.0),
         )
     )
     error, _ = errors(case, outcome)
