@@ -33,8 +33,8 @@ def example(name: Literal["mini", "sky"] = "mini") -> Path:
     Parameters
     ----------
     name : str
-        "mini": 42 star exposures, 3 strips of the ground, 36 targets; 23 MB, rendered in about 15 s.
-        "sky": 12 star exposures, one strip of the sky; 2 MB, about 3 s.
+        "mini": 42 star exposures, 3 strips of the ground, 36 targets; 25 MB, rendered in about 8 s.
+        "sky": 12 star exposures, one strip of the sky; 2 MB, about 1 s.
 
     Returns
     -------
