@@ -281,7 +281,7 @@ def _with_means(
 
 def _means(part: Floats, count: int) -> Floats:
     whole = len(part) // count
-    return part[: whole * count].reshape(whole, count, -1).mean(axis=1)
+    return part[: whole * count].reshape(whole, count, part.shape[1]).mean(axis=1)
 
 
 def _scatter(parts: Sequence[Floats], count: int) -> Floats:

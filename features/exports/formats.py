@@ -62,6 +62,7 @@ __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_
 # Largest step of the attitudes of an exported AEM, s (set by hand).
 AEM_STEP_S = 0.05
 CK_TICKS = 32  # 1/32 s
+RPC_LIMIT_PX = 0.1  # an RPC that misses the rigorous model by more is reported
 RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
 
 
@@ -191,6 +192,11 @@ def _rpc(request: ExportRequest) -> Made:
         strip = model.strip
         for ccd, lines in sorted(strip.ccd_lines.items()):
             rpc, error = fit_rpc(model.pushbroom, ccd, lines, heights)
+            if error.largest_px > RPC_LIMIT_PX:
+                yield Remark(
+                    f"{strip.strip_id}.ccd{ccd} misses the rigorous model by up to {error.largest_px:.2f} px "
+                    f"(rms {error.rms_px:.2f}): no cubic follows its attitude; csm-isd does"
+                )
             yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, error)
             if ccd in strip.images.ccds:
                 vrt = vrt_with_rpc(*_image(calibrated, strip, ccd), rpc_metadata(rpc, error), notes)

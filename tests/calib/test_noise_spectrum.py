@@ -61,6 +61,16 @@ def test_record_without_a_long_piece_is_refused() -> None:
         fit_noise(signal, 26.0)
 
 
+def test_a_gap_that_leaves_a_piece_shorter_than_the_means_leaves_the_rest() -> None:
+    # A record with a gap after 10 s, of which means over 26 s are asked: those of the long piece alone.
+    a, b = tracks(np.random.default_rng(2))
+    keep = np.r_[0:100, 140 : len(T)]
+    signal = difference_signal(a.R_hi[keep], [(b.R_hi[keep], R_SH)], pieces_of(T[keep]))
+    fit = fit_noise(signal, 26.0)
+    assert fit.n_means == int((len(T) - 140) * STEP / 26.0) and np.isfinite(fit.scatter).all()
+    assert np.allclose(fit.heads[0].white_rad[2] / ARCSEC, WHITE[0][2], rtol=0.3)
+
+
 def test_attitudes_between_instants_are_carried_by_the_smoothed_motion() -> None:
     a, b = tracks(np.random.default_rng(1), slew_rad_s2=1e-4)
     shifted = replace(b, t_s=T + 0.04)

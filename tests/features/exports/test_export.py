@@ -22,6 +22,7 @@ from pytest import approx
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from boresight.features.exports import formats
 from boresight.features.exports.formats import FORMATS
 from boresight.features.exports.notes import notes_of
 from boresight.geometry.epoch import Epoch
@@ -79,6 +80,30 @@ def test_a_strip_of_which_some_rows_have_no_exposures_is_left_out_and_told(finis
     asked = ["virtual-ccd", str(result), "--dump", str(finished[0]), "--strip", "s01"]
     ran = runner.invoke(app, [*asked, "--out", str(tmp_path / "s01.tif")])
     assert isinstance(ran.exception, DataNotSufficientError) and missing in str(ran.exception)
+
+
+@pytest.mark.parametrize(("limit_px", "is_told"), [(1e-9, True), (1e3, False)])
+def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
+    finished, tmp_path, monkeypatch, limit_px, is_told
+):
+    monkeypatch.setattr(formats, "RPC_LIMIT_PX", limit_px)
+    asked = [
+        "export",
+        str(finished[1]),
+        "--dump",
+        str(finished[0]),
+        "--format",
+        "rpc",
+        "--out",
+        str(tmp_path),
+    ]
+    ran = runner.invoke(app, asked)
+    assert ran.exit_code == 0, ran.output
+    told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", ran.output)
+    assert bool(told) == is_told
+    for name, stated in told:
+        bias = re.search(r"ERR_BIAS: (\S+) pixels", (tmp_path / f"{name}_RPC.TXT").read_text())
+        assert bias is not None and f"{float(bias[1]):.2f}" == stated
 
 
 def test_spice_turns_as_installation_json_says(exported, installation):
