@@ -47,7 +47,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.attitude_files import read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dimap_metadata import read_dimap
-from boresight.pipeline.files.dump import ChipFile, TerrainFiles, _read_terrain, _Reading, open_dump
+from boresight.pipeline.files.dump import ChipFile, TerrainFiles, _read_terrain, open_dump
 from boresight.pipeline.files.ground_points import read_points
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file
 from boresight.pipeline.files.orbit_file import read_oem, read_segments
@@ -264,7 +264,7 @@ def _chip_image(folder: Path) -> Any:
 
 def _terrain(folder: Path) -> Any:
     files = TerrainFiles(("dem.tif",), (folder / "dump/dem.tif",), "ellipsoidal")
-    surface = _read_terrain.__wrapped__(_Reading(files, (), 1))
+    surface = _read_terrain.__wrapped__(files, ())
     return surface.height_m(np.zeros(3), np.radians([102.9, 103.0, 103.1]))
 
 
