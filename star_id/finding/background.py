@@ -70,6 +70,18 @@ class Background:
         level, noise = self._between(xy_px, extended(self.level_dn), extended(self.noise_dn, continued=False))
         return level, noise
 
+    @property
+    def slope_dn(self) -> tuple[float, float]:
+        """Change of the level by column and by row, DN a pixel, over the whole image: the median of that from
+        block to block. A fit of a star with a constant sky would be displaced by it.
+        """
+        rows, columns = self.level_dn.shape
+        across, down = (np.diff(self.level_dn, axis=axis) for axis in (1, 0))
+        return (
+            float(np.median(across)) * columns / self.width_px if across.size else 0.0,
+            float(np.median(down)) * rows / self.height_px if down.size else 0.0,
+        )
+
     def limits(self, sigmas: float, pixels: float) -> Floats:
         """(R, C) height over the level, in units of the noise, that a mean of so many pixels exceeds as
         rarely as a normal variable `sigmas`: that, but less where the sky is cut off."""

@@ -69,7 +69,10 @@ def star_windows(
     rows = saturated.nonzero()[0]
     good[rows] *= _unsaturated(full[rows])
     n = len(raw)
-    data = raw.reshape(n, side * side) - level[:, None].astype(np.float32)
+    along_x, along_y = background.slope_dn
+    away = np.arange(-radius, radius + 1.0)
+    plane = (along_x * away + along_y * away[:, None]).ravel()
+    data = raw.reshape(n, side * side) - (level[:, None] + plane).astype(np.float32)
     return StarWindows(
         corner=corner,
         radius=radius,
