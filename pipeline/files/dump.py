@@ -42,7 +42,7 @@ from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dat
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
 from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
 from boresight.pipeline.files.object_store import dump_folder
-from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_segments, segment_over
+from boresight.pipeline.files.orbit_file import Ephemeris, covered_by, joined_segments, read_segments
 from boresight.pipeline.files.remote_camera import read_remote_camera
 from boresight.pipeline.files.repeated_exposures import exposures_once
 from boresight.pipeline.files.repeated_points import points_once
@@ -470,12 +470,13 @@ def _read_orbit(path: Path, file: str, kernels: Kernels) -> tuple[Ephemeris, ...
 def _segment(
     segments: tuple[Ephemeris, ...], strips: list[tuple[float, float]], file: str
 ) -> tuple[Ephemeris, str]:
-    """All segments joined, or where they do not follow one another the one that covers most strips; its name
-    in errors.
+    """All segments joined, or where they do not follow one another, or none covers a strip, the one that
+    covers most of them; its name in errors.
     """
-    if (all_of_them := joined_segments(segments)) is not None:
+    covered = covered_by(segments, strips)
+    if any(covered) and (all_of_them := joined_segments(segments)) is not None:
         return all_of_them, file
-    n = segment_over(segments, strips)
+    n = covered.index(max(covered))
     return segments[n], file if len(segments) == 1 else f"{file} (segment {n + 1} of {len(segments)})"
 
 

@@ -36,10 +36,10 @@ __all__ = [
     "check_components",
     "check_states",
     "check_time_system",
+    "covered_by",
     "joined_segments",
     "read_oem",
     "read_segments",
-    "segment_over",
     "tai_seconds",
 ]
 
@@ -125,12 +125,9 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
     )
 
 
-def segment_over(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> int:
-    """Index of the segment that covers most `spans`, TAI seconds since the epoch; of equals the first."""
-    covered = [
-        sum(bool(one.t_s[0] <= begin and end <= one.t_s[-1]) for begin, end in spans) for one in segments
-    ]
-    return int(np.argmax(covered))
+def covered_by(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> list[int]:
+    """How many `spans`, TAI seconds since the epoch, each segment covers."""
+    return [sum(bool(one.t_s[0] <= begin and end <= one.t_s[-1]) for begin, end in spans) for one in segments]
 
 
 def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:

@@ -14,6 +14,7 @@ from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
+from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
@@ -96,7 +97,7 @@ def number_from(
 
 def read_saved(result: Path) -> Saved:
     """The saved files of a finished result. `RawDataError` names a file that is missing or damaged."""
-    installation = read_json(result / "installation.json")
+    installation = read_installation(result)
     needed = ("context.json", *(f"{name}.parquet" for name in _EVIDENCE))
     if not all((result / "evidence" / name).is_file() for name in needed):
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"

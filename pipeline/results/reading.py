@@ -33,6 +33,7 @@ __all__ = [
     "SavedResult",
     "read_findings",
     "read_for_dump",
+    "read_installation",
     "read_mounting",
     "read_pairs",
     "read_saved_result",
@@ -41,6 +42,29 @@ __all__ = [
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns: mounting of a further head
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
+
+# Keys of the verdict in installation.json, and of each of its checks.
+VERDICT_KEYS = {
+    "outcome",
+    "sentence",
+    "checks",
+    "findings",
+    "probability_false_alarm",
+    "weakest_axis_c",
+    "weakest_sigma_rad",
+}
+CHECK_KEYS = {
+    "kind",
+    "statistic",
+    "expected",
+    "n",
+    "p_value",
+    "limit",
+    "holds",
+    "is_caution",
+    "look_at",
+    "names",
+}
 
 
 @record(kw_only=True)
@@ -89,13 +113,29 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
     return list(found)
 
 
+def read_installation(result: Path) -> dict[str, Any]:
+    """Content of a result's installation.json. `RawDataError` for one that is not there, or whose verdict is
+    not as the program writes it.
+    """
+    name = str(result / "installation.json")
+    content = read_json(result / "installation.json", name)
+    verdict = content.get("verdict")
+    checks = verdict.get("checks") if isinstance(verdict, dict) else None
+    parts = [(verdict, VERDICT_KEYS), *((one, CHECK_KEYS) for one in checks or ())]
+    if not all(isinstance(one, dict) and keys <= one.keys() for one, keys in parts):
+        raise RawDataError(
+            name, "verdict", "missing or incomplete", "what `calibrate` writes; calibrate again"
+        )
+    return content
+
+
 def read_saved_result(result: Path) -> SavedResult:
     """The result in a folder; of several dumps, the joint matrix without any exposures.
 
     `RawDataError` when it is not there or damaged.
     """
     name = str(result / "installation.json")
-    content = read_json(result / "installation.json", name)
+    content = read_installation(result)
     quaternion = _numbers(content, "quaternion", (4,), name)
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")

@@ -355,7 +355,7 @@ def _lost_ground(n: int) -> Finding:
     return Finding(
         cause="orbit, times or coordinates",
         item="all strips of the ground",
-        text=f"none of {n} targets found in any: check times and frame of the orbit, file and utc_first_row "
+        text=f"none of {n} targets found: check times and frame of the orbit, file and utc_first_row "
         "in strips.csv, targets.csv; or cloud.",
         file="orbit, strips.csv",
     )

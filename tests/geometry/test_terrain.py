@@ -3,7 +3,6 @@ speed.
 """
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -323,13 +322,3 @@ def test_bounds_of_tiles_are_those_of_the_heights_in_and_around_them(shape):
                 np.nanmax(np.abs(np.diff(near, axis=k)), initial=0.0) for k in (0, 1) if near.shape[k] > 1
             ]
             assert rise[row + 2, column + 2] >= max(steps, default=0.0)
-
-
-def test_terrain_on_a_map_is_the_same_however_many_threads_make_it():
-    heights = np.random.default_rng(1).normal(500.0, 50.0, (1500, 1400)).astype(np.float32)
-    place = (30.0, 0.0, 480e3, 0.0, -30.0, 5.5e6), UTM33, egm96()
-    alone = TerrainGrid.from_raster(heights, *place)
-    with ThreadPoolExecutor(3) as pool:
-        together = TerrainGrid.from_raster(heights, *place, pool.map)
-    assert np.array_equal(together.heights_m, alone.heights_m)
-    assert all(map(np.array_equal, together.bounds.rise_m, alone.bounds.rise_m))

@@ -31,7 +31,6 @@ STRIPS = ["s01", "s02", "s03"]
 # Options and arguments that take one of a known set of values: the words before it, and what is offered.
 KNOWN: dict[tuple[str, str], tuple[tuple[str, ...], list[str]]] = {
     ("calibrate", "--accept"): ((), [one.value for one in Accepted]),
-    ("centroids", "--method"): ((), ["fit", "window"]),
     ("experiment", "name"): ((), [*EXPERIMENTS, "all"]),
     ("export", "--format"): (("r",), list(FORMATS)),
     ("export", "--strip"): (("RESULT",), STRIPS),

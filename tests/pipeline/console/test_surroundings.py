@@ -70,24 +70,29 @@ def test_name_that_a_library_cannot_take_is_one_line(capsys: pytest.CaptureFixtu
         "ö".encode("ascii")
 
 
-@pytest.mark.parametrize("limit", ["threads", "processes"])
-def test_limit_on_threads_and_processes_is_named_with_the_remedy(
-    limit: str,
+def test_limit_on_processes_is_named_with_the_remedy(
     one_strip: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
 ) -> None:
     def refused(*given: object, **named: object) -> None:
-        if limit == "threads":
-            raise RuntimeError("can't start new thread")
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    if limit == "threads":
-        monkeypatch.setattr(threading.Thread, "start", refused)
-    else:
-        monkeypatch.setattr(os, "fork", refused)
+    monkeypatch.setattr(os, "fork", refused)
     arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
     code, told = ended(arguments, monkeypatch, capsys)
     assert code == 1 and "no further thread or process; use --workers 1" in told, told
     assert not (tmp_path / "out/installation.json").exists()
+
+
+def test_a_calibration_needs_no_thread_of_its_own(
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    def refused(*given: object, **named: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
+    code, told = ended(arguments, monkeypatch, capsys)
+    assert code == 0 and (tmp_path / "out/installation.json").is_file(), told

@@ -30,7 +30,7 @@ def test_a_wrong_time_system_is_named_where_it_explains_the_dates(handmade: Path
         open_dump(handmade)
 
 
-def test_orbit_is_the_segment_over_the_strips(handmade: Path) -> None:
+def test_orbit_has_the_segment_over_the_strips(handmade: Path) -> None:
     whole = open_dump(handmade).orbit
     orbit = handmade / "orbit.oem"
     text = orbit.read_text()
@@ -39,8 +39,9 @@ def test_orbit_is_the_segment_over_the_strips(handmade: Path) -> None:
     orbit.write_text(text.replace("2024-11-20T03", "2024-11-19T03") + text[head:meta] + text[meta:])
     of_second = open_dump(handmade).orbit
     t_s = float(of_second.epoch.tai_s - whole.epoch.tai_s) + of_second.t_s
-    assert np.abs(t_s - whole.t_s).max() < 1e-9  # s
-    assert np.array_equal(of_second.positions_m, whole.positions_m)
+    here = np.flatnonzero(t_s > -3600.0)  # s, not of the day before
+    assert np.abs(t_s[here] - whole.t_s).max() < 1e-9  # s
+    assert np.array_equal(of_second.positions_m[here], whole.positions_m)
     orbit.write_text(orbit.read_text().replace("2024-11-20T03", "2024-11-21T03"))
     with pytest.raises(
         RawDataError, match=r"orbit.oem \(segment 1 of 2\): time of the states: found 2024-11-19"

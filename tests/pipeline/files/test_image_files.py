@@ -204,7 +204,7 @@ def test_the_place_of_a_raster_is_that_of_its_corners_and_middle(tmp_path: Path)
         "dtype": "uint8",
         "crs": "EPSG:32719",
     }
-    with rasterio.open(tmp_path / "a.tif", "w", transform=transform, crs="EPSG:32719", **profile) as file:
+    with rasterio.open(tmp_path / "a.tif", "w", transform=transform, **profile) as file:
         file.write(np.zeros((1, 40, 70), dtype=np.uint8))
     place = grid_place(tmp_path / "a.tif", "a.tif")
     east, north = 305_000.0 + 35 * 20.0 + 20 * 3.0, 5_200_000.0 + 35 * 2.0 - 20 * 30.0

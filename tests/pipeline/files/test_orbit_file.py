@@ -20,7 +20,7 @@ from oem import OrbitEphemerisMessage
 from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import bundled_table, orbit_of
-from boresight.pipeline.files.orbit_file import joined_segments, read_oem, read_segments, segment_over
+from boresight.pipeline.files.orbit_file import covered_by, joined_segments, read_oem, read_segments
 from boresight.pipeline.files.text_files import read_message
 from boresight.pipeline.stages.strip import orbit_around
 
@@ -240,13 +240,14 @@ def test_segments_are_those_of_the_library_with_one_epoch(tmp_path: Path) -> Non
             read_oem(tmp_path / name, name)
 
 
-def test_segment_over_most_spans_is_the_one(tmp_path: Path) -> None:
+def test_spans_are_counted_in_the_segment_that_covers_them(tmp_path: Path) -> None:
     segments = read_segments(written(tmp_path, two_segments(text_of(120))), "orbit.oem")
     at = [float(one.t_s[0]) for one in segments]
     of_second = [(at[1] + 1.0, at[1] + 2.0), (at[1] + 3.0, at[1] + 4.0)]
-    assert segment_over(segments, []) == segment_over(segments, [(at[0] + 1.0, at[0] + 2.0)]) == 0
-    assert segment_over(segments, [(at[0], at[0] + 1.0), *of_second]) == 1
-    assert segment_over(segments, [(at[1] - 0.5, at[1] + 0.5)]) == 0  # in neither
+    assert covered_by(segments, []) == [0, 0]
+    assert covered_by(segments, [(at[0] + 1.0, at[0] + 2.0)]) == [1, 0]
+    assert covered_by(segments, [(at[0], at[0] + 1.0), *of_second]) == [1, len(of_second)]
+    assert covered_by(segments, [(at[1] - 0.5, at[1] + 0.5)]) == [0, 0]  # in neither
 
 
 def test_what_is_wrong_in_a_segment_is_named_by_its_number(tmp_path: Path) -> None:

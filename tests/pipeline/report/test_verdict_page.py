@@ -1,17 +1,21 @@
-"""First screen of the report: consistent, refuted with causes, or not assessed; 1-sigma in metres, too."""
+"""First screen of the report: consistent, or refuted with causes; 1-sigma in metres, too."""
 
+import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Drawing
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.report.verdict_section import verdict_view
+from boresight.pipeline.results.reading import read_saved_result
 
 
 @pytest.fixture(autouse=True)
@@ -31,14 +35,17 @@ def check(kind, p_value, holds, *, look_at=("look here",), names=()):
         "p_value": p_value,
         "limit": 1.25e-5,
         "holds": holds,
+        "is_caution": False,
         "look_at": list(look_at),
         "names": [list(group) for group in names],
     }
 
 
 def verdict(*checks):
+    outcome = "consistent" if all(one["holds"] for one in checks) else "refuted"
     return {
-        "outcome": "consistent" if all(one["holds"] for one in checks) else "refuted",
+        "outcome": outcome,
+        "sentence": outcome,
         "checks": list(checks),
         "probability_false_alarm": 1e-4,
         "weakest_axis_c": [0.01, -0.02, 0.99],
@@ -80,9 +87,24 @@ def test_refuted_data_say_by_what_and_where_to_look_the_least_likely_first(finis
     assert 'class="verdict good"' not in html and "deviation" not in text
 
 
-def test_a_result_without_a_verdict_is_not_called_good(finished):
-    text, html = first_screen(finished)
-    assert "Not assessed" in text and 'class="verdict good"' not in html
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content.pop("verdict"),
+        lambda content: content.update(verdict="good"),
+        lambda content: content["verdict"].pop("sentence"),
+        lambda content: content["verdict"]["checks"][2].pop("is_caution"),
+    ],
+)
+def test_a_result_whose_verdict_is_damaged_is_refused_with_its_file(finished, tmp_path, damage):
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result)
+    content = json.loads((result / "installation.json").read_text())
+    damage(content)
+    (result / "installation.json").write_text(json.dumps(content))
+    for read in (read_saved, read_saved_result):
+        with pytest.raises(RawDataError, match=r"installation\.json: verdict: found .*calibrate again"):
+            read(result)
 
 
 def test_the_saved_verdict_of_a_good_mission_is_shown(finished):
@@ -96,7 +118,7 @@ def test_the_saved_verdict_of_a_good_mission_is_shown(finished):
 
 def test_one_sigma_is_given_in_metres_on_the_ground(finished):
     saved = read_saved(finished[1])
-    text, _ = first_screen(finished)
+    text, _ = first_screen(finished, verdict=saved.installation["verdict"])
     ground = saved.context["ground"]
     sigma = np.sqrt(np.diag(saved.installation["covariance_rad2"]))
     levers = ground["range_m"] * np.array([1.0, 1.0, ground["edge_tan"]])
