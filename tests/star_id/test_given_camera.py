@@ -135,3 +135,21 @@ def test_directions_with_their_derivatives_are_those_without(projection):
     moved = right - left
     # central differences of a step of 0.01 px: rounding 1e-16 / 0.02 px
     np.testing.assert_allclose(J[:, :, 0], moved / (2.0 * step), atol=1e-13)
+
+
+def test_the_covariance_of_few_stars_follows_their_scatter():
+    ratios = []
+    for k in range(20):
+        rng = np.random.default_rng([23, k])
+        R_si = Rotation.random(random_state=rng)
+        rows, exact = stars_in_view(SMALL_CAMERA, R_si, PLACES)
+        some = rng.permutation(len(rows))[:20]
+        xy, u_i = exact[some] + 0.13 * rng.normal(size=(20, 2)), directions_of(PLACES)[rows[some]]
+        cov = [
+            fit_known_camera(SMALL_CAMERA, xy, np.tile(s**2 * np.eye(2), (20, 1, 1)), u_i, R_si).cov_s
+            for s in (0.1, 0.13)
+        ]
+        ratios.append(np.trace(cov[0]) / np.trace(cov[1]))
+    # chi2 of 37 degrees of freedom is 1.69 a degree where 0.1 px are stated: the covariance is then that
+    # of 0.13 px, but for frames that scatter more than this; 0.59 as stated. A few frames seem to depart.
+    assert 0.85 < np.median(ratios) < 1.01
