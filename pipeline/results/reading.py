@@ -135,7 +135,7 @@ def read_saved_result(result: Path) -> SavedResult:
     `RawDataError` when it is not there or damaged.
     """
     name = str(result / "installation.json")
-    content = read_installation(result)
+    content = read_json(result / "installation.json", name)
     quaternion = _numbers(content, "quaternion", (4,), name)
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
