@@ -22,7 +22,7 @@ from pyproj import Transformer
 from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
-from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation

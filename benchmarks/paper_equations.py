@@ -17,7 +17,7 @@ from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import solve_total
-from boresight.features.geolocate.virtual_ccd import virtual_camera
+from boresight.features.exports.virtual_ccd import virtual_camera
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.features.paper.ten_steps import calibrate_literally, frame_information_literally
 from boresight.geometry.attitude_estimate import fit_attitude

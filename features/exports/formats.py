@@ -23,7 +23,7 @@ from boresight.features.exports.matrix_csv import matrix_csv
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
 from boresight.features.exports.refining import fit_correction
-from boresight.features.exports.rpc import fit_rpc, rpc_metadata, rpc_text
+from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.spice_attitude import (
     attitude_kernel,
     clock_kernel,
@@ -63,7 +63,6 @@ __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_
 AEM_STEP_S = 0.05
 CK_TICKS = 32  # 1/32 s
 RPC_LIMIT_PX = 0.1  # an RPC that misses the rigorous model by more is reported
-RPC_MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
 
 
 @record
@@ -186,8 +185,7 @@ def _csm_isd(request: ExportRequest) -> Made:
 
 def _rpc(request: ExportRequest) -> Made:
     calibrated, notes = _opened(request), _notes(request)
-    low, high = surface_of(calibrated.dump.terrain).height_range_m()
-    heights = low - RPC_MARGIN_M, high + RPC_MARGIN_M
+    heights = rpc_heights(surface_of(calibrated.dump.terrain))
     for model in _models(calibrated, request.strips):
         strip = model.strip
         for ccd, lines in sorted(strip.ccd_lines.items()):
@@ -195,7 +193,8 @@ def _rpc(request: ExportRequest) -> Made:
             if error.largest_px > RPC_LIMIT_PX:
                 yield Remark(
                     f"{strip.strip_id}.ccd{ccd} misses the rigorous model by up to {error.largest_px:.2f} px "
-                    f"(rms {error.rms_px:.2f}): no cubic follows its attitude; csm-isd does"
+                    f"(rms {error.rms_px:.2f}): no cubic follows its attitude; csm-isd does, "
+                    "and the image of `virtual-ccd` has an RPC of a smooth attitude"
                 )
             yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, error)
             if ccd in strip.images.ccds:

@@ -16,9 +16,9 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.terrain import ConstantHeight
+from boresight.geometry.terrain import ConstantHeight, Surface
 
-__all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_metadata", "rpc_text"]
+__all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_heights", "rpc_metadata", "rpc_text"]
 
 GRID = (25, 25, 7)  # samples, lines, heights of the fit
 CUTS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # of the largest singular value
@@ -27,6 +27,7 @@ LEAST_DENOMINATOR = 0.3  # of 1 in the middle: below, a zero may lie between the
 PASSES = 4
 # Points, and heights among them, at which the fitted RPC is compared with the rigorous model.
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
+MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
 
 
 @record(kw_only=True)
@@ -92,6 +93,12 @@ def fit_rpc(model: Pushbroom, ccd: int, lines: int, height_m: tuple[float, float
         if least >= LEAST_DENOMINATOR or cut == CUTS[0]:
             fits.append((rpc, _difference(rpc, check, points)))
     return min(fits, key=lambda fit: fit[1].largest_px)
+
+
+def rpc_heights(surface: Surface) -> tuple[float, float]:
+    """Heights from below to above the ground, m, for which an RPC is fitted."""
+    low, high = surface.height_range_m()
+    return low - MARGIN_M, high + MARGIN_M
 
 
 def _difference(rpc: Rpc, ground: tuple[Floats, Floats, Floats], points: Floats) -> RpcError:

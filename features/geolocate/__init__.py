@@ -1,4 +1,4 @@
-"""Pixels of a calibrated strip to places on the ground, and one virtual CCD of several."""
+"""Pixels of a calibrated strip to places on the ground."""
 
 from boresight.pipeline.console.feature import Command, Feature, Job
 
@@ -12,12 +12,6 @@ FEATURE = Feature(
             Job.LOOK,
             "Image points of a strip to latitude, longitude.",
             "features.geolocate.geolocate_command:geolocate_command",
-        ),
-        Command(
-            "virtual-ccd",
-            Job.LOOK,
-            "Stitch the CCDs of one strip to one ideal line.",
-            "features.geolocate.virtual_ccd_command:virtual_ccd_command",
         ),
     ),
 )

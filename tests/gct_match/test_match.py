@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
-from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.gct_match import consistency
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of

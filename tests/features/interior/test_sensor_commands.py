@@ -12,7 +12,7 @@ from drawn_pictures import OURS, kept_figures, shows_curves
 from recorded_numbers import assert_recorded
 from typer.testing import CliRunner
 
-from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.features.interior import interior_files, remote_camera_calibrate_command
 from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
@@ -73,7 +73,8 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
     assert told.exit_code == 0, told.output
     with rasterio.open(out) as image:
         stitched, (places, crs) = image.read(1), image.gcps
-    virtual = VirtualStrip(model.pushbroom, surface_of(calibrated.dump.terrain))
+    smooth = -0.5, model.strip.lines - 0.5
+    virtual = VirtualStrip(model.pushbroom, surface_of(calibrated.dump.terrain), smooth_rows=smooth)
     assert crs.to_epsg() == 4979 and len(places) > 100
     for place in places[:: len(places) // 4]:
         pixel = np.array([place.col - 0.5]), np.array([place.row - 0.5])  # GDAL counts from the corner

@@ -11,19 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import field, replace
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import Attitude, lagrange_weights
+from boresight.geometry.groundlight import OrbitLike
 from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.orbit import orbital_frame
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
 
-__all__ = ["ReadStrip", "VirtualStrip", "virtual_camera"]
+__all__ = ["ReadStrip", "SmoothAttitude", "VirtualStrip", "virtual_camera"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -36,6 +39,9 @@ _NODE_SAMPLES = 96  # 1 ms of motion and 50 m of ground
 _MARGIN_PX = 5  # support of the interpolation
 # Lines resampled at a time, which bounds memory.
 _BLOCK_LINES = 512
+# Instants at which a real attitude is taken for the smooth one: 50 in each second of a strip of 20 s.
+_INSTANTS = 1001
+_DEGREE = 2  # of the smooth attitude in time: an RPC follows parabolas, over tens of seconds no cubics
 
 
 def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCamera:
@@ -62,6 +68,39 @@ def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCame
 
 
 @record
+class SmoothAttitude:
+    """Parabolas in time, relative to the orbital frame, that are nearest to an attitude.
+
+    `R_si(t) = exp(turn_s(t)) R_so_middle R_oi(t)`.
+    """
+
+    orbit: OrbitLike = scalar("orbit, whose frame o follows the nominal motion")
+    R_so_middle: Rotation = scalar("frame o to s in the middle of the strip")
+    coefficients: Floats = array("3, 3", "of turn_s, rad, by powers of (t - t_middle_s) / half_s")
+    t_middle_s: float = scalar("middle of the strip, TAI seconds since the epoch")
+    half_s: float = scalar("half of its duration, s")
+    span_s: tuple[float, float] = array("2", "first and last instant at which it is known")
+
+    @classmethod
+    def nearest(cls, real: Attitude, orbit: OrbitLike, first_s: float, last_s: float) -> Self:
+        """The one nearest to `real` between two instants, by least squares."""
+        middle, half = 0.5 * (first_s + last_s), 0.5 * (last_s - first_s)
+        x = np.linspace(-1.0, 1.0, _INSTANTS)
+        t = np.clip(middle + half * x, first_s, last_s)
+        R_so = real.R_si(t) * orbital_frame(*orbit.states_i(t)).inv()
+        at_middle = R_so[_INSTANTS // 2]
+        turn = (R_so * at_middle.inv()).as_rotvec()
+        coefficients = np.polynomial.polynomial.polyfit(x, turn, _DEGREE)
+        return cls(orbit, at_middle, coefficients, middle, half, real.span_s)
+
+    def R_si(self, t_s: ArrayLike) -> Rotation:
+        """The rotation from GCRS to frame s at instants (N,)."""
+        t = np.asarray(t_s, dtype=float)
+        turn = np.polynomial.polynomial.polyval((t - self.t_middle_s) / self.half_s, self.coefficients).T
+        return Rotation.from_rotvec(turn) * self.R_so_middle * orbital_frame(*self.orbit.states_i(t))
+
+
+@record
 class VirtualStrip:
     """A strip of several CCDs, and the strip as the virtual CCD would image it (`virtual`).
 
@@ -72,6 +111,10 @@ class VirtualStrip:
     real: Pushbroom = scalar("the strip with its real CCDs; its camera is a `LineCamera`")
     surface: Surface = scalar("the mean elevation plane, or the terrain")
     pixel_m: float | None = scalar("pitch of the virtual pixels; None: mean of the real ones", default=None)
+    smooth_rows: tuple[float, float] | None = scalar(
+        "rows over which the virtual attitude is smooth; None: it is the real one",
+        default=None,
+    )
     virtual: Pushbroom = field(init=False)
 
     def __post_init__(self) -> None:
@@ -82,9 +125,17 @@ class VirtualStrip:
             self.real,
             camera=virtual_camera(camera, self.pixel_m),
             rows=RowClock(middle, rows.row_period_s),
+            attitude=self._attitude(),
             table=None,
         )
         object.__setattr__(self, "virtual", virtual)
+
+    def _attitude(self) -> Attitude:
+        if self.smooth_rows is None:
+            return self.real.attitude
+        return SmoothAttitude.nearest(
+            self.real.attitude, self.real.orbit, *self.real.instants(self.smooth_rows).tolist()
+        )
 
     @property
     def width_px(self) -> int:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.geolocate.virtual_strip import write_virtual_strip
+from boresight.features.exports.virtual_strip import write_virtual_strip
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import DumpOption
 from boresight.pipeline.console.completion import strips_of
@@ -27,12 +27,13 @@ def virtual_ccd_command(
         float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
     ] = None,
 ) -> None:
-    """Stitch the CCDs of one strip to one ideal line (paper, section 3.1).
+    """Stitch the CCDs of one strip to one ideal line (paper, section 3.1), and write its RPC beside it.
 
     Example: boresight virtual-ccd result --strip S01 --out S01.tif
     """
     calibrated = open_calibrated(result, dump)
     model = whole_strip_model(calibrated, strip)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
-    lines, samples = write_virtual_strip(model, surface, out)
-    tell(f"{strip}: {lines} lines, {samples} samples -> {out}")
+    lines, samples, error = write_virtual_strip(model, surface, out)
+    rpc = f"its RPC misses the virtual camera by up to {error.largest_px:.4f} px"
+    tell(f"{strip}: {lines} lines, {samples} samples -> {out}; {rpc}")

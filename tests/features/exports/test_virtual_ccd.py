@@ -8,7 +8,7 @@ from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from strips import EARTH, PERIOD_S, R_CS, attitude, orbit
 
-from boresight.features.geolocate.virtual_ccd import VirtualStrip, virtual_camera
+from boresight.features.exports.virtual_ccd import VirtualStrip, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects

@@ -1,5 +1,7 @@
 """The CCDs of a strip stitched to the virtual CCD (paper, section 3.1), as a GeoTIFF with places on the
-ground.
+ground and an RPC.
+
+The virtual camera has a smooth attitude and equal steps of time between lines, so that an RPC describes it.
 """
 
 from __future__ import annotations
@@ -11,15 +13,17 @@ from pathlib import Path
 import numpy as np
 import rasterio
 from rasterio.control import GroundControlPoint
+from rasterio.rpc import RPC
 from rasterio.windows import Window
 
-from boresight.features.geolocate.virtual_ccd import VirtualStrip
+from boresight.features.exports.rpc import RpcError, fit_rpc, rpc_heights, rpc_metadata, rpc_text
+from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text, write_whole
 from boresight.pipeline.results.strip_model import StripModel
 
 __all__ = ["write_virtual_strip"]
@@ -29,11 +33,12 @@ BLOCK_LINES = 512
 CONTROL = (17, 9)  # lines and samples of the lattice of ground control points
 
 
-def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple[int, int]:
-    """Write the stitched strip (float32 counts, NaN where no CCD saw the ground); its lines and samples.
+def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple[int, int, RpcError]:
+    """Write the stitched strip (float32 counts, NaN where no CCD saw the ground); its lines, samples, and the
+    error of its RPC.
 
-    A lattice of pixels has its places on the surface as ground control points. Raises
-    `DataNotSufficientError` for a strip without images.
+    A lattice of pixels has its places on the surface as ground control points. The RPC is in the tags of the
+    file and, with its error, in NAME_RPC.TXT. Raises `DataNotSufficientError` for a strip without images.
     """
     lines, images = model.strip.lines, model.strip.images
     if not images.ccds:
@@ -42,7 +47,9 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
     pushbroom = model.pushbroom
     if isinstance(pushbroom.camera, LookAngleCamera):
         pushbroom = replace(pushbroom, camera=pushbroom.camera.with_focal_plane())
-    virtual = VirtualStrip(pushbroom.tabulated(0.0, lines - 1.0), surface)
+    smooth = -0.5, lines - 0.5
+    virtual = VirtualStrip(pushbroom.tabulated(0.0, lines - 1.0), surface, smooth_rows=smooth)
+    rpc, error = fit_rpc(virtual.virtual, 0, lines, rpc_heights(surface))
     profile = {"driver": "GTiff", "width": virtual.width_px, "height": lines, "count": 1, "dtype": "float32"}
     control = _control_points(virtual, lines)
 
@@ -52,13 +59,15 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
             with rasterio.open(path, "w", **profile, nodata=np.nan, compress="deflate", predictor=3) as image:
                 if control:
                     image.gcps = control, rasterio.CRS.from_epsg(4979)
+                image.rpcs = RPC.from_gdal(rpc_metadata(rpc, error))
                 for top in range(0, lines, BLOCK_LINES):
                     bottom = min(top + BLOCK_LINES, lines)
                     part = virtual.stitched(images.read, n_lines, (top, bottom))
                     image.write(part, 1, window=Window(0, top, virtual.width_px, bottom - top))
 
     write_whole(out, write)
-    return lines, virtual.width_px
+    write_text(out.with_name(f"{out.stem}_RPC.TXT"), rpc_text(rpc, error))
+    return lines, virtual.width_px, error
 
 
 def _control_points(virtual: VirtualStrip, lines: int) -> list[GroundControlPoint]:
