@@ -36,7 +36,7 @@ from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.verdict import assess
+from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
@@ -98,6 +98,7 @@ class Run:
 
     outcome: str  # of the verdict
     nees: float
+    why: str = ""  # seed and what was said, of one that is not consistent
 
     @property
     def refuted(self) -> bool:
@@ -138,11 +139,11 @@ def settings() -> CalibrationSettings:
     return calibration_settings(Settings(), STATED, calibrated_line_camera(LineCameraSettings()))
 
 
-def sightings(runs: int, counts: Sequence[int]) -> list[tuple[tuple[str, ...], Run]]:
+def sightings(runs: int, counts: Sequence[int], first_seed: int) -> list[tuple[tuple[str, ...], Run]]:
     """Campaigns of all combinations in turn, `counts` the exposures a strip."""
     cells = list(itertools.product(KINDS, CURVES, counts))
     stated, done = settings(), []
-    for n in range(runs):
+    for n in range(first_seed, first_seed + runs):
         kind, curve, exposures = cells[n % len(cells)]
         strips = strips_of(kind, exposures, curve, np.random.default_rng([39, n]))
         found = calibrate_strips(strips, R_CS0, stated)
@@ -154,8 +155,14 @@ def sightings(runs: int, counts: Sequence[int]) -> list[tuple[tuple[str, ...], R
         verdict = assess(found, strips, sigma_installation_rad=SIGMA_INSTALLATION, reliability=reliability)
         error = theta_between(found.R_cs, CAMERAS.R_cs)
         nees = float(error @ np.linalg.solve(found.cov_theta, error))
-        done.append((key, Run(verdict.outcome.value, nees)))
+        done.append((key, Run(verdict.outcome.value, nees, f"seed {n}: {said(verdict)}")))
     return done
+
+
+def said(verdict: Verdict) -> str:
+    """The checks that fail and the inputs that look wrong."""
+    failed = [f"{one.kind.value}: p {one.p_value:.1e}" for one in verdict.refuted_by]
+    return "; ".join([*failed, *(one.cause + ", " + one.item for one in verdict.findings)])
 
 
 # ---- whole dumps ----
@@ -221,6 +228,9 @@ def report(done: list[tuple[tuple[str, ...], Run]], what: str) -> None:
             f"{np.mean(nees) if nees else np.nan:6.2f}   {low:.2f} to {high:.2f}"
         )
     every = groups["all"]
+    for run in every:
+        if run.why and run.outcome != "consistent":
+            print(f"{run.outcome}, {run.why}")
     refuted = sum(run.refuted for run in every) / len(every)
     findings = sum(run.outcome == "consistent, findings" for run in every) / len(every)
     print()
@@ -244,7 +254,8 @@ def main() -> None:
     options = parser.parse_args()
     record.head(f"Campaigns without a fault: {options.what}")
     if options.what == "sightings":
-        report(sightings(options.runs, options.exposures or EXPOSURES), "sightings")
+        counts = options.exposures or EXPOSURES
+        report(sightings(options.runs, counts, options.first_seed), "sightings")
     else:
         work = options.work or Path(tempfile.mkdtemp())
         report(dumps(options.runs, work, options.first_seed), "dumps")
