@@ -81,6 +81,7 @@ class ReliabilitySettings:
     """False-alarm rate of all hypotheses together, and what counts as harm."""
 
     probability_found: float = scalar("that right inputs are said to look wrong", default=2e-3)
+    probability_refuted: float = scalar("that right inputs are said to spoil the matrix", default=5e-4)
     sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
     harm_sigma: float = scalar("change of theta, in its 1-sigma, by which a cause refutes", default=1.0)
 
@@ -114,7 +115,7 @@ class HypothesisTest:
         return self.effect_sigma * self.detectable if self.effect_sigma > 0.0 else 0.0
 
 
-@record
+@record(kw_only=True)
 class Contradiction:
     """An observation that contradicts the rest, and that no cause explains."""
 
@@ -122,6 +123,23 @@ class Contradiction:
     target_id: str = scalar("target, or star")
     ccd: int = scalar("CCD of the camera, from 0")
     distance: float = scalar("from where the rest places it, in standard errors")
+    residual: Floats = array("2", "what contradicts, all unknowns estimated, whitened")
+    estimated: Floats = array("2", "part of it by which estimated unknowns differ from what was measured")
+    covariance: Floats = array("2, 2", "of both: errors of the observation and of all that places it")
+    by_place: Floats = array("2, 3", "change of both by a target stated 1 m too far along, right, down")
+
+    def displaced_m(self, stated_m: Floats, axes_o: Floats) -> tuple[Floats, Floats]:
+        """How far the stated place lies from the true one along two directions, m, with covariance, m².
+
+        Parameters
+        ----------
+        stated_m : (2,) array
+            The same by the attitudes and the orbit as measured, about the estimated matrix.
+        axes_o : (3, 2) array
+            The two unit vectors, axes along the track, to the right and down.
+        """
+        back = np.linalg.inv(self.by_place @ axes_o)
+        return stated_m + back @ self.estimated, back @ self.covariance @ back.T
 
 
 @record
@@ -144,6 +162,8 @@ class _Fit:
     size: Floats  # (H,) of the hypotheses
     sigma: Floats  # (H,)
     statistic: Floats  # (J,) of the observations, chi-square of two degrees of freedom
+    residual: Floats  # (J, 2) whitened
+    variance: Floats  # (J, 2, 2) of the residuals
 
 
 @record(kw_only=True)
@@ -155,6 +175,10 @@ class _Adjustment:
     step: Step = scalar("with the weights of the estimate")
     table: list[Hypothesis] = scalar("H hypotheses")
     B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
+    by_place: Floats = array("J, 2, 3", "the same by a target stated 1 m too far along, right, down")
+    measured: Floats = array(
+        "J, 2", "whitened residuals by what was measured, no unknown but theta estimated"
+    )
     names: tuple[str, ...] = array("J", 'observations, "strip/target"')
     ccds: Ints = array("J", "their CCDs")
     star_information: Floats = array("H, H", "of the stars of the exposures")
@@ -249,12 +273,16 @@ def _adjustment(
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
     of_stars = parts >= 0
+    R_cs = estimate.R_cs.as_matrix()
+    apart = np.concatenate([one.u_c - one.v_s @ R_cs.T for one in prepared])
     return _Adjustment(
         problem=problem,
         about=about,
         step=step,
         table=table,
         B=_whitened(problem, about, change),
+        by_place=_whitened(problem, about, R_cs @ np.concatenate([one.move_s for one in prepared])),
+        measured=_whitened(problem, about, apart[:, :, None])[:, :, 0],
         ccds=np.concatenate([one.ccd for one in prepared]),
         names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
@@ -327,6 +355,10 @@ def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[C
             target_id=target_id,
             ccd=int(one.ccds[n]),
             distance=float(np.sqrt(last.statistic[n])),
+            residual=last.residual[n],
+            estimated=last.residual[n] - one.measured[n],
+            covariance=last.variance[n],
+            by_place=one.by_place[n],
         )
 
 
@@ -435,7 +467,8 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     if not rows:
         theta, none = step.solution.theta, np.zeros(0)
         covariance, chi2 = step.solution.covariance, step.chi2 + rejected
-        return _Fit(kept, chi2, theta, covariance, none, none, squared_mahalanobis(step))
+        statistic = squared_mahalanobis(step)
+        return _Fit(kept, chi2, theta, covariance, none, none, statistic, step.whitened, step.variance)
     S, y, left, x = _normal(one, step, rows)
     of_sizes = np.asarray(np.linalg.pinv(S, rcond=1e-10, hermitian=True), dtype=np.float64)
     size = of_sizes @ y
@@ -450,6 +483,8 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
         size,
         np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
         squared_over(e, variance),
+        e,
+        variance,
     )
 
 
@@ -491,7 +526,7 @@ def _finding(
         unit=h.unit,
         file=h.file,
         field=h.field,
-        refutes=worst > limits.harm_sigma,
+        refutes=worst > limits.harm_sigma and p_value <= limits.probability_refuted,
         effect_rad=published - fit.theta,
         effect_sigma=worst,
         p_value=min(p_value, 1.0),

@@ -13,12 +13,14 @@ from scipy.special import xlogy
 from boresight.calib.finding import Finding
 from boresight.calib.reliability import Contradiction
 from boresight.gct_match.records import Reason
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, over_strips
 from boresight.pipeline.stages.point_slips import fitting_slip
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 
 __all__ = [
     "Suspected",
@@ -50,6 +52,7 @@ class Suspected:
     distance: float = scalar("from where the other targets place it, in standard errors")
     east_m: float = scalar("how far its stated place lies east of the one that the strip shows")
     north_m: float = scalar("the same to the north")
+    sigma_m: float = scalar("1-sigma of its distance from there: of place, position, attitude and strip, m")
     slip: str = scalar("what would have to be read in the table, behind a semicolon", default="")
     is_point: bool = scalar("measured by others: without a chip", default=False)
 
@@ -60,7 +63,7 @@ def suspected_targets(
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
 ) -> Iterator[Suspected]:
-    """Where the targets on the ground among `suspects` lie, by the matrix `R_cs`."""
+    """Where the targets on the ground among `suspects` lie; they were found about the matrix `R_cs`."""
     places = {(one.strip_id, n, c): xy for one in matched for n, c, xy in _places(one)}
     by_id = {task.strip.strip_id: replace(task, R_cs=R_cs) for task in tasks}
     for one in suspects:
@@ -68,7 +71,7 @@ def suspected_targets(
         if xy_px is None or task is None:
             continue  # a star
         points = {target.target_id: target for target in task.points.targets}
-        east_m, north_m = displaced_m(task, one.target_id, one.ccd, xy_px)
+        (east_m, north_m), sigma_m = _displaced(task, one, xy_px)
         point = points.get(one.target_id)
         yield Suspected(
             target_id=one.target_id,
@@ -77,9 +80,24 @@ def suspected_targets(
             distance=one.distance,
             east_m=east_m,
             north_m=north_m,
+            sigma_m=sigma_m,
             slip=fitting_slip(task, point, one.ccd, np.array(xy_px)) if point is not None else "",
             is_point=point is not None,
         )
+
+
+def _displaced(
+    task: StripTask, one: Contradiction, xy_px: tuple[float, ...]
+) -> tuple[tuple[float, float], float]:
+    """How far a stated place lies east and north of the true one, and the 1-sigma of that distance, m."""
+    stated_m = np.array(displaced_m(task, one.target_id, one.ccd, xy_px))
+    t_s = np.asarray(pushbroom_of(task).instants_of_lines(np.array([one.ccd]), np.array([xy_px[1]])))
+    p_e = next(t.p_e for t in (*task.targets, *task.points.targets) if t.target_id == one.target_id)
+    lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
+    axes_i = task.orbit.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
+    off_m, covariance = one.displaced_m(stated_m, (task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i)[:, :2])
+    along = off_m / max(float(np.hypot(*off_m)), 1e-9)
+    return (float(off_m[0]), float(off_m[1])), float(np.sqrt(along @ covariance @ along))
 
 
 def _places(matched: MatchedTargets) -> Iterator[tuple[str, int, tuple[float, ...]]]:
@@ -120,7 +138,7 @@ def single_targets(
             + (worst.slip or f": check {file}{'' if worst.is_point else ' and the chip'}")
             + ".",
             value=size,
-            sigma=size / worst.distance,
+            sigma=worst.sigma_m,
             unit="m",
             file=file,
             field="lat_deg, lon_deg",

@@ -83,7 +83,13 @@ def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
 
 def suspected(strip_id, target_id, distance=9.0, ccd=0):
     return Suspected(
-        strip_id=strip_id, target_id=target_id, ccd=ccd, distance=distance, east_m=-30.0, north_m=1.0
+        strip_id=strip_id,
+        target_id=target_id,
+        ccd=ccd,
+        distance=distance,
+        east_m=-30.0,
+        north_m=1.0,
+        sigma_m=2.5,
     )
 
 
