@@ -165,12 +165,17 @@ def _post_init(
 ) -> Callable[[Any], None]:
     def __post_init__(self: Any) -> None:
         lengths = {"": 0}
+        fixed = lengths.setdefault
         for field, shape, optional in checked:
             value = getattr(self, field)
             if value is None and optional:
                 continue
             found = value.shape if hasattr(value, "dtype") else _lengths(value)
-            if not _fits(found, shape, lengths):
+            fits = len(found) == len(shape)
+            for n, (letter, number) in zip(found, shape):
+                # the first field that uses a letter sets that letter's length
+                fits = fits and fixed(letter, n - number) == n - number
+            if not fits:
                 expected = ", ".join(_shown(dimension, lengths) for dimension in shape) + "," * (
                     len(shape) == 1
                 )
@@ -179,16 +184,6 @@ def _post_init(
             own(self)
 
     return __post_init__
-
-
-def _fits(found: tuple[int, ...], shape: tuple[Dimension, ...], lengths: dict[str, int]) -> bool:
-    """Whether lengths are the declared ones; the first field that uses a letter sets that letter's length."""
-    if len(found) != len(shape):
-        return False
-    for n, (letter, number) in zip(found, shape):
-        if lengths.setdefault(letter, n - number) != n - number:
-            return False
-    return True
 
 
 def _lengths(value: Any) -> tuple[int, ...]:

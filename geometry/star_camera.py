@@ -171,8 +171,11 @@ class StarCamera:
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
         if self.projection == "equidistant":
             ideal = _radially(ideal, self.focal_m * _MM, _angle_over_tangent)
-        actual, own, other = self._distorted(ideal)
-        actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
+        if self._is_distorted:
+            actual, own, other = self._distorted(ideal)
+            actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
+        else:
+            actual = ideal
         xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
         return xy if self.smooth is None else self.smooth.applied(xy)
 
@@ -207,10 +210,15 @@ class StarCamera:
             M = J.transpose(0, 2, 1) @ J
             return np.asarray(_inverse_2x2(M) @ J.transpose(0, 2, 1))
         ideal = self._ideal_mm(_points(xy_px), _SLOPES_ERROR_PX * self.pixel_m * _MM)
-        _, own, other = self._distorted(ideal)
         t = ideal * (-1.0 / (self.focal_m * _MM))
         scale = np.sqrt(1.0 + t.real * t.real + t.imag * t.imag) * (-self.focal_m / self.pixel_m)
         slopes = np.empty((len(t), 2, 3))
+        if not self._is_distorted:
+            slopes[:, 0, 0] = slopes[:, 1, 1] = scale
+            slopes[:, 0, 1] = slopes[:, 1, 0] = 0.0
+            slopes[:, :, 2] = _pairs(-scale * t)
+            return slopes
+        _, own, other = self._distorted(ideal)
         slopes[:, 0, 0], slopes[:, 1, 1] = scale * (own + other.real), scale * (own - other.real)
         slopes[:, 0, 1] = slopes[:, 1, 0] = scale * other.imag
         slopes[:, :, 2] = _pairs(-scale * (own * t + other * t.conj()))
@@ -231,6 +239,11 @@ class StarCamera:
             if self.q3 == 0.0
             else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
         )
+
+    @property
+    def _is_distorted(self) -> bool:
+        """Whether the polynomials of eq. (5) are not zero."""
+        return any((self.p1, self.p2, self.q1, self.q2, self.q3))
 
     def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
@@ -274,6 +287,8 @@ class StarCamera:
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
+        if not self._is_distorted:
+            return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(_NEWTON_STEPS):

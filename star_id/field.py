@@ -425,10 +425,15 @@ def _of_known_camera(
 ) -> FieldSolution:
     rows = found.detections
     years = settings.epoch_error_years if observer is None else 0.0
-    cov = stars.cov_px[rows] + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
-    xy, u_i = stars.xy_px[rows], star_directions(index, found.stars, observer)
-    used = _if_enough(select_for_calibration(stars, rows, found.stars, camera, index, settings))
-    fit = fit_known_camera(camera, xy[used], cov[used], u_i[used], found.R_si)
+    cov = stars.cov_px.take(rows, axis=0)
+    if years:
+        cov = cov + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
+    xy, u_i = stars.xy_px.take(rows, axis=0), star_directions(index, found.stars, observer)
+    used = select_for_calibration(stars, rows, found.stars, camera, index, settings)
+    fitted = xy, cov, u_i
+    if _LEAST_RELIABLE <= np.count_nonzero(used) < len(used):
+        fitted = xy[used], cov[used], u_i[used]
+    fit = fit_known_camera(camera, *fitted, found.R_si)
     measured = {"R_si": fit.R_si, "cov_s": fit.cov_s, "misfit_px": fit.misfit_px, "u_i": u_i}
     return _solution(found, stars.xy_px, camera, index, fov_x_sigma_rad=0.0, stars=star_list, **measured)
 

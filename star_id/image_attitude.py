@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dposv, dsyev
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
@@ -26,13 +26,15 @@ _FEWEST = 3
 _MEDIAN = float(chdtri(2, 0.5))
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
+# The component of a vector product's factors: (a x b)_k = a[next] b[previous] - a[previous] b[next].
+_NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, 5.0, 4.0)
 # Most steps of Gauss-Newton of one fit, and rounds of rejection.
 _STEPS, _ROUNDS = 5, 12
-# A step of Gauss-Newton, rad, after which the next is below 1e-10 rad, residuals being 1e-3 at most.
-_SETTLED_RAD = 1e-7
+# A step of Gauss-Newton, rad, after which covariances change by less than 1e-6 of themselves.
+_SETTLED_RAD = 1e-9
 
 
 @record
@@ -93,12 +95,11 @@ def fit_image_attitude(
     """
     n = len(u_i)
     stars, kept, start = _Whitened.of(slopes, cov_px, u_i, by_scale), np.ones(n) > 0.0, R_si.as_matrix()
-    R, scale = stars.refined(start)
-    z, D = stars.linear(R, scale)
+    R, scale, z, F = stars.refined(start)
     square = (z * z).sum(axis=0)
     scatter = max(1.0, _median(square) / _MEDIAN) if n else 1.0
     limit = scatter * float(chdtri(2, false_alarm))
-    if (square > limit).any():
+    if square.max(initial=0.0) > limit:
         gross = (square > GROSS * scatter).any()
         R_kept, scale_kept, found = stars.without_outliers(
             *(stars.robust(start) if gross else (R, scale)), limit
@@ -106,15 +107,15 @@ def fit_image_attitude(
         if np.count_nonzero(found) >= _FEWEST:
             R, scale, kept = R_kept, scale_kept, found
             z, D = stars.linear(R, scale)
-    F = _normal(z, D, kept)[0]
-    values = np.linalg.eigvalsh(F)
+            F, square = _normal(z, D, kept)[0], (z * z).sum(axis=0)
+    values, _, _ = dsyev(F, compute_v=0)
     if n < 2 or not values[0] > _SMALLEST_EIGENVALUE * values[-1]:
         raise ValueError(f"{n} directions, too few or too close together to fix all three angles")
     return ImageAttitude(
         R_si=_turned(R_si, R),
         scale=scale,
         covariance=np.asarray(np.linalg.inv(F), dtype=np.float64),
-        chi2=float((z * z).sum(axis=0) @ kept),
+        chi2=float(square @ kept),
         dof=2 * int(np.count_nonzero(kept)) - len(F),
         kept=kept,
         residual_px=stars.pixels(z),
@@ -126,6 +127,8 @@ class _Whitened:
     """Stars of one image with residuals in standard deviations."""
 
     B: Floats  # (2, 3, N) derivatives of the residuals by direction, frame s
+    B_next: Floats  # (3, 2, N) the same, by the component after each in y, z, x
+    B_prev: Floats  # (3, 2, N) and by the one before
     u_i: Floats  # (3, N) directions, GCRS axes
     first: Floats  # (N,) Cholesky factor of the covariances in pixels: (first, 0), (mixed, second)
     mixed: Floats  # (N,)
@@ -147,29 +150,32 @@ class _Whitened:
         if by_scale is not None:
             E = by_scale.T / first
             E[1] = (by_scale[:, 1] - mixed * E[0]) / second
-        return cls(B, np.ascontiguousarray(u_i.T), first, mixed, second, E)
+        by_axis = B.transpose(1, 0, 2)
+        B_next, B_prev = by_axis.take(_NEXT, axis=0), by_axis.take(_PREV, axis=0)
+        return cls(B, B_next, B_prev, np.ascontiguousarray(u_i.T), first, mixed, second, E)
 
     def linear(self, R: Floats, scale: float) -> tuple[Floats, Floats]:
         """Residuals (2, N) at attitude R (3, 3) and a scale, and their derivatives (P, 2, N) by a rotation
         and the scale, signs reversed."""
         w, B, E = R @ self.u_i, self.B, self.by_scale
         z = -(B * w).sum(axis=1)  # slopes are normal to the measured direction: B (u_s - w)
-        D = np.empty((3 if E is None else 4, *z.shape))
-        for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-            np.subtract(w[i] * B[:, j], w[j] * B[:, i], out=D[k])
-        if E is not None:
-            z -= scale * E
-            D[3] = E
-        return z, D
+        D = w.take(_NEXT, axis=0)[:, None] * self.B_prev - w.take(_PREV, axis=0)[:, None] * self.B_next
+        if E is None:
+            return z, D
+        return z - scale * E, np.concatenate([D, E[None]])
 
-    def refined(self, R: Floats) -> tuple[Floats, float]:
-        """Attitude (3, 3) and scale of all stars by Gauss-Newton from R (3, 3)."""
+    def refined(self, R: Floats) -> tuple[Floats, float, Floats, Floats]:
+        """Attitude (3, 3) and scale of all stars by Gauss-Newton from R (3, 3), their residuals (2, N) and
+        the normal matrix (P, P) there."""
         scale = 0.0
         for _ in range(_STEPS):
-            R, scale, largest = _stepped(R, scale, *_normal(*self.linear(R, scale)))
-            if largest < _SETTLED_RAD:
-                break
-        return R, scale
+            z, D = self.linear(R, scale)
+            F, right = _normal(z, D)
+            R, scale, step = _stepped(R, scale, F, right)
+            if max(map(abs, step)) < _SETTLED_RAD:  # what the step does not remove is of second order
+                return R, scale, z - (np.array(step) @ D.reshape(len(D), -1)).reshape(z.shape), F
+        z, D = self.linear(R, scale)
+        return R, scale, z, _normal(z, D)[0]
 
     def without_outliers(self, R: Floats, scale: float, limit: float) -> tuple[Floats, float, Bools]:
         """Attitude (3, 3) near R (3, 3), scale, and the stars (N,) whose squared residuals are below
@@ -178,8 +184,8 @@ class _Whitened:
         for _ in range(_ROUNDS):
             z, D = self.linear(R, scale)
             before, kept = kept, (z * z).sum(axis=0) <= limit
-            R, scale, largest = _stepped(R, scale, *_normal(z, D, kept))
-            if largest < _SETTLED_RAD and before is not None and (before == kept).all():
+            R, scale, step = _stepped(R, scale, *_normal(z, D, kept))
+            if max(map(abs, step)) < _SETTLED_RAD and before is not None and (before == kept).all():
                 break
         assert kept is not None
         return R, scale, kept
@@ -223,14 +229,14 @@ def _normal(z: Floats, D: Floats, weight: Floats | Bools | None = None) -> tuple
     return weighted @ flat.T, weighted @ z.ravel()
 
 
-def _stepped(R: Floats, scale: float, F: Floats, right: Floats) -> tuple[Floats, float, float]:
-    """Attitude and scale after the step of normal equations, and the step's largest component; none where
-    they do not fix it or it is beyond 0.1."""
+def _stepped(R: Floats, scale: float, F: Floats, right: Floats) -> tuple[Floats, float, list[float]]:
+    """Attitude and scale after the step of normal equations, and the step (P,); zeros where they do not fix
+    it or it is beyond 0.1."""
     _, solved, info = dposv(F, right)
     step: list[float] = solved.tolist()
     if info != 0 or not math.hypot(*step) < 0.1:
-        return R, scale, 0.0
-    return _rotation_matrix(step[:3]) @ R, scale + sum(step[3:]), max(map(abs, step))
+        return R, scale, [0.0] * len(step)
+    return _rotation_matrix(step[:3]) @ R, scale + sum(step[3:]), step
 
 
 def _rotation_matrix(psi: list[float]) -> Floats:

@@ -207,28 +207,27 @@ def has_reliable_position(
     index displaces their images, of Gaussian width `psf_sigma_px`, in this camera."""
     arcsec_per_px = camera.pixel_m / camera.focal_m / ARCSEC
     limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
-    reliable = _contains(_reliable_hip(float(f"{limit_arcsec:.3g}")), index.stars.hip[rows])
+    reliable = _sound(index, float(f"{limit_arcsec:.3g}")).take(rows)
     displaced = _displaced(index, rows, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
-    return np.asarray(reliable & ~displaced)
+    return np.asarray(reliable if displaced is None else reliable & ~displaced)
 
 
-@lru_cache(maxsize=4)
-def _reliable_hip(limit_arcsec: float) -> Ints:
-    """Hipparcos numbers, ascending, of stars with a sound solution and no companion that displaces them."""
+@lru_cache(maxsize=4)  # every image of a camera asks
+def _sound(index: StarIndex, limit_arcsec: float) -> Bools:
+    """(N,) stars of the index with a sound solution and no companion that displaces them so far."""
     catalogue = hipparcos_stars()
-    return catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit_arcsec)]
+    sound = catalogue.places.hip[catalogue.usable_for_calibration & catalogue.point_like(limit_arcsec)]
+    return np.asarray(np.isin(index.stars.hip, sound))
 
 
-def _contains(ascending: Ints, values: Ints) -> Bools:
-    at = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
-    return np.asarray(ascending[at] == values)
-
-
-def _displaced(index: StarIndex, rows: Ints, sigma_rad: float, limit_rad: float) -> Bools:
+def _displaced(index: StarIndex, rows: Ints, sigma_rad: float, limit_rad: float) -> Bools | None:
     """(N,) which of the stars `rows` (N,) of the index a neighbour displaces by more than `limit_rad`, for
-    Gaussian images of `sigma_rad`."""
+    Gaussian images of `sigma_rad`; None where no star has a neighbour."""
     start, d, flux_ratio = _neighbours(index)
-    star, pair = concatenated_ranges(start.take(rows), start.take(rows + 1))
+    first, end = start.take(rows), start.take(rows + 1)
+    if np.array_equal(first, end):
+        return None
+    star, pair = concatenated_ranges(first, end)
     d, flux_ratio = d.take(pair), flux_ratio.take(pair)
     overlap = (d < _REACH_SIGMA * sigma_rad) * d * np.exp(-((0.5 * d / sigma_rad) ** 2))
     displaced = np.zeros(len(rows), dtype=bool)
