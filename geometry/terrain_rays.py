@@ -294,8 +294,10 @@ def _possible_interval(
         column, row = curve.at(0.5 * (start + stop), slice(2))
         at = _tile_index(row, size, low.shape[0]) * low.shape[1] + _tile_index(column, size, low.shape[1])
         rise = _where(near, bounds.rise_m[k].ravel().take(at), rise)
-        highest = _where(near, np.minimum(highest, high.ravel().take(at) + _MARGIN_M), highest)
-        lowest = _where(near, np.maximum(lowest, low.ravel().take(at) - _MARGIN_M), lowest)
+        # Heights are float32: above 2048 m the margin would be lost in their sum.
+        top, bottom = (tile.ravel().take(at).astype(np.float64) for tile in (high, low))
+        highest = _where(near, np.minimum(highest, top + _MARGIN_M), highest)
+        lowest = _where(near, np.maximum(lowest, bottom - _MARGIN_M), lowest)
         start, stop = (np.clip(s, -1.0, 1.0) for s in (first - highest * per_m, last - lowest * per_m))
     return start, stop, highest, lowest, rise
 

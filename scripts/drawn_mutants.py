@@ -1,9 +1,10 @@
 """Mutations drawn by chance from the source, so that no list can be tuned to the tests: `mutants.py --draw`.
 
 A mutation changes one expression: a sign, a factor, a transposition or inverse, a term that is dropped, a
-count by one, axes that are exchanged, degrees of freedom, a unit. Text, types, messages, checks of arguments
-and widths of lines in figures are left alone. Without a trace of all tests the nearest ones are asked: those
-that import the module, of the same room first.
+count by one, axes that are exchanged, degrees of freedom, a unit. What changes no result is left alone: text,
+types, messages, checks of arguments, counts of progress, sizes and places of what pictures show (constants of
+modules that only draw; what they compute is not), and constants below 1e-9, which stand for zero. Without a
+trace of all tests the nearest ones are asked: those that import the module, of the same room first.
 """
 
 from __future__ import annotations
@@ -19,18 +20,13 @@ __all__ = ["Change", "changes_of", "drawn_changes", "nearest_tests"]
 ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
 WITHOUT_NUMBERS = ("pipeline/console", "pipeline/report/templates")
 MOST_TESTS = 4  # files
-LOOKS = (
-    "lw",
-    "ms",
-    "alpha",
-    "fontsize",
-    "linewidth",
-    "linewidths",
-    "capsize",
-    "handlelength",
-    "ncols",
-    "dpi",
+LOOKS = frozenset(
+    "lw ms mew alpha fontsize linewidth linewidths capsize handlelength ncols dpi figsize pad labelpad "
+    "zorder rotation width_ratios height_ratios wspace hspace markersize s length indent".split()
 )
+PICTURES = ("pipeline/report/", "figure.py", "plots.py", "overlay.py", "pictures.py", "page.py")
+PLACES = {"progress", "told", "done", "legend", "text", "annotate", "subplots", "subplots_adjust", "margins"}
+SMALLEST = 1e-9  # a constant below it only keeps a quotient or a logarithm finite
 UNITS = {"ARCSEC": "1.0", "radians": "degrees", "degrees": "radians"}
 
 
@@ -91,7 +87,10 @@ def changes_of(source: str, file: str) -> list[Change]:
 
     found, tree = [], ast.parse(source)
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
+    drawn = any(part in file for part in PICTURES)
     for node in _numbers(tree):
+        if isinstance(node, ast.Constant) and (drawn or _only_keeps_finite(node)):
+            continue
         for kind, new in _of_expression(node, text, parents):
             found.append(Change(file, node.lineno, kind, *place(node), text(node), new))
     return found
@@ -108,8 +107,10 @@ def _numbers(tree: ast.AST) -> Iterator[ast.expr]:
             if node.targets[0].id == "__all__":
                 continue
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            if node.func.id in ("array", "RawDataError", "Finding", "Omission", "TypeVar"):
+            if node.func.id in ("array", "RawDataError", "Finding", "Omission", "TypeVar", *PLACES):
                 continue
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in PLACES:
+            continue
         if isinstance(node, ast.expr):
             yield node
         for name, value in ast.iter_fields(node):
@@ -160,6 +161,11 @@ def _of_expression(
         name = parent.targets[0].id
     if name in ("dof", "degrees_of_freedom") and not isinstance(node, ast.Name):
         yield "degrees of freedom", f"({text(node)} + 1)"
+
+
+def _only_keeps_finite(node: ast.Constant) -> bool:
+    """Whether a constant is so small that it stands for zero."""
+    return isinstance(node.value, float) and abs(node.value) < SMALLEST
 
 
 def _is_of_text(node: ast.BinOp) -> bool:

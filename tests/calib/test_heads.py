@@ -182,3 +182,9 @@ def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
     for found, dof in ((nees, 9 * runs), (chi2_all, dof_all), (gain, dof_gain)):
         low, high = chi2(df=dof).ppf([0.0005, 0.9995])
         assert low < found < high, (found / runs, dof / runs)
+
+
+def test_the_covariance_of_all_heads_has_three_rows_a_head_and_begins_with_that_of_the_reference() -> None:
+    estimate = estimated(flown(3, 2))
+    assert estimate.cov_heads.shape == (6, 6)
+    np.testing.assert_allclose(estimate.cov_heads[:3, :3], estimate.cov_theta, rtol=1e-9)

@@ -6,12 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
 
-from boresight.calib.head_tracks import carried_to, common_instants
-from boresight.calib.noise_spectrum import Signal, allan_deviation, difference_signal, fit_noise, pieces_of
+from boresight.calib.head_tracks import SMOOTHING_S, HeadTrack, carried_to, common_instants
+from boresight.calib.noise_spectrum import (
+    Signal,
+    _unlike,
+    allan_deviation,
+    difference_signal,
+    fit_noise,
+    pieces_of,
+)
 
 
 def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
@@ -84,3 +92,34 @@ def test_attitudes_between_instants_are_carried_by_the_smoothed_motion() -> None
     )
     rms = np.sqrt(np.mean((here * true.inv()).as_rotvec() ** 2, axis=0)) / ARCSEC
     assert np.all(rms < 1.15 * np.hypot(WHITE[0], CORRELATED[0]))  # little more than the row's own noise
+
+
+def test_pieces_begin_at_the_first_row_after_a_gap() -> None:
+    step, pieces = pieces_of(np.r_[0.0:10.0, 14.0:20.0, 26.0:29.0] * 0.25)
+    assert step == 0.25 and pieces == (slice(0, 10), slice(10, 16), slice(16, 19))
+
+
+def test_the_motion_by_which_attitudes_are_carried_is_smoothed_whatever_their_step() -> None:
+    rng = np.random.default_rng(4)
+    for step in (0.25, 0.1):  # s; the window is odd and spans `SMOOTHING_S`, whatever the step
+        t = step * np.arange(400)
+        angle = 3e-4 * t + rng.normal(0.0, 1e-5, 400)
+        turn = Rotation.from_rotvec(np.outer(angle, [0.6, 0.0, 0.8]))  # about one axis: angles add
+        track = HeadTrack(name="a", t_s=t, R_hi=turn, R_oi=Rotation.identity(400))
+        rows = np.arange(100, 300)
+        found = carried_to(track, rows, t[rows] + 1.0, Rotation.identity(200))
+        window = 2 * int(0.5 * SMOOTHING_S / step) + 1
+        rate = scipy.signal.savgol_filter(angle, window, 2, deriv=1, delta=step)[rows]
+        expected = Rotation.from_rotvec(np.outer(angle[rows] + rate, [0.6, 0.0, 0.8]))
+        assert (found * expected.inv()).magnitude().max() < 1e-12
+
+
+def test_gradient_of_the_prior_of_alike_heads_is_that_of_differences() -> None:
+    rng = np.random.default_rng(5)
+    x, start = rng.normal(size=(2, 2, 3, 3))
+    _, gradient = _unlike(x, start)
+    for place in np.ndindex(x.shape):
+        step = np.zeros(x.shape)
+        step[place] = 1e-5
+        slope = (_unlike(x + step, start)[0] - _unlike(x - step, start)[0]) / 2e-5
+        assert gradient[place] == pytest.approx(slope, abs=1e-6)  # of a quadratic form: rounding alone

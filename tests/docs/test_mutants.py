@@ -64,3 +64,12 @@ def test_a_seed_draws_the_same_mutations_with_tests_near_their_modules():
         ast.parse(change.applied(source))
         assert nearest_tests(ROOT, change.file), change.file
     assert nearest_tests(ROOT, "calib/verdict.py")[0] == "tests/calib/test_verdict.py"
+
+
+def test_what_changes_no_result_is_not_drawn():
+    shown = "    axes.legend(a * 2)\n    progress(a + 1, 9)\n"
+    source = f"def f(a, axes):\n{shown}    return max(a, 1e-12) + 2.0 * a\n"
+    texts = {change.old for change in changes_of(source, "calib/sample.py")}
+    assert texts == {"max(a, 1e-12) + 2.0 * a", "2.0 * a", "2.0"}
+    texts = {change.old for change in changes_of(source, "pipeline/report/sample.py")}
+    assert texts == {"max(a, 1e-12) + 2.0 * a", "2.0 * a"}  # what a picture shows, not where

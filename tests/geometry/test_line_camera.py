@@ -147,3 +147,13 @@ def test_look_angles_are_inverted_in_either_order_along_the_line(sign):
 def test_look_angles_that_double_back_are_refused():
     with pytest.raises(ValueError, match="monotone"):
         LookTable(10, np.arange(3.0), np.zeros(3), np.array([0.0, 1.0, 0.5]))
+
+
+def test_the_angle_of_a_pixel_is_that_between_the_samples_around_the_middle_of_the_first_ccd():
+    tables = []
+    for bend in (6e-9, 2e-9):  # tan x and tan y of sample numbers from 0: steps grow towards the end
+        sample = np.linspace(0.0, 6143.0, 60)
+        tables.append(LookTable(6144, sample, bend * sample**1.5, 1e-6 * sample + bend * sample**2))
+    camera = LookAngleCamera(tuple(tables))
+    a, b = camera.directions_from_pixels(0, [3071.0, 3072.0])  # 6144 pixels: the middle is 3071.5
+    assert camera.pixel_rad == pytest.approx(np.linalg.norm(np.cross(a, b)), rel=1e-5)

@@ -218,3 +218,11 @@ def test_any_moderate_lens_is_inverted(x, y, p, q):
     )
     back = camera.pixels_from_directions(camera.directions_from_pixels([[x, y]]))
     assert np.abs(back - [[x, y]]).max() < 1e-9  # px
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
+def test_slopes_of_pixels_are_the_pseudo_inverse_of_the_jacobian_everywhere(camera):
+    xy = np.random.default_rng(3).uniform(0, [camera.width_px - 1, camera.height_px - 1], (200, 2))
+    found, expected = camera.pixel_slopes(xy), np.linalg.pinv(camera.pixel_jacobian(xy))
+    # the fast form works from an ideal point known to some 1e-6 of its place
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max())

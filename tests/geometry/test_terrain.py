@@ -17,7 +17,7 @@ from boresight.geometry.geodesy import (
 )
 from boresight.geometry.geoid import Geoid, egm96
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid, intersect
-from boresight.geometry.terrain_rays import bilinear, bounds_of_heights
+from boresight.geometry.terrain_rays import _bilinear_and_slopes, bilinear, bounds_of_heights
 
 UTM33 = "EPSG:32633"
 CELL_DEG = 1.0 / 3600.0  # 31 m
@@ -322,3 +322,18 @@ def test_bounds_of_tiles_are_those_of_the_heights_in_and_around_them(shape):
                 np.nanmax(np.abs(np.diff(near, axis=k)), initial=0.0) for k in (0, 1) if near.shape[k] > 1
             ]
             assert rise[row + 2, column + 2] >= max(steps, default=0.0)
+
+
+def test_slopes_are_those_of_the_bilinear_height_up_to_the_last_row_and_column():
+    heights = fractal(30, 400.0)[:25].astype(np.float32)
+    rng = np.random.default_rng(2)
+    column, row = rng.uniform(0, 29, 300), rng.uniform(0, 24, 300)
+    column[:40], row[20:60] = 29.0, 24.0  # on the last column, on the last row, on both
+    height, by_column, by_row = _bilinear_and_slopes(heights, column, row)
+    c, r = np.minimum(column.astype(int), 28), np.minimum(row.astype(int), 23)
+    u, v, z = column - c, row - r, heights.astype(float)
+    a, b, d, e = z[r, c], z[r, c + 1], z[r + 1, c], z[r + 1, c + 1]
+    # float32 heights of some hundreds of metres
+    assert height == pytest.approx((1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * e), abs=1e-3)
+    assert by_column == pytest.approx((1 - v) * (b - a) + v * (e - d), abs=1e-3)
+    assert by_row == pytest.approx((1 - u) * (d - a) + u * (e - b), abs=1e-3)

@@ -125,3 +125,32 @@ def test_finer_grid_counts_where_it_is_and_the_coarse_one_around_it():
         coarse.height_range_m()[0],
         max(fine.height_range_m()[1], coarse.height_range_m()[1]),
     )
+
+
+def test_turned_tiles_become_one_raster_with_every_pixel_at_its_place():
+    a, b, c, d, e, f = transform = (0.9, -0.4, 4.1e5, -0.3, -1.1, 5.2e6)  # turned and sheared
+    heights = hills(*np.mgrid[0:60, 0:70])
+    parts = []
+    for row, column, rows, columns in ((30, 20, 30, 50), (0, 0, 60, 20), (0, 20, 30, 50)):
+        corner = (c + a * column + b * row, f + d * column + e * row)
+        part = heights[row : row + rows, column : column + columns]
+        parts.append(Raster(part, (a, b, corner[0], d, e, corner[1]), "EPSG:32632"))
+    (one,) = joined(parts, MOST)
+    assert np.array_equal(one.heights_m, heights)
+    assert one.transform == pytest.approx(transform, rel=1e-12)
+
+
+def test_a_ray_through_a_hill_of_one_grid_does_not_meet_the_lower_ground_of_the_other_behind_it():
+    heights = np.full((ROWS, COLUMNS), 200.0, np.float32)
+    heights[:, 60:100] = 2600.0  # a ridge; the ray comes from the west and goes down
+    step = (STEP, 0.0, WEST, 0.0, -STEP, NORTH)
+    east = (STEP, 0.0, WEST + 120 * STEP, 0.0, -STEP, NORTH)
+    west = grid(Raster(heights[:, :130], step, "EPSG:4326"))
+    tiles = TerrainTiles((west, grid(Raster(heights[:, 120:], east, "EPSG:4326"))))
+    lat = np.radians(NORTH - STEP * np.array([50.0, 90.0]))
+    lon = np.radians(WEST + STEP * np.array([80.0, 150.0]))
+    on_ridge = ecef_from_geodetic(lat, lon[:1].repeat(2), np.full(2, 2600.0), WGS84)
+    behind = ecef_from_geodetic(lat, lon[1:].repeat(2), np.full(2, 200.0), WGS84)
+    origin = on_ridge + 40.0 * (on_ridge - behind)
+    height = geodetic_from_ecef(intersect(origin, behind - origin, tiles), WGS84)[2]
+    assert height == pytest.approx([2600.0, 2600.0], abs=1e-3)  # m: the ridge, not the ground behind

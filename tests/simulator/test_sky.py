@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from boresight.simulator.scenario import SkySettings
 from boresight.simulator.sky import expose, hot_pixels, star_charge
@@ -124,3 +125,21 @@ def test_the_same_stream_of_chance_gives_the_same_image():
         for _ in range(2)
     ]
     assert np.array_equal(*images)
+
+
+def test_a_star_near_or_beyond_an_edge_leaves_the_light_that_falls_on_the_detector():
+    noiseless = replace(DARK, e_per_dn=1e3)  # photon noise of 6e7 e is 1e-4 of a star
+    for x, y in (
+        (1.5, 20.0),
+        (-2.0, 20.0),
+        (39.0, 20.0),
+        (41.5, 20.0),
+        (20.0, 1.0),
+        (20.0, 30.5),
+        (-1.0, -1.0),
+    ):
+        rng = np.random.default_rng(3)
+        image = expose(still([[x, y]]), np.array([6e7]), (40, 30), noiseless, NO_HOT, rng).astype(float)
+        inside = [ndtr((n - 0.5 - at) / 1.25) - ndtr((-0.5 - at) / 1.25) for n, at in ((40, x), (30, y))]
+        # PSF of 1.25 px; DN are rounded: half of one in a few hundred pixels
+        assert image.sum() == pytest.approx(6e4 * inside[0] * inside[1], abs=0.01 * 6e4)

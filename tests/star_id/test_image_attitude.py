@@ -73,3 +73,19 @@ def test_slopes_of_pixels_are_the_inverse_of_those_of_directions(projection):
     np.testing.assert_allclose(slopes @ J, np.broadcast_to(np.eye(2), (50, 2, 2)), atol=1e-7)
     scale = camera.focal_m / camera.pixel_m
     np.testing.assert_allclose(slopes @ u_s[:, :, None] / scale, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("apart_px", "fixed"), [(1e-4, False), (300.0, True)])
+def test_stars_that_are_too_close_for_the_roll_fix_no_attitude_however_well_they_are_measured(
+    apart_px, fixed
+):
+    xy = np.array([400.0, 300.0]) + apart_px * np.array([[0.0, 0.0], [1.0, 0.3], [0.2, 0.9]])
+    R_si = Rotation.from_rotvec([0.4, -1.1, 0.7])
+    u_i = R_si.inv().apply(SMALL_CAMERA.directions_from_pixels(xy))
+    cov = np.broadcast_to(1e-4 * np.eye(2), (3, 2, 2))
+    if fixed:
+        found = fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy), cov, u_i, R_si, FALSE_ALARM)
+        assert (found.R_si * R_si.inv()).magnitude() < 1e-9
+    else:
+        with pytest.raises(ValueError, match="too close together"):
+            fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy), cov, u_i, R_si, FALSE_ALARM)

@@ -18,7 +18,8 @@ from boresight.star_id.finding.background import estimate_background
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.detect import detection_threshold
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_list import list_stars
+from boresight.star_id.finding.star_list import _subtract_dark, list_stars
+from boresight.star_id.finding.windows import star_windows
 from boresight.star_id.score import cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
 
@@ -306,3 +307,20 @@ def test_the_bound_agrees_with_the_closed_form_for_fine_pixels():
     bound = cramer_rao_px(np.array([[50.0, 50.0]]), np.array([flux]), np.array([noise]), psf, np.inf)[0]
     snr = flux / (noise * np.sqrt(4 * np.pi * 9.0))
     assert bound == pytest.approx(np.sqrt(2) * 3.0 / snr, rel=0.02)  # the pixel widens the PSF by 1 %
+
+
+def test_a_dark_frame_is_taken_off_but_its_median_and_leaves_saturated_pixels() -> None:
+    dark = np.array([[100, 104], [102, 90], [200, 103]], np.uint16)
+    image = np.array([[110, 104], [4000, 95], [150, 4095]], np.uint16)
+    found = _subtract_dark(image, dark, 4000.0)  # the median of the dark frame is 102.5
+    np.testing.assert_array_equal(found, [[112.5, 102.5], [4000.0, 107.5], [52.5, 4000.0]])
+
+
+def test_windows_of_a_slanting_sky_hold_nothing() -> None:
+    row, column = np.mgrid[0:300, 0:400]
+    image = (200.0 + 0.3 * column - 0.7 * row + 300.0).astype(np.float32)
+    pixels = np.array([[150, 120], [222, 200]])
+    found = star_windows(image, pixels, estimate_background(image), 4, 4095.0)
+    # DN: the sky changes by 8 DN over a window; the level at its middle is interpolated, to some tenths
+    np.testing.assert_allclose(found.data - found.data[:, [40]], 0.0, atol=0.01)
+    np.testing.assert_allclose(found.data[:, 40], 0.0, atol=0.5)

@@ -9,11 +9,13 @@ import itertools
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 from boresight.calib.information import InformationPairs
 from boresight.features.drift.matrix_drift import DriftSettings, MountingSeries, estimate_drift
+from boresight.features.drift.random_walk import WalkProblem
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 
@@ -246,3 +248,34 @@ def test_an_orbit_term_that_nothing_tells_is_refused():
 def test_settings_that_mean_nothing_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         DriftSettings(**wrong)
+
+
+def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
+    rng = np.random.default_rng(31)
+    t = np.array([0.0, 3.0, 4.0, 9.0, 11.0, 17.0])
+    C = covariances(6, rng) / ARCSEC**2
+    theta, regressors = rng.normal(size=(6, 3)), rng.normal(size=(6, 2))
+    problem = WalkProblem.of(theta, block_diag(*np.linalg.inv(C)), t, regressors)
+
+    def plain(density):
+        """Steps of a walk, levels and coefficients integrated out: residuals of a linear model."""
+        S = block_diag(*C) + density * np.kron(np.minimum(t[:, None], t), np.eye(3))
+        X = np.kron(np.column_stack([np.ones(6), regressors]), np.eye(3))
+        inverse = np.linalg.inv(S)
+        normal = X.T @ inverse @ X
+        rest = theta.ravel() - X @ np.linalg.solve(normal, X.T @ inverse @ theta.ravel())
+        return rest @ inverse @ rest + np.linalg.slogdet(S)[1] + np.linalg.slogdet(normal)[1]
+
+    density = (0.003, 0.04, 0.3, 2.0)
+    found, expected = ([f(one) for one in density] for f in (problem.loss, plain))
+    # the constant that loss leaves out includes that of the density's own determinant
+    assert_allclose(np.diff(found), np.diff(expected), rtol=1e-6, atol=1e-8)
+
+
+def test_two_phases_of_the_orbit_tell_no_orbit_term():
+    phase = np.radians([10.0, 100.0, 10.0, 100.0, 10.0, 100.0])
+    two = np.column_stack([np.cos(phase), np.sin(phase)])
+    rng = np.random.default_rng(32)
+    settings = DriftSettings(density_rad2_s=0.0, orbit_phase=True)
+    with pytest.raises(ValueError, match="so much alike"):
+        estimate_drift(drawn(np.zeros((6, 3)), MONTHS[:6], rng, cos_sin=two), settings)

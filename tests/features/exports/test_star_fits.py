@@ -86,3 +86,9 @@ def test_every_star_is_read_back_bit_for_bit():
 def test_no_exposures_give_an_empty_table():
     (_, _), (cards, _) = headers_and_data(centroids_fits([], EPOCH, NOTES))
     assert cards["NAXIS2"] == "0"
+
+
+def test_a_long_name_of_a_mission_fills_its_card_and_no_more():
+    notes = replace(NOTES, mission="m" * 60 + "0123456789")
+    cards = headers_and_data(centroids_fits([exposure("e1", 1.0, 3)], EPOCH, notes))[1][0]
+    assert cards["MISSION"] == "m" * 60 + "01234567"  # 68 characters fit between the quotes

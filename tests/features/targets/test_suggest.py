@@ -52,3 +52,10 @@ def test_places_without_data_are_left_out(invented: NDArray):
 def test_image_of_less_than_two_chips_is_refused(invented: NDArray):
     with pytest.raises(ValueError, match="smaller than two chips"):
         suggest_targets(invented[:100, :300], TRANSFORM, np.ones((100, 300), dtype=bool), size_px=64, most=3)
+
+
+def test_map_coordinates_of_a_turned_image_are_those_of_its_transform(invented: NDArray):
+    a, b, c, d, e, f = turned = (0.4, 0.3, 4000.0, 0.35, -0.45, 9000.0)
+    best = suggest_targets(invented, turned, np.ones(invented.shape, dtype=bool), size_px=96, most=3)[0]
+    u, v = best.column + 0.5, best.row + 0.5
+    assert (best.x, best.y) == pytest.approx((a * u + b * v + c, d * u + e * v + f), abs=1e-9)

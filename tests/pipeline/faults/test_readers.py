@@ -19,12 +19,23 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_sound_files(tmp_path_factory.mktemp("sound"))
 
 
+MAY_BE_EMPTY = ("settings", "scenario", "plan", "plan, forecast", "status")  # defaults, or nothing finished
 QUICK = [reader for reader in READERS if reader.name != "plan, forecast"]
 
 
 @pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
-def test_sound_file_is_read(reader: Reader, root: Path) -> None:
+def test_sound_file_is_read_and_an_empty_one_refused(reader: Reader, root: Path) -> None:
+    path = root / reader.file
+    sound = path.read_bytes()
     assert reader.read(root) is not None
+    path.write_bytes(b"")
+    try:
+        refused = reader.read(root) is None  # a damaged unit is none
+    except DOCUMENTED:
+        refused = True
+    finally:
+        path.write_bytes(sound)
+    assert refused == (reader.name not in MAY_BE_EMPTY)
 
 
 @pytest.mark.parametrize("reader", QUICK, ids=lambda reader: reader.name)

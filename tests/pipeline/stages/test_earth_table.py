@@ -101,3 +101,14 @@ def test_dates_outside_the_missions_table_are_refused(tmp_path: Path) -> None:
 def test_result_states_it(finished: tuple[Path, Path]) -> None:
     told = json.loads((finished[1] / "installation.json").read_text())["earth_orientation"]
     assert told["sigma_m"] == 0.0 and told["difference_m"] == 0.0 and "C04" in told["source"]
+
+
+def test_a_table_whose_pole_is_elsewhere_too_differs_in_ut1_by_its_own_difference(tmp_path: Path) -> None:
+    root, table = write_handmade_dump(tmp_path / "dump"), bundled_table()
+    other = replace(
+        table, ut1_utc_s=table.ut1_utc_s + 0.0321, xp_rad=table.xp_rad + 4e-7, yp_rad=table.yp_rad - 3e-7
+    )
+    found = check_earth_table(orbit_with(root, other), other, table)
+    assert found.difference_ut1_s == pytest.approx(0.0321, abs=1e-7)  # s; the pole: 1e-7 of the turn
+    turn = np.hypot(0.0321 * 7.292115e-5, np.hypot(4e-7, 3e-7))
+    assert found.difference_m == pytest.approx(turn * 6_378_137.0, rel=1e-3)
