@@ -66,16 +66,19 @@ def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | No
         why, n = WhyRejected.NO_TARGET_COVERED, int(ready.used.sum())
         yield Rejected(strip_id=name, kind="strip", name=name, why=why, n_good=n, n_all=len(ready.inside))
         return
-    for target in ready.target_id[~ready.inside]:
-        yield Rejected(strip_id=name, kind="target", name=str(target), why=WhyRejected.NOT_COVERED)
+    kinds = np.where(ready.is_star, "star", "target").tolist()
+    for j in np.flatnonzero(~ready.inside):
+        target = str(ready.target_id[j])
+        yield Rejected(strip_id=name, kind=kinds[j], name=target, why=WhyRejected.NOT_COVERED)
     if residuals is None:
         return
     own = np.flatnonzero(residuals.strip_id == name)
-    for j in own[ready.inside & ~residuals.kept[own]]:
+    for n_own in np.flatnonzero(ready.inside & ~residuals.kept[own]):
+        j = own[n_own]
         others = residuals.rivals[int(j)]
         yield Rejected(
             strip_id=name,
-            kind="target",
+            kind=kinds[n_own],
             name=str(residuals.target_id[j]),
             why=WhyRejected.TARGET_RESIDUAL,
             statistic=float(residuals.statistic[j]),

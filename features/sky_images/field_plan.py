@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -229,15 +230,10 @@ def _free_place(outline: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
 
 def _outline(camera: StarCamera, R_si: Rotation) -> tuple[NDArray[Any], NDArray[Any]]:
     """Right ascension and declination (deg) along the detector's edge."""
-    t, right, low = np.linspace(0.0, 1.0, 30), camera.width_px - 0.5, camera.height_px - 0.5
-    edge = np.concatenate(
-        [
-            np.column_stack([t * right, 0 * t - 0.5]),
-            np.column_stack([0 * t + right, t * low]),
-            np.column_stack([(1 - t) * right, 0 * t + low]),
-            np.column_stack([0 * t - 0.5, (1 - t) * low]),
-        ]
-    )
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    corners = corners * [camera.width_px, camera.height_px] - 0.5
+    t = np.linspace(0.0, 1.0, 30)[:, None]
+    edge = np.concatenate([(1.0 - t) * here + t * there for here, there in pairwise(corners)])
     x, y, z = R_si.inv().apply(camera.directions_from_pixels(edge)).T
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arcsin(z))
 

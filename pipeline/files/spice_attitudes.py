@@ -2,7 +2,8 @@
 
 The attitudes are those at the CK's own instants, what it interpolates between them is not used: of segments
 of type 1, 3 and 5 the instants of the attitudes, of type 2 (constant rates) the begins of its intervals and
-the end of the last. The matrix that NAIF's `pxform` gives from J2000 to a frame is R_si; NAIF's
+the end of the last. Other segments, polynomials (type 4, 6), are evaluated at equal steps over the intervals
+that they cover, ends included. The matrix that NAIF's `pxform` gives from J2000 to a frame is R_si; NAIF's
 J2000 has the axes of ICRF. The frame is that of the CK, or one with a fixed rotation from it (TK).
 """
 
@@ -32,7 +33,18 @@ QUATERNION = 4
 WITH_RATES = 7
 OF_SUBTYPE = {0: 8, 1: 4, 2: 14, 3: 7}
 OF_INTERVAL = 8
+OWN_INSTANTS = (1, 2, 3, 5)  # types of segments that list instants
 IN_DIRECTORY = 100  # every so many instants are listed again
+# Steps, s, of polynomials, of which the smallest with at most MOST_STEPS is taken: 8 Hz as of star cameras.
+# Cubics between attitudes 0.125 s apart follow motion of up to 1 Hz to 1e-3 of its size.
+STEPS_S = (0.125, 0.25, 0.5, 1.0)
+MOST_STEPS = 100_000  # attitudes of a segment of polynomials, 1 s of processor time
+# Type 4: a packet has middle, radius, the code of the numbers of coefficients of seven polynomials (in base
+# 128) and the coefficients. The last 17 numbers of a segment tell where packets and the list of their places
+# begin. Type 6: the last number is that of its parts.
+PARTS = 6
+CHEBYSHEV, FIRST, BASE, POLYNOMIALS, MOST_COEFFICIENTS, META = 4, 3, 128, 7, 19, 17
+ROUNDING = 1e-3  # of a step, by which an interval may be longer than whole steps
 
 
 def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -> AttitudeRows:
@@ -58,12 +70,15 @@ def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -
     with loaded(path, file, kernels) as ck:
         R_sf, instrument = _from_ck_frame(spice, frame)
         ticks = _ticks(spice, ck, instrument, file)
-        matrices = [spice.ckgp(instrument, tick, 0, "J2000")[0] for tick in ticks.tolist()]
+        found = [spice.ckgp(instrument, tick, 0, "J2000")[0] for tick in ticks.tolist()]
+        matrices = np.array(found).reshape(-1, 3, 3)
         clock = spice.ckmeta(instrument, "SCLK")
         et = np.array([spice.sct2e(clock, tick) for tick in ticks.tolist()])
+    if not np.isfinite(matrices).all():
+        raise RawDataError(file, "attitudes", "one that is not finite", "quaternions")
     rows = AttitudeRows(
         t_s=seconds_from_ephemeris_time(epoch, et),
-        R_si=R_sf * Rotation.from_matrix(np.array(matrices).reshape(-1, 3, 3)),
+        R_si=R_sf * Rotation.from_matrix(matrices),
     )
     check_rows(rows, file)
     return rows
@@ -99,9 +114,15 @@ def _ticks(spice: Any, ck: str, instrument: int, file: str) -> Floats:
     try:
         spice.dafbfs(handle)
         while spice.daffna():
-            _, whole = spice.dafus(spice.dafgs(), 2, 6)
-            if int(whole[0]) == instrument:
+            span, whole = spice.dafus(spice.dafgs(), 2, 6)
+            if int(whole[0]) == instrument and int(whole[2]) in OWN_INSTANTS:
                 found.append(_ticks_of_segment(spice, handle, [int(one) for one in whole], file))
+            elif int(whole[0]) == instrument:
+                kind, begin, end = int(whole[2]), int(whole[4]), int(whole[5])
+                if not _is_whole(kind, spice.dafgda(handle, begin, end)):
+                    expected = "a CK as NAIF's toolkit writes it"
+                    raise RawDataError(file, f"segment of type {kind}", "counts that do not fit", expected)
+                found.append(_steps(spice, ck, instrument, span, file))
     finally:
         spice.dafcls(handle)
     if not found:
@@ -115,12 +136,57 @@ def _ticks(spice: Any, ck: str, instrument: int, file: str) -> Floats:
     return ticks
 
 
+def _steps(spice: Any, ck: str, instrument: int, span: Floats, file: str) -> Floats:
+    """Encoded clock times (N,) at equal steps over what a segment with ticks from `span[0]` on covers."""
+    cover = spice.ckcov(ck, instrument, False, "INTERVAL", 0.0, "SCLK")
+    of_segment = spice.cell_double(2)
+    spice.wninsd(*span, of_segment)
+    both = spice.wnintd(cover, of_segment)
+    ends = np.array([spice.wnfetd(both, n) for n in range(spice.wncard(both))]).reshape(-1, 2)
+    clock = spice.ckmeta(instrument, "SCLK")
+    lengths = np.diff([[spice.sct2e(clock, tick) for tick in pair] for pair in ends.tolist()]).ravel()
+    if not np.isfinite(lengths).all() or (total := lengths.sum()) > STEPS_S[-1] * MOST_STEPS:
+        expected = f"at most {STEPS_S[-1] * MOST_STEPS / 3600.0:.0f} hours; cut it with NAIF's `ckslicer`"
+        raise RawDataError(file, "segment", f"{lengths.sum() / 3600.0:.0f} hours", expected)
+    step = next(one for one in STEPS_S if total <= one * MOST_STEPS)
+    parts = [
+        np.linspace(a, b, int(np.ceil(s / step - ROUNDING)) + 1) for (a, b), s in zip(ends, lengths.tolist())
+    ]
+    return np.concatenate([np.zeros(0), *parts])
+
+
+def _is_whole(kind: int, numbers: Floats) -> bool:
+    """Whether packets of a segment of type 4 are as long as they state, and one of type 6 has room for its
+    parts: NAIF's toolkit reads beyond the ends of others.
+    """
+    if kind == PARTS:
+        return bool(1.0 <= numbers[-1] <= len(numbers))
+    if kind != CHEBYSHEV:
+        return True
+    meta, size = np.nan_to_num(numbers[-META:], nan=-1.0), len(numbers)
+    times_at, n_times, places_at, n_places, first, n, header = meta[[5, 6, 7, 8, 10, 11, 15]]
+    is_laid_out = 1.0 <= n == n_times == n_places - 1.0 and (first, header, meta[-1]) == (0.0, 2.0, META)
+    if not (is_laid_out and 0.0 <= min(times_at, places_at) <= max(times_at, places_at) <= size - n_places):
+        return False
+    places = np.asarray(numbers[int(places_at) : int(places_at + n_places)], dtype=float) - 1.0
+    lengths = np.diff(places) - header
+    if not (
+        np.all(places == np.round(places))
+        and np.all(lengths >= FIRST)
+        and 0.0 <= places[0] <= places[-1] <= size
+    ):
+        return False
+    codes = np.asarray(numbers[places[:-1].astype(np.int64) + FIRST - 1], dtype=float)
+    counts = np.floor(codes[:, None] / float(BASE) ** np.arange(POLYNOMIALS)) % BASE
+    known = (codes >= 0.0) & (codes < float(BASE) ** POLYNOMIALS) & (codes == np.round(codes))
+    return bool(
+        np.all(known & (counts.max(axis=1) <= MOST_COEFFICIENTS) & (counts.sum(axis=1) + FIRST <= lengths))
+    )
+
+
 def _ticks_of_segment(spice: Any, handle: int, whole: list[int], file: str) -> Floats:
     """Encoded clock times (N,) of a segment; NAIF's CK Required Reading has the layout."""
     _, _, kind, has_rates, begin, end = whole
-    if kind not in (1, 2, 3, 5):
-        expected = "type 1, 2, 3 or 5; NAIF's `ckslicer` and `msopck` write type 3"
-        raise RawDataError(file, "segment", f"type {kind}", expected)
     count = float(spice.dafgda(handle, end, end)[0])
     size = WITH_RATES if has_rates else QUATERNION
     if kind == 5 and end - 3 > begin:

@@ -20,7 +20,7 @@ def rejection_reason(rejected: Rejected) -> str:
             sigma = f"{np.sqrt(one.statistic):.1f} sigma from the attitude of the other {one.n_good} stars"
             return f"{sigma} ({tested})"
         case WhyRejected.TARGET_RESIDUAL:
-            sigma = f"{np.sqrt(one.statistic):.1f} sigma from the position that the other targets predict"
+            sigma = f"{np.sqrt(one.statistic):.1f} sigma from the position that the other {one.kind}s predict"
             instead = f"; it or {' or '.join(one.rivals)}: the data do not tell which" if one.rivals else ""
             return f"{sigma} ({tested}){instead}"
         case WhyRejected.NOT_COVERED:

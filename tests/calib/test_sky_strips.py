@@ -8,13 +8,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.estimate import InstallationEstimate, WhyRejected
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import isotropic_covariance
+from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
@@ -178,3 +179,15 @@ def test_biases_move_the_targets_as_the_physics_says():
     size = np.linalg.norm(columns[:, :, 3], axis=1).max()
     # one in a hundred: noise of the attitudes between which the instant moves makes 0.0024
     np.testing.assert_allclose(change, columns[:, :, 3], rtol=0, atol=0.01 * size)
+
+
+def test_a_star_of_a_scan_that_contradicts_the_others_is_rejected_as_a_star():
+    first, second = draw_sky_strips(SKY, CAMERAS, np.random.default_rng(5), sigma_star_rad=0.02 * ARCSEC)
+    u_c = first.ground.u_c.copy()
+    u_c[3] = Rotation.from_rotvec([0.0, 2e-5, 1e-5]).apply(u_c[3])  # some 10 px
+    wrong = replace(first, ground=replace(first.ground, u_c=u_c))
+    estimate = calibrate_strips([wrong, second], R_CS0, CalibrationSettings())
+    assert isinstance(estimate, InstallationEstimate)
+    (rejected,) = [one for one in estimate.rejected if one.why is WhyRejected.TARGET_RESIDUAL]
+    assert (rejected.kind, rejected.name) == ("star", str(first.ground.target_id[3]))
+    assert "from the position that the other stars predict" in rejection_reason(rejected)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import spiceypy
 from handmade import write_handmade_dump
 from leap_seconds import leap_second_kernel
 from scipy.spatial.transform import Rotation
+from spiceypy.utils.libspicehelper import libspice
 
 from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
 from boresight.geometry.epoch import Epoch
@@ -306,15 +308,98 @@ def test_intervals_of_constant_rates_are_counted_with_their_directories(count: i
     assert error.magnitude().max() < 1e-14 and (rows.R_si[-1] * rows.R_si[-2].inv()).magnitude() < 1e-14
 
 
-def test_polynomials_are_refused_with_the_programs_that_convert(tmp_path: Path) -> None:
+def fortran(name: str, *values: object) -> None:
+    """Call a routine of NAIF's toolkit that spiceypy does not wrap: by reference, lengths of texts last."""
+    texts = [value.encode() for value in values if isinstance(value, str)]
+    lengths = [ctypes.c_long(len(text)) for text in texts]
+    arguments = []
+    for value in values:
+        if isinstance(value, str):
+            arguments.append(ctypes.c_char_p(value.encode()))
+        elif isinstance(value, float):
+            arguments.append(ctypes.byref(ctypes.c_double(value)))
+        elif isinstance(value, int):
+            arguments.append(ctypes.byref(ctypes.c_int(value)))
+        else:
+            kind = ctypes.c_double if value.dtype == float else ctypes.c_int
+            arguments.append(value.ctypes.data_as(ctypes.POINTER(kind)))
+    getattr(libspice, name)(*arguments, *lengths)
+    spiceypy.check_for_spice_error(None)
+
+
+def write_polynomials(path: Path, ticks: np.ndarray, kind: int) -> None:
+    """A CK of type 4 (a cubic each interval) or 6 (Lagrange's polynomials in two mini-segments) through
+    `bold`; a gap after the third interval, or between the mini-segments.
+    """
+    handle = spiceypy.ckopn(str(path), "test", 0)
+    turns = bold(np.arange(float(len(ticks))))
+    q = np.array([spiceypy.m2q(matrix) for matrix in turns.as_matrix()])
+    q *= np.cumprod(np.concatenate([[1.0], np.sign(np.einsum("ni,ni->n", q[1:], q[:-1]))]))[:, None]
+    if kind == 4:
+        fortran("ckw04b_", handle, float(ticks[0]), BUS, "J2000", 0, "s")
+        for n in range(len(ticks) - 1):
+            radius = 0.5 * (ticks[n + 1] - ticks[n]) * (0.5 if n == 2 else 1.0)
+            middle = ticks[n] + radius
+            line = np.stack([0.5 * (q[n] + q[n + 1]), 0.5 * (q[n + 1] - q[n])], axis=1)  # Chebyshev, degree 1
+            packet = np.concatenate([[middle, radius], [2.0] * 4, [0.0] * 3, line.ravel()])
+            fortran("ckw04a_", handle, 1, np.array([len(packet)], dtype=np.int32), packet, ticks[n : n + 1])
+        fortran("ckw04e_", handle, float(ticks[-1]))
+    else:
+        half = len(ticks) // 2
+        packets = np.ascontiguousarray(np.hstack([q, np.zeros((len(q), 3))])[:, :4])
+        bounds = np.array([ticks[0], ticks[half], ticks[-1]])
+        whole = np.int32
+        fortran(
+            "ckw06_", handle, BUS, "J2000", 0, float(ticks[0]), float(ticks[-1]), "s", 2,
+            np.array([half, len(ticks) - half], dtype=whole), np.array([1, 1], dtype=whole),
+            np.array([3, 3], dtype=whole), packets, np.full(2, 1.0 / TICKS_PER_S), ticks, bounds, 1,
+        )  # fmt: skip
+    spiceypy.ckcls(handle)
+
+
+@pytest.mark.parametrize("kind", [4, 6])
+def test_polynomials_are_evaluated_at_equal_steps_over_what_they_cover(kind: int, tmp_path: Path) -> None:
     write_texts(tmp_path)
-    ticks = ticks_of(tmp_path, np.arange(0.0, 4.0, 0.5))
-    write_ck(tmp_path / "a.bc", ticks, bold(np.arange(8.0)))
-    raw = bytearray((tmp_path / "a.bc").read_bytes())
-    at = raw.index(np.array([BUS, 1, 3], dtype="<i4").tobytes())  # object, J2000, type in a segment's summary
-    raw[at + 8] = 4
-    (tmp_path / "a.bc").write_bytes(raw)
-    with pytest.raises(RawDataError, match=r"segment: found type 4, expected type 1, 2, 3 or 5"):
+    ticks = ticks_of(tmp_path, 0.5 * np.arange(12.0))
+    write_polynomials(tmp_path / "a.bc", ticks, kind)
+    rows = read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+    step = np.diff(rows.t_s)
+    assert np.median(step) == pytest.approx(0.125, abs=1e-5)  # s
+    assert step.max() == pytest.approx({4: 0.25, 6: 0.5}[kind], abs=1e-5)  # the gap
+    with spiceypy.KernelPool([str(tmp_path / file) for file in (*ALL, "a.bc")]):
+        et = ephemeris_time(EPOCH, rows.t_s)
+        for n in range(1, len(et) - 1, 3):
+            expected = spiceypy.pxform("J2000", "SAT_STR1", et[n])
+            # 0.9 rad/s in the rounding of 2e-7 s
+            assert np.abs(rows.R_si[n].as_matrix() - expected).max() < 3e-7
+
+
+@pytest.mark.parametrize("kind", [4, 6])
+def test_mutated_polynomials_are_read_or_refused(kind: int, tmp_path: Path) -> None:
+    """Single bytes; a packet that states more coefficients than it has makes the toolkit read beyond it."""
+    write_texts(tmp_path)
+    write_polynomials(tmp_path / "a.bc", ticks_of(tmp_path, 0.5 * np.arange(12.0)), kind)
+    whole, rng, refused = (tmp_path / "a.bc").read_bytes(), np.random.default_rng(4), 0
+    (first,) = np.frombuffer(whole[1096:1100], "<i4")  # where the only segment begins, in its summary
+    codes = range(8 * (int(first) + 3), len(whole), 8 * 13) if kind == 4 else ()  # high bytes of codes
+    for n in [*codes, *rng.integers(1024, len(whole), 200).tolist()]:
+        raw = bytearray(whole)
+        raw[n + 6 if n in codes and n + 6 < len(raw) else n] = 255
+        (tmp_path / "b.bc").write_bytes(raw)
+        try:
+            read_ck(tmp_path / "b.bc", "b.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+        except RawDataError:
+            refused += 1
+    assert refused > 3
+
+
+def test_polynomials_over_too_many_hours_are_refused(tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    ticks = ticks_of(tmp_path, np.array([0.0, 2e8, 4e8, 6e8]))
+    write_polynomials(tmp_path / "a.bc", ticks, 4)
+    with pytest.raises(
+        RawDataError, match=r"segment: found \d+ hours, expected at most 28 hours; cut it with"
+    ):
         read_ck(tmp_path / "a.bc", "a.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
 
 
