@@ -20,8 +20,9 @@ from pathlib import Path
 
 from record import head
 
-# A quarter of the rows of a strip of the paper's mission, and the example of README.
+# The paper's mission, a quarter of the rows of one of its strips, and the example of README.
 JOBS = {
+    "paper": ("paper",),
     "paper, one strip of 6500 rows": ("paper", "--set", "strips.count=1", "--set", "strips.lines=6500"),
     "mini": ("mini",),
 }

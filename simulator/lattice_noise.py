@@ -20,7 +20,7 @@ __all__ = ["BAND", "fractal", "fractal_bands", "smooth_noise", "white", "white_a
 
 # Mask of 32 bits: the hash of a lattice point is computed modulo 2^32.
 _WORD = 0xFFFFFFFF
-BAND = 256  # rows of noise that are made at once: they stay in the processor's cache
+BAND = 128  # rows of noise that are made at once: they stay in the processor's cache
 _PERIOD = 2**20  # numbers of the table, 4 MB
 _RUN = 4096  # of its numbers that a row takes in one piece
 
@@ -70,10 +70,10 @@ def smooth_noise(x: NDArray[np.float64], y: NDArray[np.float64], key: int) -> ND
 def fractal(
     column: int, row: int, width: int, height: int, key: int, octaves: int, persistence: float
 ) -> NDArray[np.float32]:
-    """Sum of white noise on ever coarser lattices, linearly interpolated; (height, width), rms about 0.6.
+    """Sum of white noise on ever coarser lattices, linearly interpolated; (height, width), rms about 0.5.
 
-    The finest lattice is that of the window; each further octave is twice as coarse and `1 / persistence`
-    times as strong.
+    The finest lattice has every second point of the window's along either axis: what is finer is lost in the
+    blur of optics. Each further octave is twice as coarse and `1 / persistence` times as strong.
     """
     return np.concatenate(list(fractal_bands(column, row, width, height, key, octaves, persistence)))
 
@@ -85,23 +85,22 @@ def fractal_bands(
     weights = persistence ** -np.arange(octaves, dtype=float)
     weights /= np.sqrt((weights**2).sum())
     windows = [(column, row, width, height)]
-    for _ in range(octaves - 1):
+    for _ in range(octaves):
         windows.append(_coarser(*windows[-1]))
-    total = weights[-1].astype(np.float32) * white(*windows[-1], key + octaves - 1)
-    for level in range(octaves - 2, 0, -1):
-        pair, weight = (windows[level], windows[level + 1]), float(weights[level])
-        (total,) = _finer(total, pair, weight, key + level, windows[level][3])
-    yield from _finer(total, (windows[0], windows[1]), float(weights[0]), key, BAND)
+    total = weights[-1].astype(np.float32) * white(*windows[-1], key + octaves)
+    for level in range(octaves - 1, 0, -1):
+        (total,) = _finer(total, (windows[level], windows[level + 1]), windows[level][3])
+        noise = white(*windows[level], key + level)
+        total = cv2.scaleAdd(noise, float(weights[level - 1]), total, noise)
+    yield from _finer(total, (windows[0], windows[1]), BAND)
 
 
 def _finer(
     coarse: NDArray[np.float32],
     windows: tuple[tuple[int, int, int, int], tuple[int, int, int, int]],
-    weight: float,
-    key: int,
     band: int,
 ) -> Iterator[NDArray[np.float32]]:
-    """Noise on a lattice of half the distance, in bands: the coarse one interpolated, and white noise.
+    """Noise interpolated on a lattice of half the distance, in bands.
 
     `windows` are those of the finer and of the coarse lattice.
     """
@@ -113,10 +112,7 @@ def _finer(
         near = coarse[first : min((top + rows + 1) // 2 - coarse_row + 1, coarse_height)]
         fine = cv2.resize(near, (2 * coarse_width, 2 * len(near)), interpolation=cv2.INTER_LINEAR)
         skipped = top - 2 * (coarse_row + first)
-        noise = white(column, top, width, rows, key)
-        yield np.asarray(
-            cv2.scaleAdd(noise, weight, fine[skipped : skipped + rows, left : left + width], noise)
-        )
+        yield np.asarray(fine[skipped : skipped + rows, left : left + width])
 
 
 def _coarser(column: int, row: int, width: int, height: int) -> tuple[int, int, int, int]:

@@ -325,13 +325,15 @@ def _scenes(
     boxes = np.array([_box_deg(model, scenario) for model in models])
     heights, affine = relief_grid(boxes, scenario.terrain, _key(seed, "relief"))
     surface = TerrainGrid.from_raster(heights, affine, "EPSG:4326", geoid)
-    scenes = []
+    scenes: list[TrueScene] = []
+    grounds: dict[int, BlurredGround] = {}  # strips of one zone share their tiles
     for model, (south, west, north, east) in zip(models, boxes):
         epsg = _utm_epsg(0.5 * (south + north), 0.5 * (west + east))
-        ground = _seen_ground(scenario, epsg, seed, ground_image, date=1)
+        if epsg not in grounds:
+            grounds[epsg] = _seen_ground(scenario, epsg, seed, ground_image, date=1)
         last = float(scenario.strips.lines + 64)
         step = needed_sample_step(model, surface, scenario.strips.lines)
-        scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, ground, step))
+        scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, grounds[epsg], step))
     return scenes, _terrain_report(scenario, heights, affine, seed)
 
 
@@ -346,10 +348,13 @@ def _ground_points(
     """Targets that some CCD sees, and check points, of all strips."""
     targets: list[Placed] = []
     checks: list[TruePoint] = []
+    references: dict[int, BlurredGround] = {}
     lines = scenario.strips.lines
     for n, (strip_id, scene) in enumerate(zip(plan.strip_ids, scenes)):
         chance = _rng(seed, "targets", n)
-        reference = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
+        if scene.epsg not in references:
+            references[scene.epsg] = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
+        reference = references[scene.epsg]
         pixel_m = scenario.ground_pixel_m
         targets += place_targets(strip_id, scene, lines, reference, pixel_m, scenario.targets, geoid, chance)
         chance = _rng(seed, "check points", n)

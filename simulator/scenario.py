@@ -251,7 +251,7 @@ class GroundSettings:
     """The ground's look and how the cameras render it."""
 
     image: str = ""  # path of a GeoTIFF to be used instead of the procedural ground; "" is procedural
-    texels_per_pixel: float = 2.0  # ground texture's sampling against the strip's pixel; linear in between
+    texels_per_pixel: float = 1.5  # ground texture's sampling against the strip's pixel; linear in between
     parcel_m: float = 140.0  # mean side of a field
     detail: float = 1.0  # strength of the fractal texture on fields, 1 = realistic
     water: float = 0.05  # fraction of parcels
@@ -362,7 +362,7 @@ def mini_scenario() -> Scenario:
         ),
         strips=StripSettings(lines=2000, row_period_s=0.9e-3),
         terrain=TerrainSettings(spacing_arcsec=6.0),
-        ground=GroundSettings(texels_per_pixel=3.0, parcel_m=220.0),
+        ground=GroundSettings(texels_per_pixel=2.0, parcel_m=220.0),
         targets=TargetSettings(sigma_m=(0.3, 0.3, 0.5), chip_size_px=96),
         errors=ErrorSettings(distortion_px=0.03, distortion_length_px=125.0),
     )

@@ -1,5 +1,6 @@
 """Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
-attitudes, velocity of the satellite, and the effects on light from the ground.
+attitudes and the line of sight through which it is taken, velocity of the satellite, and the effects on
+light from the ground.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ def moved_inputs(
     found = [_clock_of_exposures(head, strips)]
     if isinstance(head.source, SolvedAttitudes):
         found += _aberration_of_head(dump, head, strips)
+        found += _line_of_sight(dump, head, head.source, strips)
     if sky := [strip for strip in strips if strip.ground.is_star.any()]:
         found += _velocity(dump, head, sky)
     by_id = {task.strip.strip_id: task for task in tasks}
@@ -94,15 +96,20 @@ def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> F
     return -np.cross(line_of_sight_s, beta_s)
 
 
-def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+def _velocities(dump: Dump) -> Mapping[str, Callable[[Floats], Floats]]:
+    """Velocities (K, 3) m/s, GCRS, whose aberration an attitude may contain, by the part's name."""
+
     def annual(t_s: Floats) -> Floats:
         return np.asarray(erfa.epv00(*dump.epoch.tt_jd(t_s))[1]["v"] * AU_PER_DAY)
 
     def orbital(t_s: Floats) -> Floats:
         return dump.orbit.states_i(t_s)[1]
 
-    parts: Mapping[str, Callable[[Floats], Floats]] = {"annual": annual, "orbital": orbital}
-    for name, velocity in parts.items():
+    return {"annual": annual, "orbital": orbital}
+
+
+def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+    for name, velocity in _velocities(dump).items():
         yield MovedInput(
             cause=f"aberration of the attitudes, {name}",
             item=f"head {head.name}",
@@ -117,6 +124,38 @@ def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]
                 for strip in strips
                 if strip.exposures
             },
+        )
+
+
+def _line_of_sight(
+    dump: Dump, head: Head, source: SolvedAttitudes, strips: Sequence[StripSightings]
+) -> Iterator[MovedInput]:
+    """The stated line of sight u of a head, moved along two directions d across it, axes of s.
+
+    The aberration that the head has left in, of velocity v, turns its attitudes by -u x v/c; with u + d they
+    turn by -d x v/c more. The part of d across v turns them about u, along v it does nothing.
+    """
+    left = {"none": ("annual", "orbital"), "annual": ("orbital",), "annual and orbital": ()}
+    parts = [_velocities(dump)[name] for name in left[source.aberration_removed]]
+    if not parts:  # the line of sight is not used
+        return
+    u_s = head.line_of_sight_s
+    first = np.cross(u_s, np.eye(3)[np.argmin(np.abs(u_s))])
+    first /= np.linalg.norm(first)
+    for d_s in (first, np.cross(u_s, first)):
+        turns = {}
+        for strip in (one for one in strips if one.exposures):
+            v_i = np.sum([velocity(_times(strip)) for velocity in parts], axis=0)
+            turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i, np.radians(1.0) * d_s)
+        direction = ", ".join(f"{value:.2f}" for value in d_s + 0.0)
+        yield MovedInput(
+            cause="line of sight of the attitudes",
+            item=f"head {head.name}, towards [{direction}]",
+            unit="deg",
+            words=("too far", "too short"),
+            file="dump.toml",
+            field=f"line_of_sight of {head.name}",
+            turns_s=turns,
         )
 
 

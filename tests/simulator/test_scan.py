@@ -18,7 +18,7 @@ from boresight.simulator.cameras import (
     distorted_line_camera,
     installation_of_scenario,
 )
-from boresight.simulator.ground import BlurredGround
+from boresight.simulator.ground import BlurredGround, ProceduralGround
 from boresight.simulator.motion import flown_orbit, true_attitude
 from boresight.simulator.scan import (
     LineNodes,
@@ -39,6 +39,7 @@ SCENARIO = scenario_from_dict(
         "installation": {"zenith_distance_deg": 50.0, "azimuth_deg": 200.0, "turn_deg": 20.0},
         "errors": {"vibration_arcsec": 0.1},
         "ground": {
+            "texels_per_pixel": 3.0,
             "pixel_gain_sigma": 0.0,
             "bits": 16,
             "dn_full_scale": 50000.0,
@@ -182,6 +183,42 @@ def test_a_texture_is_blurred_to_the_stated_transfer_function(model, surface):
     amplitude = 2.0 * np.hypot((seen * np.sin(phase)).mean(), (seen * np.cos(phase)).mean())
     expected = 0.4 * np.exp(-0.5 * (sigma * 2.0 * np.pi / 10.0) ** 2)
     assert amplitude == pytest.approx(expected, rel=0.02)  # higher terms of the linear interpolation
+
+
+def plain(ground, column, row, sigma_texel):
+    """Reflectance at texel coordinates: every texel around, weighted by the optics' Gaussian."""
+    reach = int(np.ceil(5.0 * sigma_texel)) + 1
+    left, top = int(column.min()) - reach - 1, int(row.min()) - reach - 1
+    size = int(column.max()) + reach + 2 - left, int(row.max()) + reach + 2 - top
+    texels = ground.patch(left, top, *size).astype(float)
+    i, j = np.rint(column).astype(int), np.rint(row).astype(int)
+    total, weights = np.zeros(column.shape), np.zeros(column.shape)
+    for dj in range(-reach, reach + 1):
+        for di in range(-reach, reach + 1):
+            weight = np.exp(-0.5 * ((i + di - column) ** 2 + (j + dj - row) ** 2) / sigma_texel**2)
+            total += weight * texels[j + dj - top, i + di - left]
+            weights += weight
+    return total / weights
+
+
+@pytest.mark.parametrize("line", [40, 400, 700])
+def test_a_strip_is_what_the_plain_sum_over_texels_gives(model, surface, line):
+    texels_per_pixel = 1.5  # the default
+    sigma_texel = gaussian_sigma_px(SCENARIO.ground.mtf_nyquist) * texels_per_pixel
+    ground = ProceduralGround(SCENARIO.ground, SCENARIO.ground_pixel_m / texels_per_pixel, 5, 1)
+    near = panels_near(np.array([[128.0, line + 60.0]]), 60.0, LINES, SCENARIO.line_camera.samples)
+    image = rendered(model, surface, ground, 2, sigma_texel, near) / 50000.0 * 255.0
+    lines, samples = np.arange(line, line + 120.0), np.arange(70.0, 190.0)
+    scene = TrueScene(model, surface, EPSG, BlurredGround(ground, sigma_texel), 16)
+    expected = 255.0 * plain(ground, *scene.texels(2, samples, lines), sigma_texel)
+    difference = image[line : line + 120, 70:190] - expected
+    assert expected.std() > 10.0  # DN of 8 bits: the land has contrast
+    # The camera's own noise has 0.8 DN and more: linear interpolation between texels adds 14 % to its
+    # variance at most.
+    assert difference.std() < 0.3
+    slopes = np.stack([slope.ravel() for slope in np.gradient(expected)])
+    shift_px = np.linalg.solve(slopes @ slopes.T, slopes @ difference.ravel())
+    assert np.abs(shift_px).max() < 0.005  # px: of a chip, whose matching is good to 0.01 px and more
 
 
 def test_gaussian_width_follows_from_the_transfer_function():

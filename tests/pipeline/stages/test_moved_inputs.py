@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
@@ -15,7 +17,7 @@ from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.stages.moved_inputs import _turned_by_velocity
+from boresight.pipeline.stages.moved_inputs import _line_of_sight, _turned_by_velocity
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -33,6 +35,40 @@ def test_attitudes_turn_with_a_velocity_as_by_the_aberration_that_a_head_left_in
     expected = (turned * R_si.inv()).as_rotvec()
     # Of second order in v/c, 6e-10 rad, and the annual part's own change: far below 1e-3 of 5 arc-seconds.
     assert np.abs(_turned_by_velocity(R_si.as_matrix(), v_i, u_s) - expected).max() < 1e-3 * 5.0 * ARCSEC
+
+
+@pytest.mark.parametrize("removed", ["none", "annual"])
+def test_attitudes_turn_with_their_line_of_sight_as_erfa_says(removed):
+    """Axes of the head are bold, and the line of sight lies far from all of them."""
+    epoch, t_s = Epoch.from_utc("2024-11-20T04:00:00"), np.array([0.0, 60.0, 4000.0])
+    v_i = np.array([[7400.0, 900.0, -1200.0], [-300.0, 7500.0, 800.0], [100.0, -200.0, 7600.0]])
+    R_si = Rotation.random(3, random_state=5)
+    u_s = BOLD.apply([0.36, -0.48, 0.8])
+    source = SimpleNamespace(aberration_removed=removed)
+    head = SimpleNamespace(name="STR1", line_of_sight_s=u_s)
+    dump = SimpleNamespace(epoch=epoch, orbit=SimpleNamespace(states_i=lambda _: (None, v_i)))
+    attitudes = SimpleNamespace(R_si=R_si.as_matrix())
+    exposures = [SimpleNamespace(t_s=t) for t in t_s]
+    strip = SimpleNamespace(strip_id="s01", exposures=exposures, attitudes=attitudes)
+
+    def seen(u):
+        return with_all_aberration(R_si, removed, epoch, t_s, v_i, line_of_sight_s=u)
+
+    for moved in _line_of_sight(dump, head, source, [strip]):
+        d_s = np.array([float(one) for one in moved.item.partition("[")[2].strip("]").split(",")])
+        assert abs(d_s @ u_s) < 0.02  # printed with two digits
+        d_s -= (d_s @ u_s) * u_s
+        d_s /= np.linalg.norm(d_s)
+        step = np.radians(0.1)
+        expected = (seen(u_s * np.cos(step) + d_s * np.sin(step)) * seen(u_s).inv()).as_rotvec() / 0.1
+        # Digits of the printed direction: a hundredth of the turn, 0.45 arc-seconds a degree at most.
+        assert np.abs(moved.turns_s["s01"] - expected).max() < 0.015 * 0.45 * ARCSEC
+        assert np.abs(expected).max() > 0.02 * ARCSEC
+
+
+def test_a_line_of_sight_that_is_not_used_is_no_cause():
+    source = SimpleNamespace(aberration_removed="annual and orbital")
+    assert not list(_line_of_sight(SimpleNamespace(epoch=None, orbit=None), None, source, []))
 
 
 def test_a_moved_input_changes_the_residuals_as_its_column_says():
