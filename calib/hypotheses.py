@@ -7,7 +7,7 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,7 @@ class Hypothesis:
         "J, 3", "change of u_c - w by one unit, frame c, rad; J targets in order of strips"
     )
     star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
+    most: float = scalar("largest size that is possible", default=np.inf)
 
     @property
     def remedy(self) -> str:
@@ -61,6 +62,7 @@ class HypothesisInputs:
     pixel_rad: float  # of the remote-sensing camera
     effects: Sequence[StarEffects] = ()  # errors of the star camera, by strip; none: attitudes were delivered
     inputs: Sequence[MovedInput] = ()  # what moves in the prediction with further inputs
+    pivots: Mapping[int, float] | None = None  # samples about which CCDs rotate; else: their mean
 
 
 HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
@@ -76,7 +78,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     ground = ~np.concatenate([one.is_star for one in prepared])
     found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
     found += [_of_input(prepared, C, one) for one in of.inputs]
-    found += _of_looks(prepared, ccd, pixel_rad)
+    found += _of_looks(prepared, ccd, pixel_rad, of.pivots or {})
     attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
     found += _of_attitude(prepared, strip, C, attitudes)
     found += _of_images(prepared, strip, ccd, pixel_rad)
@@ -219,11 +221,14 @@ def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -
         words=moved.words,
         file=moved.file,
         field=moved.field,
+        most=moved.most,
         change_c=np.concatenate(change),
     )
 
 
-def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) -> Iterator[Hypothesis]:
+def _of_looks(
+    prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float, pivots: Mapping[int, float]
+) -> Iterator[Hypothesis]:
     """Shifts and rotation of each CCD, all shifted alike, and the focal length."""
     u_c = np.concatenate([one.u_c for one in prepared])
     across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
@@ -232,7 +237,7 @@ def _of_looks(prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float) ->
     for number in (None, *(numbers if len(numbers) > 1 else ())):
         here = np.ones(len(ccd), dtype=bool) if number is None else ccd == number
         item = "all CCDs" if number is None else f"CCD {number}"
-        arm = (sample - sample[here].mean()) * here
+        arm = (sample - pivots.get(number or 0, float(sample[here].mean()))) * here
         rows = (
             ("place", ", along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
             ("place", ", across the track", "px", "y_first_mm", -pixel_rad * here, 1),

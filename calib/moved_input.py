@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from boresight.geometry.record import Floats, record, scalar
 
 __all__ = ["MovedInput"]
@@ -24,6 +26,7 @@ class MovedInput:
     words: tuple[str, str] = scalar("a positive and a negative size in words, behind the number")
     file: str = scalar("file of the dump that states the input")
     field: str = scalar("field of that file")
+    most: float = scalar("largest size that is possible", default=np.inf)
     directions_i: Mapping[str, Floats] = scalar(
         "by strip: change (J, 3) of the targets' known directions, GCRS", default_factory=dict
     )

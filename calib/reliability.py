@@ -24,7 +24,7 @@ leaves something of a large error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,8 +47,8 @@ from boresight.calib.joint_solution import (
 )
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.star_camera_error import star_effects, summed
-from boresight.calib.strips import prepare_strips, tangent_axes
+from boresight.calib.star_camera_error import StarEffects, star_effects, summed
+from boresight.calib.strips import PreparedStrip, prepare_strips, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -70,6 +70,7 @@ POWER = 0.9
 PROBABILITY_SUSPECT = 1e-3  # that any of all good observations is named
 MOST_SEARCHED = 16  # hypotheses under which rejected observations are searched anew, the likeliest ones
 MOST_ROUNDS = 8  # of such a search
+BEYOND_SIGMAS = 3.0  # by which an estimated size may exceed the largest possible one
 EQUAL = 1.0  # difference of evidence by which two causes explain the same
 MOST_RIVALS = 3  # that a finding names
 NOT_LINEAR = 0.01  # of the evidence of a cause: less may be what its linear form leaves
@@ -149,6 +150,9 @@ class Reliability:
     tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
     findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
     suspects: tuple[Contradiction, ...] = scalar("observations farther off than any of so many good ones")
+    of_bias: tuple[Hypothesis, ...] = scalar(
+        "those about the ground, of a largest possible size, that explain its bias", default=()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +185,7 @@ class _Adjustment:
     )
     names: tuple[str, ...] = array("J", 'observations, "strip/target"')
     ccds: Ints = array("J", "their CCDs")
+    is_star: Bools = array("J", "observations of the sky")
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
@@ -203,6 +208,7 @@ def examine(
     pixel_rad: float,
     star_camera: StarCamera | None = None,
     inputs: Sequence[MovedInput] = (),
+    pivots: Mapping[int, float] | None = None,
     limits: ReliabilitySettings | None = None,
     table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
@@ -223,6 +229,8 @@ def examine(
         Camera whose model gave the stars' directions; None: attitudes were delivered.
     inputs : sequence of MovedInput
         Further inputs whose errors were evaluated by prediction.
+    pivots : mapping of int to float, optional
+        Samples about which CCDs rotate, by CCD; default: the mean of their observations.
     limits : ReliabilitySettings, optional
         False-alarm rate and what counts as harm.
     table_of : callable
@@ -234,20 +242,27 @@ def examine(
         The tests at the weights of the estimate, and at most three causes.
     """
     limits = limits or ReliabilitySettings()
-    one = _adjustment(estimate, strips, settings, pixel_rad, star_camera, inputs, table_of)
+    one = _adjustment(
+        estimate,
+        strips,
+        settings,
+        star_camera,
+        lambda prepared, effects: table_of(
+            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs, pivots)
+        ),
+    )
     tests = _tests(one, limits)
     findings, chosen, last = _causes(one, tests, limits)
-    return Reliability(tuple(tests), tuple(findings), tuple(_suspects(one, chosen, last)))
+    suspects, of_bias = tuple(_suspects(one, chosen, last)), tuple(_of_bias(one, estimate))
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias)
 
 
 def _adjustment(
     estimate: InstallationEstimate,
     strips: Sequence[StripSightings],
     settings: CalibrationSettings,
-    pixel_rad: float,
     star_camera: StarCamera | None,
-    inputs: Sequence[MovedInput],
-    table_of: HypothesisTable,
+    table_of: Callable[[Sequence[PreparedStrip], Sequence[StarEffects]], list[Hypothesis]],
 ) -> _Adjustment:
     strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
     strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
@@ -268,7 +283,7 @@ def _adjustment(
     )
     step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    table = table_of(HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs))
+    table = table_of(prepared, effects)
     change = np.stack([h.change_c for h in table], axis=2)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
@@ -284,6 +299,7 @@ def _adjustment(
         by_place=_whitened(problem, about, R_cs @ np.concatenate([one.move_s for one in prepared])),
         measured=_whitened(problem, about, apart[:, :, None])[:, :, 0],
         ccds=np.concatenate([one.ccd for one in prepared]),
+        is_star=np.concatenate([one.is_star for one in prepared]),
         names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
         star_right=right[parts] * of_stars,
@@ -337,6 +353,28 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
     return tests
 
 
+def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypothesis]:
+    """Hypotheses about targets on the ground of which some possible size leaves nothing of the bias of the
+    orbit that is significant: the bias takes up what they do to the residuals.
+    """
+    if (bias := estimate.bias) is None:
+        return
+    names = list(one.problem.shared.names)
+    rows = [3 + names.index(f"bias/{name}") for name in bias.names]
+    _, x = respond(one.problem, one.about, one.step, one.B)
+    weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
+    limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
+    before = float(bias.value @ weight @ bias.value)
+    of_sky = np.any(one.B[one.is_star] != 0.0, axis=(0, 1))
+    for h, touches_sky, effect_m in zip(one.table, of_sky, (x[rows] * bias.stated[:, None]).T):
+        own = float(effect_m @ weight @ effect_m)
+        if np.isfinite(h.most) and not touches_sky and own * h.most**2 > limit:
+            size = float(effect_m @ weight @ bias.value) / own
+            possible = abs(size) < h.most + BEYOND_SIGMAS / np.sqrt(own)
+            if possible and before - own * size**2 < limit < before:
+                yield h
+
+
 def _noncentrality(p: float) -> float:
     limit = float(chdtri(1, p))
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
@@ -376,6 +414,7 @@ def _causes(
     concerned = np.any(one.B != 0.0, axis=1).sum(axis=0)  # observations, by hypothesis
     while len(chosen) < MOST_CAUSES:
         trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
+        trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         if not gain:
             break
@@ -396,6 +435,11 @@ def _causes(
         before = trials[best]
         strongest = max(strongest, most, float((before.size[-1] / before.sigma[-1]) ** 2))
     return findings, chosen, before
+
+
+def _is_possible(h: Hypothesis, fit: _Fit) -> bool:
+    """Whether the size of the last hypothesis of a fit can be one."""
+    return bool(abs(fit.size[-1]) < h.most + BEYOND_SIGMAS * fit.sigma[-1])
 
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:

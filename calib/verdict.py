@@ -23,6 +23,7 @@ from scipy.special import bdtrc, chdtr, chdtrc
 
 from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WhyRejected, WithoutHead
 from boresight.calib.finding import Finding
+from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
@@ -253,7 +254,7 @@ def assess(
     found = [_residuals(*one, settings) for one in residuals]
     found += _shares(estimate, settings)
     heads, between = _between_heads(estimate.agreement, settings), _between_strips(estimate, settings)
-    causes = reliability.findings if reliability else ()
+    causes, of_bias = (reliability.findings, reliability.of_bias) if reliability else ((), ())
     # A head that moves, and a cause that refutes, set the strips against one another.
     named = any(check.names for check in heads) or any(one.refutes for one in causes)
     found += [replace(between, names=()) if named else between, *heads]
@@ -276,7 +277,7 @@ def assess(
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
     heads_told = [one for one in _head_findings(heads) if not any(one.item == c.item for c in causes)]
-    return verdict.with_findings(heads_told or causes or tuple(_orbit_finding(estimate, found)))
+    return verdict.with_findings(heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias)))
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
@@ -446,8 +447,12 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
     return [_check(CheckKind.ORBIT_BIAS, statistic, len(rows), len(rows), p_value, settings, names)]
 
 
-def _orbit_finding(estimate: InstallationEstimate, checks: Sequence[Check]) -> Iterator[Finding]:
-    """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas."""
+def _orbit_finding(
+    estimate: InstallationEstimate, checks: Sequence[Check], others: Sequence[Hypothesis]
+) -> Iterator[Finding]:
+    """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas.
+    The first of `others`, which explain it too, is listed.
+    """
     if estimate.bias is None or all(c.holds for c in checks if c.kind is CheckKind.ORBIT_BIAS):
         return
     bias = estimate.bias
@@ -457,14 +462,17 @@ def _orbit_finding(estimate: InstallationEstimate, checks: Sequence[Check]) -> I
     yield Finding(
         cause="orbit, or datum of the targets",
         item="all ground strips",
-        text=f"{value:+.3g} ± {sigma:.2g} m {bias.names[n]}, against the sky: check the orbit file, and "
-        "latitude, longitude and height_kind in targets.csv.",
+        text=f"{value:+.3g} ± {sigma:.2g} m {bias.names[n]}, against the sky: check the orbit; "
+        "latitude, longitude, height_kind in targets.csv"
+        + "".join(f"; or {one.field} in {one.file}" for one in others[:1])
+        + ".",
         value=value,
         sigma=sigma,
         unit="m",
         file="orbit, targets.csv",
         refutes=True,
         p_value=min(c.p_value for c in checks if c.kind is CheckKind.ORBIT_BIAS),
+        rivals=tuple(f"{one.cause}, {one.item}" for one in others[:1]),
     )
 
 

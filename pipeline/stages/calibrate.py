@@ -26,7 +26,7 @@ from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Verdict, assess
-from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
@@ -41,9 +41,9 @@ from boresight.pipeline.stages.conventions import likely_convention, sees_its_ta
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.earth_table import EarthTableCheck, check_earth_table, earth_findings
 from boresight.pipeline.stages.exchanged_exposures import exchanged_exposures
-from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, exchanged_in_sky
+from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, exchanged_in_sky, exchanged_strips
 from boresight.pipeline.stages.head import HeadSightings, sight_head
-from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
+from boresight.pipeline.stages.input_findings import assumed_motion, input_findings, shifted_chips
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import targets_out_of_view, what_is_missing
@@ -52,6 +52,7 @@ from boresight.pipeline.stages.point_slips import without_hidden_points
 from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.sky_losses import (
+    displaced_stars,
     named_alone,
     reversed_strips,
     sky_counts,
@@ -178,7 +179,10 @@ def calibrate_dump(
     sighted = _sighted(dump, heads, first, last, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = _examined(dump, found, sighted, error_model, inputs, settings)
-    of_inputs = input_findings(dump, last.tasks, omissions)
+    of_inputs = [
+        *targets_out_of_view(dump, last.tasks, last.matched),
+        *input_findings(dump, last.tasks, omissions),
+    ]
     if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
         reliability = replace(reliability, findings=(), suspects=())
     verdict = assess(
@@ -191,7 +195,6 @@ def calibrate_dump(
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
         *_explanations(dump, heads, last, found, verdict, reliability, stars, settings),
-        *targets_out_of_view(dump, last.tasks, last.matched),
         *of_inputs,
         *assumed_motion(last.strips, error_model),
         *earth_findings(earth, dump.earth_file),
@@ -295,7 +298,8 @@ def _one_pass(
         known = [*_unused_so_far(dump, heads, sky), *uncovered, *unnamed]
         text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
-        if cause := _cause_of_no_result(dump, heads, sky, seen, tasks, settings, error_model):
+        shifted = next(shifted_chips(dump, unmatched), None)
+        if cause := shifted or _cause_of_no_result(dump, heads, sky, seen, tasks, settings, error_model):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known, *unmatched])
     return _Pass(
@@ -352,8 +356,15 @@ def _examined(
         pixel_rad=dump.line_camera.pixel_rad,
         star_camera=dump.star_camera,
         inputs=inputs,
+        pivots=_pivots(dump.line_camera),
         limits=settings.verdict.of_reliability,
     )
+
+
+def _pivots(camera: LineSensor) -> dict[int, float]:
+    """Samples about which CCDs are rotated; none where the camera states look angles."""
+    ccds = camera.ccds if isinstance(camera, LineCamera) else ()
+    return {n: ccd.principal_sample for n, ccd in enumerate(ccds)}
 
 
 def _agreeing_strips(dump: Dump, heads: Sequence[HeadSightings], settings: Settings) -> int:
@@ -411,7 +422,9 @@ def _target_findings(
     strips = {name.rpartition("/")[0] for one in told for name in one.targets}
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
     images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
+    strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
     exchanged = [
+        *strips_exchanged,
         *exchanged_in_ground(last.tasks, last.matched),
         *exchanged_in_sky(dump, last.sky, last.named, stars, estimate.R_cs),
     ]
@@ -422,7 +435,7 @@ def _target_findings(
     return [
         *exchanged,
         *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
-        *lost_targets(last.tasks, last.matched, items),
+        *(() if strips_exchanged else lost_targets(last.tasks, last.matched, items)),
         *lost_stars(images, apart, without_stars(apart), items),
         *strips_without_stars(dump, last.sky, last.named, stars, strips),
     ]
@@ -442,14 +455,18 @@ def _sighted(
     more = [strip for of_tasks, matched in parts for strip in _strips(of_tasks, matched, heads)]
     more += named_sightings(last.sky, first.named, heads)
     alone_in_sky = {one.strip_id: one for one in named_alone(dump, last.sky, stars)}
-    of_strips = [n for n, task in enumerate(last.sky.tasks) if task.strip.strip_id in alone_in_sky]
-    side = replace(
-        last.sky,
-        tasks=tuple(last.sky.tasks[n] for n in of_strips),
-        found=tuple(last.sky.found[n] for n in of_strips),
-    )
+    side = _of_strips(last.sky, list(alone_in_sky.values()))
     more += named_sightings(side, [alone_in_sky[task.strip.strip_id] for task in side.tasks], heads)
+    displaced = displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs)
+    more += named_sightings(_of_strips(last.sky, displaced), displaced, heads)
     return with_left_out(last.strips, more)
+
+
+def _of_strips(sky: SkySide, named: Sequence[NamedStars]) -> SkySide:
+    """The strips of the sky that are among `named`."""
+    ids = {one.strip_id for one in named}
+    rows = [n for n, task in enumerate(sky.tasks) if task.strip.strip_id in ids]
+    return replace(sky, tasks=tuple(sky.tasks[n] for n in rows), found=tuple(sky.found[n] for n in rows))
 
 
 def _unused_so_far(dump: Dump, heads: Sequence[HeadSightings], sky: SkySide) -> list[Omission]:

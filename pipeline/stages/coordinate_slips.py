@@ -13,7 +13,7 @@ import numpy as np
 
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile
@@ -70,6 +70,21 @@ def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) ->
         if other.file != chip.file and (theirs := _place(other)) and theirs.contains(here)[0]:
             return f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
     return f"{_apart_km(here[0], place):.3g} km from the middle of its chip; correct its coordinates or chip"
+
+
+def off_middle_m(target: Target, chip: ChipFile) -> tuple[float, float]:
+    """How far a target's coordinates lie east and north of the middle of its chip, m; NaN: unreadable."""
+    if (place := _place(chip)) is None:
+        return np.nan, np.nan
+    lat, lon = np.radians(np.array([place.middle_deg], dtype=float)).T
+    lat_target, lon_target, _ = geodetic_from_ecef(target.p_e[None], WGS84)
+    level = np.zeros(1)
+    there, here = (
+        ecef_from_geodetic(lat, lon, level, WGS84),
+        ecef_from_geodetic(lat_target, lon_target, level, WGS84),
+    )
+    east_m, north_m = (local_axes_e(lat, lon)[0].T @ (here - there)[0])[:2].tolist()
+    return east_m, north_m
 
 
 def _place(chip: ChipFile) -> GridPlace | None:

@@ -1,10 +1,12 @@
-"""Exchanged files of two CCDs of a strip: what is missing on both is found with the image of the other."""
+"""Exchanged files of two CCDs of a strip, or of two strips: what is missing on both is found with the image
+of the other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,8 +23,9 @@ from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["exchanged_in_ground", "exchanged_in_sky"]
+__all__ = ["exchanged_in_ground", "exchanged_in_sky", "exchanged_strips"]
 
+MOST_PAIRS = 3  # of strips that are matched with each other's images; bounds their time
 FEWEST = 3  # targets or stars that are found with the exchange
 Found = Callable[[int, int], int]
 
@@ -40,6 +43,29 @@ def exchanged_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTar
 
         if len(one.ccd):
             yield from _findings(task.strip.strip_id, counts_of([one]), found, "targets")
+
+
+def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+    """Pairs of strips of the ground of which nothing matches, but with the images of the other."""
+    empty = [
+        (task, len(one.omissions)) for task, one in zip(tasks, matched) if not len(one.ccd) and task.targets
+    ]
+    for (a, n_a), (b, n_b) in islice(combinations(empty, 2), MOST_PAIRS):
+        if a.strip.images.shapes != b.strip.images.shapes:
+            continue
+        seen = 0
+        for task, other in ((a, b), (b, a)):
+            outcome = match_strip_targets(replace(task, strip=replace(task.strip, images=other.strip.images)))
+            seen += 0 if isinstance(outcome, Omission) else len(outcome.ccd)
+        if seen >= max(FEWEST, 0.5 * (n_a + n_b)):
+            yield Finding(
+                cause="files of two strips",
+                item=f"strip {a.strip.strip_id} and strip {b.strip.strip_id}",
+                text=f"exchanged, {seen} of {n_a + n_b} targets are found, as stated none: check file in "
+                "strips.csv.",
+                file="strips.csv",
+                field="file",
+            )
 
 
 def exchanged_in_sky(

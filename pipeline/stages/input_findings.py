@@ -22,13 +22,16 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
 from boresight.pipeline.files.star_side import Head
-from boresight.pipeline.stages.strip import StripTask
+from boresight.pipeline.stages.coordinate_slips import off_middle_m
+from boresight.pipeline.stages.strip import StripTask, compass
 
-__all__ = ["assumed_motion", "given_twice", "heights", "input_findings", "outside_chips"]
+__all__ = ["assumed_motion", "given_twice", "heights", "input_findings", "outside_chips", "shifted_chips"]
 
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
+ALIKE = 0.1  # of their distance, by which targets may be apart that lie off their chips alike
+MOST_CHIPS = 256  # that are opened for it
 SHOWN = 4  # most names in the sentence of a finding; "and N more" follows
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT)  # refusals of targets whose place is wrong
 
@@ -40,7 +43,8 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
     without = {one.target_id for one in omissions if one.cause in wrong}
     return [
         *given_twice(omissions),
-        *outside_chips(omissions),
+        *(shifted := list(shifted_chips(dump, omissions))),
+        *(() if shifted else outside_chips(omissions)),
         *_smeared(dump, omissions),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
         *_heights(dump, {name: target for name, target in every.items() if name not in without}),
@@ -115,6 +119,27 @@ def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
             file="points.csv" if those[0].file == "points.csv" else "targets.csv",
             field="lat_deg, lon_deg",
             targets=tuple(one.name for one in those if "/" in one.name),
+        )
+
+
+def shifted_chips(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding]:
+    """That the coordinates of most targets lie as far outside their chips, in the same direction."""
+    outside = {one.target_id for one in omissions if one.kind == "target" and one.cause == Cause.OUTSIDE_CHIP}
+    pairs = [pair for pair in zip(dump.targets, dump.chips) if pair[0].target_id in outside]
+    if len(pairs) <= max(FEWEST, len(dump.targets) // 2):
+        return
+    off_m = np.array([off_middle_m(*pair) for pair in pairs[:MOST_CHIPS]])
+    middle_m = np.nanmedian(off_m, axis=0)
+    apart_m = float(np.nanmedian(np.hypot(*(off_m - middle_m).T)))
+    if apart_m < ALIKE * float(np.hypot(*middle_m)):
+        yield Finding(
+            cause="common shift of coordinates or chips",
+            item=f"{len(pairs)} of {len(dump.targets)} targets",
+            text=f"they lie {compass(*middle_m.tolist())} of the middle of their chips: check datum and "
+            "geo-reference of the chips, lat_deg, lon_deg in targets.csv.",
+            file="targets.csv",
+            field="lat_deg, lon_deg, chip",
+            targets=tuple(target.target_id for target, _ in pairs),
         )
 
 

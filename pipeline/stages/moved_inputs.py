@@ -63,6 +63,10 @@ def _times(strip: StripSightings) -> Floats:
     return np.array([exposure.t_s for exposure in strip.exposures])
 
 
+def _middle_s(strips: Sequence[StripSightings]) -> Floats:
+    return np.array([float(strips[0].ground.t_s[0])])
+
+
 def _attitudes(strip: StripSightings) -> Floats:
     assert strip.attitudes is not None
     return strip.attitudes.R_si
@@ -117,6 +121,7 @@ def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]
             words=("too much", "too little"),
             file="dump.toml",
             field=f"aberration_removed of {head.name}",
+            most=2.0,
             turns_s={
                 strip.strip_id: _turned_by_velocity(
                     _attitudes(strip), velocity(_times(strip)), head.line_of_sight_s
@@ -182,6 +187,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             words=words,
             file="orbit",
             field="velocity, date and frame",
+            most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
             directions_i=directions,
             turns_s=turns,
         )
@@ -215,5 +221,6 @@ def _light(strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]) -> 
             words=("too much", "too little"),
             file="dump.toml",
             field=f"light.{key}",
+            most=1.0,
             directions_i=directions,
         )

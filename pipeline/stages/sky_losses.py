@@ -16,6 +16,7 @@ from boresight.calib.finding import Finding
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.left_out import Counts, lost_ccds
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
@@ -26,6 +27,7 @@ __all__ = [
     "Crossings",
     "as_bright_as_named",
     "crossings",
+    "displaced_stars",
     "named_alone",
     "reversed_strips",
     "sky_counts",
@@ -41,6 +43,9 @@ PROBABILITY_LOST = 1e-3  # that a CCD of good strips is named; three stars of th
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
+FEWEST_DISPLACED = 2  # missing stars of a CCD that are looked for elsewhere on it
+FAR_PX = 100.0  # from its place, within which a missing star is looked for (set by hand)
+ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may be it
 EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
 
 
@@ -148,6 +153,65 @@ def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:
     return []
 
 
+def displaced_stars(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, R_cs: Rotation
+) -> list[NamedStars]:
+    """Missing stars of single CCDs with the detections, of their brightness and farther off than a right
+    matrix allows, that may be them: the tests of inputs say whether one error of the CCD explains several.
+    """
+    if not any(n - found >= FEWEST_DISPLACED for found, n in counts.values()):
+        return []
+    survey = survey_of(dump.star_catalogue)
+    bright, every = as_bright_as_named(survey, named), []
+    for task, one in zip(side.tasks, named):
+        if not len(one.rows):
+            continue
+        expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
+        level = float(np.median(_magnitude(one.found.flux_dn[one.rows]) - one.places.places.v_mag))
+        pairs = list[tuple[int, int]]()
+        for ccd in task.strip.images.ccds:
+            rows, stars = np.flatnonzero(one.found.ccd == ccd), np.flatnonzero(expected.ccd == ccd)
+            off_px = np.abs(expected.xy_px[stars, None] - one.found.xy_px[rows]).max(axis=2)
+            lost = stars[~(off_px < near_px).any(axis=1)]
+            if len(lost) < FEWEST_DISPLACED:
+                continue
+            free = rows[~(off_px < near_px).any(axis=0)]
+            pairs += _of_brightness(expected, lost, one.found, free, bright, level)
+        if pairs:
+            row, star = np.array(pairs).T
+            every.append(
+                replace(
+                    one,
+                    rows=row,
+                    places=bright.take(star),
+                    probability_wrong=np.zeros(len(row)),
+                    omissions=(),
+                )
+            )
+    return every
+
+
+def _magnitude(flux_dn: Floats) -> Floats:
+    return -2.5 * np.log10(flux_dn)
+
+
+def _of_brightness(
+    expected: Crossings, lost: Ints, found: StripStars, free: Ints, bright: SurveyedStars, level: float
+) -> list[tuple[int, int]]:
+    """Detection and star of the catalogue, for each of the crossings `lost` the nearest of the detections
+    `free` that is as bright; none of a single pair.
+    """
+    magnitude = _magnitude(found.flux_dn[free]) - level
+    pairs: dict[int, int] = {}
+    for n in lost.tolist():
+        star = int(expected.star[n])
+        off_px = np.hypot(*(found.xy_px[free] - expected.xy_px[n]).T)
+        alike = (np.abs(magnitude - bright.places.v_mag[star]) < ALIKE_MAG) & (off_px < FAR_PX)
+        if alike.any():
+            pairs.setdefault(int(free[np.argmin(np.where(alike, off_px, np.inf))]), star)
+    return list(pairs.items()) if len(pairs) >= FEWEST_DISPLACED else []
+
+
 Changed = Callable[[StripStars, SkyTask], StripStars]
 
 
@@ -213,6 +277,8 @@ def strips_without_stars(
     """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
     stars agree by themselves contradicts the others, and refutes.
     """
+    source = dump.heads[0].source
+    attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
     for n, (task, one) in enumerate(zip(side.tasks, named)):
         strip_id = task.strip.strip_id
         expected = sum(seen for (name, _), (_, seen) in counts.items() if name == strip_id)
@@ -230,7 +296,7 @@ def strips_without_stars(
         yield Finding(
             cause=cause,
             item=f"strip {strip_id}",
-            text=f"{text}: check {file} in strips.csv.",
+            text=f"{text}: check {file} in strips.csv{attitudes if alone else ''}.",
             file="strips.csv",
             field=file,
             refutes=alone,

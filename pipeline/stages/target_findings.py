@@ -113,13 +113,18 @@ def single_targets(
     the targets found, and in view.
     """
     rest, cells = list(suspected), defaultdict[str, list[Suspected]](list)
+    of_ccds = dict[int, list[Suspected]]()
     for group in _groups(suspected, counts):
         those, rest = _split(rest, group)
         strip_id, ccd = group
         if strip_id is not None and ccd is not None:
             cells[strip_id] += those
+        elif ccd is not None:
+            of_ccds[ccd] = those
         elif not is_explained:
-            yield _of_group(group, those)
+            yield _of_strip(strip_id, those)
+    if of_ccds and not is_explained:
+        yield _of_ccds(of_ccds)
     for strip_id, those in cells.items() if not is_explained else ():
         yield _of_cells(strip_id, those)
     of_target: dict[str, list[Suspected]] = defaultdict(list)
@@ -192,13 +197,31 @@ def _gain(k: int, n: int) -> float:
     return own - GROUP_PENALTY
 
 
-def _of_group(group: Group, those: Sequence[Suspected]) -> Finding:
-    """Targets of one strip, or of one CCD, that contradict the rest."""
-    strip_id, ccd = group
+def _of_ccds(of_ccds: Mapping[int, Sequence[Suspected]]) -> Finding:
+    """Targets of CCDs that contradict the rest in all strips: of two, perhaps, because they are exchanged."""
+    those = [one for ccd in of_ccds for one in of_ccds[ccd]]
+    images = "ccd in points.csv" if those[0].is_point else "files in strips.csv"
+    fields = "rotation_mrad, x_offset_mm, y_first_mm"
+    first, second = f"{fields} in remote_camera.toml", f"{images} exchanged"
+    if len(of_ccds) == 2:
+        first, second = second, first
+    return Finding(
+        cause="look directions of a CCD" if len(of_ccds) == 1 else "images or look directions of CCDs",
+        item=" and ".join(f"CCD {ccd}" for ccd in sorted(of_ccds)),
+        text=f"{len(those)} of {'its' if len(of_ccds) == 1 else 'their'} targets contradict the rest: check "
+        f"{first}; or {second}.",
+        file="remote_camera.toml",
+        field=fields,
+        targets=tuple(f"{one.strip_id}/{one.target_id}" for one in those),
+    )
+
+
+def _of_strip(strip_id: str | None, those: Sequence[Suspected]) -> Finding:
+    """Targets of one strip, or of all, that contradict the rest."""
     names = tuple(f"{one.strip_id}/{one.target_id}" for one in those)
     more = " and more" if len(those) > SHOWN else ""
     shown = f"{', '.join([one.target_id for one in those][:SHOWN])}{more}"
-    if strip_id is None and ccd is None:
+    if strip_id is None:
         file = "points.csv" if those[0].is_point else "targets.csv"
         return Finding(
             cause="look directions or coordinates",
@@ -206,17 +229,6 @@ def _of_group(group: Group, those: Sequence[Suspected]) -> Finding:
             text="they contradict the rest, and no common cause explains them: check x_offset_mm, y_first_mm "
             f"in remote_camera.toml, and {file}.",
             file=f"remote_camera.toml, {file}",
-            targets=names,
-        )
-    if strip_id is None:
-        images = "ccd in points.csv" if those[0].is_point else "files in strips.csv"
-        return Finding(
-            cause="look directions of a CCD",
-            item=f"CCD {ccd}",
-            text=f"{len(those)} of its targets contradict the rest: check rotation_mrad, x_offset_mm, "
-            f"y_first_mm in remote_camera.toml; or {images} exchanged.",
-            file="remote_camera.toml",
-            field="rotation_mrad, x_offset_mm, y_first_mm",
             targets=names,
         )
     file = "points.csv" if those[0].is_point else "targets.csv"

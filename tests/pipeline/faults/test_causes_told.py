@@ -6,6 +6,7 @@ fault is another one than those of `benchmarks/faults.py`.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -316,6 +317,108 @@ def test_the_same_points_under_other_ids_count_once(told, right):
     assert again.estimate.cov_theta.tolist() == right.estimate.cov_theta.tolist()
     (finding,) = [one for one in again.verdict.findings if one.is_fault]
     assert (finding.cause, finding.file) == ("given twice", "points.csv")
+
+
+def test_numbers_of_two_ccds_exchanged_in_all_strips_are_one_finding_about_both(told):
+    other = {"1": "2", "2": "1"}
+    make = partial(edited, "points.csv", lambda row: row.update(ccd=other.get(row["ccd"], row["ccd"])))
+    (first, *more) = [one for one in told(make).verdict.findings if one.is_fault]
+    assert (first.item, more) == ("CCD 1 and CCD 2", []) and "ccd in points.csv exchanged" in first.text
+
+
+@pytest.fixture
+def broken(made_once, tmp_path) -> Callable[[str, Make], Path]:
+    """A dump of images of a kind and seed 1, with a fault."""
+
+    def fill(name: str, folder: Path) -> None:
+        sound = fault_dumps.sound_dump(name, 1, folder)
+        if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
+            shutil.copytree(sound, folder / f"{name}-1")
+
+    def made(name: str, make: Make) -> Path:
+        folder = made_once(f"of-{name}", partial(fill, name))
+        fault_dumps.linked(folder / f"{name}-1", tmp_path / "dump")
+        make(tmp_path / "dump")
+        return tmp_path / "dump"
+
+    return made
+
+
+def revolution(sign: float, dump: Path) -> None:
+    """The orbit that the satellite has one revolution later or earlier."""
+    R = Rotation.from_rotvec([0.0, 0.0, -sign * faults.EARTH_RAD_S * faults.REVOLUTION_S])
+
+    def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
+        p[:], v[:] = R.apply(p), R.apply(v)
+
+    faults.states(edit, dump)
+
+
+def strips_exchanged(dump: Path) -> None:
+    header, *rows = faults.table(dump / "strips.csv")
+    ids, files = header.index("id"), header.index("file")
+    a, b = ([row for row in rows if row[ids] == strip] for strip in ("s01", "s02"))
+    for one, other in zip(a, b):
+        one[files], other[files] = other[files], one[files]
+    faults.write(dump / "strips.csv", [header, *rows])
+
+
+def no_aberration(dump: Path) -> None:
+    change(dump / "dump.toml", r"(?m)^\[errors\]", f"{NO_ABERRATION}[errors]")
+
+
+@pytest.mark.parametrize(
+    ("make", "cause", "words"),
+    [
+        (partial(revolution, -1.0), "orbit, times or coordinates", "none of 24 comes into view"),
+        (strips_exchanged, "files of two strips", "as stated none"),
+        (no_aberration, "orbit, or datum of the targets", "or light.aberration in dump.toml"),
+    ],
+)
+def test_a_cause_on_the_ground_is_told_first_beside_strips_of_the_sky(broken, make, cause, words):
+    first = calibrate_dump(open_dump(broken("mixed", make))).verdict.findings[0]
+    assert first.cause == cause and words in first.text, first
+    assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
+
+
+def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(broken):
+    def shifted(dump: Path) -> None:
+        for chip in (dump / "chips").glob("*.tif"):
+            faults.repaint(chip, lambda image: image, -350.0)
+
+    with pytest.raises(DataNotSufficientError, match=r"36 of 36 targets: they lie 350 m east of the middle"):
+        calibrate_dump(open_dump(broken("ground", shifted)))
+
+
+def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(broken):
+    """18 arc-seconds about x of the head, from the second scan on: the orbit's aberration is 5."""
+
+    def moves(dump: Path) -> None:
+        turn = Rotation.from_rotvec(np.radians([18.0 / 3600.0, 0.0, 0.0]))
+        header, *rows = faults.table(dump / "STR1.csv")
+        half = rows[len(rows) // 2][header.index("utc")]
+
+        def edit(row: dict[str, str]) -> None:
+            if row["utc"] >= half:
+                q = Rotation.from_quat([float(row[key]) for key in ("qx", "qy", "qz", "qw")]) * turn
+                row.update(zip(("qx", "qy", "qz", "qw"), map(repr, q.as_quat().tolist())))
+
+        edited("STR1.csv", edit, dump)
+
+    try:
+        text = str(calibrate_dump(open_dump(broken("trackers", moves))).verdict.findings[0])
+    except DataNotSufficientError as error:
+        text = str(error)
+    assert "attitude" in text and "STR1.csv" in text and "velocity" not in text
+
+
+@pytest.mark.parametrize(("ccd", "mrad"), [(1, 7.0), (3, 55.0)])
+def test_a_ccd_that_is_rotated_in_a_single_scan_is_told_with_its_angle(broken, ccd, mrad):
+    """At 55 mrad its stars are not where a right matrix allows: they are looked for on the same CCD."""
+    made = broken("sky", partial(camera, "rotation_mrad", ccd, mrad))
+    first = calibrate_dump(open_dump(made)).verdict.findings[0]
+    assert (first.cause, first.item) == ("rotation of a CCD", f"CCD {ccd}")
+    assert first.value == pytest.approx(mrad, abs=4.0 * first.sigma)
 
 
 @pytest.fixture
