@@ -101,7 +101,7 @@ def test_pieces_begin_at_the_first_row_after_a_gap() -> None:
 
 def test_the_motion_by_which_attitudes_are_carried_is_smoothed_whatever_their_step() -> None:
     rng = np.random.default_rng(4)
-    for step in (0.25, 0.1):  # s; the window is odd and spans `SMOOTHING_S`, whatever the step
+    for step in (0.25, 0.125):  # s; the window is odd and spans `SMOOTHING_S`, whatever the step
         t = step * np.arange(400)
         angle = 3e-4 * t + rng.normal(0.0, 1e-5, 400)
         turn = Rotation.from_rotvec(np.outer(angle, [0.6, 0.0, 0.8]))  # about one axis: angles add

@@ -11,7 +11,7 @@ from boresight.calib.distortion import correlation, knots_touched
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SharedUnknowns
-from boresight.calib.strips import group_strips, linearise, prepare_strip
+from boresight.calib.strips import _weights, group_strips, linearise, prepare_strip
 from boresight.features.paper.frames import calibrate_frames
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import ARCSEC
@@ -224,3 +224,11 @@ def test_measurements_of_slanted_covariance_are_whitened_to_unit_variance():
     at = linearise(group_strips([prepared], NOTHING, NONE)[0], BOLD, NONE)
     np.testing.assert_allclose(at.measured[0], np.tile(np.eye(2), (len(u), 1, 1)), atol=1e-3)
     # 1e-3: the predicted directions, about which it is whitened, differ from the measured by the noise
+
+
+def test_one_exposure_covers_half_a_second_to_either_side_of_it_wherever_it_is():
+    for at in (-813.25, 0.0, 5211.9):
+        t = at + np.array([-0.51, -0.49, 0.0, 0.49, 0.51])
+        inside, weights = _weights(np.array([at]), t, "lagrange")
+        assert inside.tolist() == [False, True, True, True, False]
+        np.testing.assert_array_equal(weights, inside[:, None])

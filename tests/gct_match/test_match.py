@@ -21,7 +21,7 @@ from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, Reason, StripMatches, Target
 from boresight.gct_match.search.coarse import read_coarse
-from boresight.gct_match.search.search_plan import SearchPlan, extents, plan_search
+from boresight.gct_match.search.search_plan import _GRID, SearchPlan, _on_grid, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
 
@@ -368,3 +368,12 @@ def test_a_ccd_whose_image_begins_later_has_its_targets_on_its_own_lines(case: C
         in_whole_image = np.concatenate(case.true.pixels_from_ground(one.ccd, place[one.target_id]))
         expected = in_whole_image - [0.0, later * one.ccd]
         assert one.xy_px == pytest.approx(expected, abs=0.015)  # px, as for the whole strip
+
+
+def test_a_box_is_begun_earlier_by_whole_blocks_from_the_beginning_of_the_one_around_it():
+    whole = (2, (5, 900), (-70, 700))
+    for first_line, first_sample in ((5, -70), (68, -7), (69, -6), (333, 512)):
+        ccd, lines, samples = _on_grid((2, (first_line, 400), (first_sample, 650)), whole)
+        assert (ccd, lines[1], samples[1]) == (2, 400, 650)
+        for (begun, _), first, begin in ((lines, first_line, 5), (samples, first_sample, -70)):
+            assert (begun - begin) % _GRID == 0 and first - _GRID < begun <= first

@@ -21,7 +21,7 @@ from boresight.geometry.earth_orientation import (
     bundled_earth_orientation,
     expected_prediction_error_m,
 )
-from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.earth_rotation import EarthRotation, _daily_values
 from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
 
 TABLE = bundled_earth_orientation()
@@ -203,3 +203,10 @@ def test_the_tables_meet_without_a_step():
 def test_a_table_with_a_missing_day_is_refused():
     with pytest.raises(ValueError, match="consecutive whole days"):
         replace(constant_table(54002.0, 0.0, 0.0, 0.0), mjd_utc=54000.0 + np.array([*range(19), 20]))
+
+
+def test_at_the_first_day_of_a_table_four_values_are_interpolated():
+    table = bundled_earth_orientation()
+    days, values = _daily_values(table, float(table.mjd_utc[0]), float(table.mjd_utc[0]) + 0.1)
+    assert len(days) == len(values) == 4 and np.all(np.diff(days) == 1.0)
+    assert values[:, 1] == pytest.approx(table.xp_rad[:4], abs=0.0)

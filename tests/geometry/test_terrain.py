@@ -337,3 +337,13 @@ def test_slopes_are_those_of_the_bilinear_height_up_to_the_last_row_and_column()
     assert height == pytest.approx((1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * e), abs=1e-3)
     assert by_column == pytest.approx((1 - v) * (b - a) + v * (e - d), abs=1e-3)
     assert by_row == pytest.approx((1 - u) * (d - a) + u * (e - b), abs=1e-3)
+
+
+@pytest.mark.parametrize("west_deg", [-180.0, 0.0, 180.0])
+def test_a_raster_around_the_whole_earth_has_a_height_at_every_longitude(west_deg):
+    heights = np.repeat(np.arange(360.0, dtype=np.float32)[None], 20, axis=0)
+    around = TerrainGrid.from_raster(heights, (1.0, 0.0, west_deg, 0.0, -1.0, 10.0), "EPSG:4326", None)
+    lon = np.arange(-179.5, 180.0, 7.0)
+    for turns in (-360.0, 0.0, 360.0):  # however it is written
+        found = around.height_m(np.full(len(lon), 0.01), np.radians(lon + turns))
+        assert found == pytest.approx((lon - west_deg) % 360.0 - 0.5, abs=1e-3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
 CAMERAS = CameraPair(Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True))
@@ -45,3 +45,15 @@ def test_rows_of_a_strip_are_stated_late_by_the_clocks_bias(bias_s):
         speed_rad_s = np.sqrt(3.986004e14 / 6.9081e6) * 6378.1 / 6908.1 / 530e3
         expected = [-speed_rad_s * bias_s, 0.0, 0.0]
         assert off.mean(axis=0) == pytest.approx(expected, rel=2e-3, abs=2e-9)
+
+
+def test_shift_slope_and_bend_of_a_ccd_are_orthonormal_over_its_samples():
+    modes = np.zeros((2, 3, 3))
+    modes[0, 0, 0] = modes[0, 1, 1] = modes[0, 2, 2] = 1.0  # one mode on each of three CCDs
+    none = np.zeros((2, 3, 1))
+    curve = DistortionCurve(none, none, 0.0, 1000, modes)
+    sample = np.arange(1000) + 0.5
+    drawn = np.array([curve.at(np.full(1000, ccd), sample)[:, 0] for ccd in range(3)])
+    # sums over 1000 samples stand for integrals to 1e-5
+    np.testing.assert_allclose(drawn @ drawn.T / 1000.0, np.eye(3), atol=1e-5)
+    assert np.all(np.diff(drawn[1]) > 0.0) and drawn[2, 0] > 0.0 > drawn[2, 500]

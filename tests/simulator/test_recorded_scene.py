@@ -71,3 +71,8 @@ def test_line_camera_as_it_is_is_the_recorded_one():
     for n, ccd in enumerate(camera.ccds):
         found |= {f"along {n}": ccd.distortion_offsets_m, f"across {n}": ccd.across_offsets_m}
     assert_recorded("line_camera", found)
+
+
+def test_the_darkest_and_the_brightest_ground_have_the_stated_reflectance():
+    rough = ProceduralGround(replace(GroundSettings(), detail=30.0), 0.5, 5, 0).patch(COLUMN, ROW, 300, 300)
+    assert (rough.min(), rough.max()) == (np.float32(0.01), np.float32(0.95))

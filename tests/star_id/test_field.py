@@ -15,7 +15,14 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import information_of_directions
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import FieldSolution, ra_dec_roll, solve_list, solve_stars
+from boresight.star_id.field import (
+    FieldSolution,
+    _nominal_field,
+    nominal_camera,
+    ra_dec_roll,
+    solve_list,
+    solve_stars,
+)
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
@@ -231,3 +238,16 @@ def test_an_error_that_all_stars_share_is_estimated_from_their_residuals():
         stated.append(in_s @ np.linalg.solve(found.cov_s, in_s))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)  # 120 residuals: the variance is known to 13 %
     assert np.mean(stated) / 3.0 < 2.2  # chi-square of 18 degrees of freedom, 99.9 %
+
+
+def test_a_nominal_camera_looks_through_the_middle_of_its_image_and_is_less_sure_of_a_wide_one():
+    for width, height, fov_deg in ((1001, 800, 10.0), (640, 480, 60.0)):
+        camera = nominal_camera((width, height), np.radians(fov_deg))
+        assert camera.principal_px == (0.5 * (width - 1), 0.5 * (height - 1))
+        edge = camera.directions_from_pixels([[-0.5, 0.5 * (height - 1)], [width - 0.5, 0.5 * (height - 1)]])
+        # the distortion-free model in double precision
+        assert np.degrees(np.arccos(edge[0] @ edge[1])) == pytest.approx(fov_deg, abs=1e-9)
+        field = _nominal_field(camera, 0.03, np.radians(fov_deg), StarSettings())
+        share = {10.0: 0.3 + 0.25, 60.0: 1.0}[fov_deg]  # of the largest error, from 28 degrees on
+        assert field.shape_error == pytest.approx(share * StarSettings().uncalibrated_error)
+        assert field.scale_error == pytest.approx(0.05)

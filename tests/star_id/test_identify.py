@@ -19,6 +19,11 @@ from boresight.star_id.field import (
     solve_stars,
 )
 from boresight.star_id.identification import identify as identify_module
+from boresight.star_id.identification.hypothesis import (
+    _distorted,
+    _distortion_derivatives,
+    _rotation_derivatives,
+)
 from boresight.star_id.identification.identify import (
     AttitudePrior,
     Identification,
@@ -387,3 +392,35 @@ def test_a_guess_without_catalogue_stars_is_no_match(index):
         prior=AttitudePrior(away, 1e-3),
     )
     assert isinstance(answer, NotIdentified)
+
+
+def test_derivatives_of_a_distorted_point_are_those_of_differences():
+    rng = np.random.default_rng(7)
+    t = rng.normal(0.0, 0.2, 6) + 1j * rng.normal(0.0, 0.2, 6)
+    parameters, step = np.array([0.02, -0.3, 0.04, -0.05]), 1e-6
+    derivatives = _distortion_derivatives(t)
+    for n in range(1, 4):
+        more, less = (parameters + sign * step * np.eye(4)[n] for sign in (1.0, -1.0))
+        found = (_distorted(t, derivatives, more) - _distorted(t, derivatives, less)) / (2.0 * step)
+        # Brown's terms: radial, and the two of decentring (p1 along x as 3 x² + y², p2 along y)
+        x, y = t.real, t.imag
+        r2 = x * x + y * y
+        by_hand = (None, r2 * t, r2 + 2.0 * x * x + 2j * x * y, 2.0 * x * y + 1j * (r2 + 2.0 * y * y))[n]
+        np.testing.assert_allclose(found, by_hand * np.exp(parameters[0]), rtol=1e-6)
+    for axis, found in zip(np.eye(3), _rotation_derivatives(t)):
+        u = np.column_stack([t.real, t.imag, np.ones(6)])
+        a, b = (Rotation.from_rotvec(sign * step * axis).apply(u) for sign in (1.0, -1.0))
+        a, b = ((v[:, 0] + 1j * v[:, 1]) / v[:, 2] for v in (a, b))
+        np.testing.assert_allclose(found, (a - b) / (2.0 * step), atol=1e-8)
+
+
+def test_the_shifts_near_a_prior_are_those_of_a_square_of_four_sigma_at_the_edge_of_the_image(index, places):
+    rng, sigma = np.random.default_rng(22), 5e-3
+    R_si = Rotation.random(random_state=rng)
+    xy, _ = detections(PAPER_CAMERA, R_si, places, rng, false=2)
+    field = field_of_camera(PAPER_CAMERA, SETTINGS)
+    plane = tangent_coordinates(PAPER_CAMERA, xy)
+    found = identify_stars(plane, field, index, SETTINGS, prior=AttitudePrior(R_si, sigma))
+    # a turn moves a star at the corner by 1 + tan² of its angle from the axis; cells of half a sigma
+    side = np.ceil(2.0 * 4.0 * (1.0 + field.half_x**2 + field.half_y**2) / 0.5)
+    assert found.proposals == side**2

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from astropy.time import Time
 from line_scanner import LineScanner
 from orbiting_camera import EPOCH, LINES, strip
 
@@ -87,3 +88,15 @@ def test_what_an_isd_reader_asks_for_is_there(pieces):
     # 2 degrees more for the equation of time), 0.1 degrees south of the equator, at 0.996 au.
     assert np.degrees(np.arctan2(sun[1], sun[0])) == pytest.approx(144.1, abs=0.5)
     assert np.linalg.norm(sun) == pytest.approx(0.9960 * 149_597_870.7, rel=1e-3)
+
+
+def test_times_of_an_isd_are_barycentric_seconds_by_astropy(pieces):
+    isd, model = pieces[1][0].isd, strip()
+    first, last = model.instants_of_lines(1, np.array([-0.5, LINES - 0.5]))
+    middle = isd["center_ephemeris_time"]
+    t = Time(EPOCH.utc_from_seconds(np.array([first, last])), scale="utc")
+    et = (t.tdb - Time("2000-01-01T12:00:00", scale="tdb")).to_value("s")
+    times = isd["starting_ephemeris_time"]
+    # s: ERFA's geocentric terms, 2 us
+    assert times == pytest.approx(et[0], abs=1e-5)
+    assert et[0] < middle < et[1]

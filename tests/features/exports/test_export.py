@@ -146,7 +146,8 @@ def test_the_attitude_message_holds_the_cameras_attitude(exported, finished):
         u_i = Rotation.from_quat([float(value) for value in row[1:]]).apply(u_c)
         expected = (calibrated.result.R_cs * model.track.R_si(np.array([t]))[0]).inv().apply(u_c)
         assert u_i == approx(expected, abs=3e-12)
-    assert t_s[0] == approx(model.strip.t_first_row_s, abs=model.strip.row_period_s)
+    ends = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
+    assert t_s[[0, -1]] == approx(ends, abs=2e-9)  # from the first edge of the image to its last
     assert isinstance(calibrated.dump.epoch, Epoch)
 
 

@@ -7,14 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from orbiting_camera import NOTES
+from orbiting_camera import LINES, NOTES, strip
 
 from boresight.features.exports.exported_points import GroundPoints
 from boresight.features.exports.gcp_asp import points_asp
 from boresight.features.exports.gcp_envi import points_envi
 from boresight.features.exports.gcp_geojson import points_geojson
 from boresight.features.exports.gcp_qgis import points_qgis
+from boresight.geometry.constants import WGS84
+from boresight.geometry.footprint import outline_deg
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.terrain import ConstantHeight
 
 POINTS = GroundPoints(
     strip_id="S01",
@@ -91,3 +95,17 @@ def test_asp_has_sigmas_north_first_and_leaves_out_the_rejected_one():
 def test_arrays_of_unequal_length_are_refused():
     with pytest.raises(ValueError, match="sigma_px"):
         replace(POINTS, sigma_px=np.ones((2, 2)))
+
+
+def test_the_outline_of_a_strip_is_that_of_the_ground_points_of_its_outer_samples():
+    surface, model = ConstantHeight(120.0), strip()
+    lon, lat = outline_deg(model, {0: LINES, 1: LINES}, surface).T
+    corners = [
+        np.degrees(
+            geodetic_from_ecef(model.ground_points(ccd, sample, [0.0, LINES - 1.0], surface), WGS84)[:2]
+        )
+        for ccd, sample in ((0, 0.0), (1, 2047.0))
+    ]
+    found = {(round(a, 7), round(b, 7)) for a, b in zip(lat, lon)}
+    for lats, lons in corners:
+        assert {(round(a, 7), round(b, 7)) for a, b in zip(lats, lons)} <= found

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from small_strip import texture
 
-from boresight.features.targets.suggest import suggest_targets
+from boresight.features.targets.suggest import SuggestedTarget, suggest_targets
 
 TRANSFORM = (0.5, 0.0, 4000.0, 0.0, -0.5, 9000.0)
 
@@ -59,3 +59,11 @@ def test_map_coordinates_of_a_turned_image_are_those_of_its_transform(invented: 
     best = suggest_targets(invented, turned, np.ones(invented.shape, dtype=bool), size_px=96, most=3)[0]
     u, v = best.column + 0.5, best.row + 0.5
     assert (best.x, best.y) == pytest.approx((a * u + b * v + c, d * u + e * v + f), abs=1e-9)
+
+
+def test_a_place_that_occurs_twice_is_worth_nothing_and_a_lone_one_its_weight():
+    lone, half, twice = (
+        SuggestedTarget(column=0.0, row=0.0, x=0.0, y=0.0, sigma_px=0.02, rival=rival)
+        for rival in (0.0, 0.5**0.5, 1.0)
+    )
+    assert (lone.score, half.score, twice.score) == pytest.approx((50.0, 25.0, 0.0))

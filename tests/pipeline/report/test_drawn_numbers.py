@@ -11,7 +11,8 @@ import pyarrow as pa
 import pytest
 
 from boresight.pipeline.report import figures
-from boresight.pipeline.report.map_view import map_view
+from boresight.pipeline.report.dumps_page import _angles
+from boresight.pipeline.report.map_view import WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard
 from boresight.pipeline.report.strip_stars import strip_star_rows
 
@@ -108,3 +109,43 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
     shown = {name: star.numbers[name] for name in expected}
     assert {name: one.exact * one.scale for name, one in shown.items()} == pytest.approx(expected)
     assert star.name == "HIP 17499, strip sky01, CCD 2" and star.key == "used" and star.printed
+
+
+def test_scenes_stand_beside_one_another_each_in_a_cell_of_its_own() -> None:
+    box = [-1000.0, -500.0, 11_000.0, 8_500.0]
+    scene = {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": "s01", "outlines_m": []}]}
+    names = ("east_m", "north_m", "residual_east_m", "residual_north_m", "residual_m")
+    ground = {name: [5000.0, 5000.0, 5000.0] for name in names} | {"scene": [0, 1, 2]}
+    context = {"scenes": [scene | {"strips": [{"id": f"s{n}", "outlines_m": []}]} for n in range(3)]}
+    saved = SimpleNamespace(context=context, ground=pa.table(ground), map=pa.table({}), validation={})
+    view = map_view(saved, [card(n) for n in range(3)])  # type: ignore[arg-type]
+    assert view is not None
+    columns, _ = _layout(3, np.array([12_000.0, 9_000.0]))
+    places = {spot.row.row: (spot.x, spot.y) for spot in view.spots}
+    assert columns > 1
+    for n in range(3):
+        assert n % columns * WIDTH / columns < places[n][0] < (n % columns + 1) * WIDTH / columns
+    assert all(0.0 < y < view.height for _, y in places.values())
+
+
+def test_the_arrow_of_a_check_point_is_its_error_to_scale_and_points_the_right_way() -> None:
+    point = SimpleNamespace(place_m=(200.0, -300.0), error_m=(4.0, -3.0), words="c")
+    x, y, arrow, words = _check(point, (10.0, 20.0), 0.01, 2.5)  # type: ignore[arg-type]
+    assert (x, y, words) == (12.0, 23.0, "c")  # pictures have y downwards
+    dx, dy = map(float, re.match(r"M12.00 23.00l(\S+) (\S+)l", arrow).groups())  # type: ignore[union-attr]
+    assert (dx, dy) == (10.0, 7.5)  # 4 m east and 3 m south at 2.5 units a metre
+
+
+def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
+    covariance = [[0.0] * 3 for _ in range(3)]
+    for n, sigma in enumerate((1e-5, 2e-5, 3e-5)):
+        covariance[n][n] = sigma**2
+    content = {"theta": [4e-5, -5e-5, 6e-5], "cov": covariance}
+    found = _angles(content, "joint.json", "theta", "cov")
+    arcsec = 648_000.0 / np.pi
+    assert [one.exact * one.scale for one in found["theta"]] == pytest.approx(
+        arcsec * np.array(content["theta"])
+    )
+    assert [one.exact * one.scale for one in found["sigma"]] == pytest.approx(
+        arcsec * np.array([1e-5, 2e-5, 3e-5])
+    )

@@ -19,7 +19,7 @@ from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.run import digests, program_key
-from boresight.pipeline.run.digests import digest
+from boresight.pipeline.run.digests import _module, digest
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.program_key import program_digest
@@ -29,6 +29,7 @@ from boresight.pipeline.run.unit_store import UnitStore, read_meta
 from boresight.pipeline.stages.exposure import sight_exposure
 from boresight.pipeline.stages.strip import match_strip_targets
 
+ROOT = Path(__file__).parents[3]
 GEOMETRY, STARS, MATCH = "boresight.geometry", "boresight.star_id", "boresight.gct_match"
 
 
@@ -231,3 +232,9 @@ def test_inputs_have_no_digest_if_a_file_changes_during_the_run(one_strip: Path)
     path = dump.exposures[3].path
     path.write_bytes(path.read_bytes() + b"x")
     assert inputs.digest() == ""
+
+
+def test_a_module_is_known_by_its_source_its_package_and_what_it_imports_from_it() -> None:
+    source, imported, _ = _module("boresight.calib.strips")  # type: ignore[misc]
+    assert source == (ROOT / "calib" / "strips.py").read_bytes()
+    assert {"boresight.calib", "boresight.calib.settings", "boresight.geometry.sightings"} <= set(imported)
