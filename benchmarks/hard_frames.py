@@ -8,16 +8,29 @@ offsets, row noise, hot pixels, vignetting, colour filters, captions and the bla
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from scipy.fft import dct
 from scipy.ndimage import map_coordinates, spline_filter, uniform_filter1d
 from scipy.signal import fftconvolve
+from scipy.stats import norm
 
-__all__ = ["Blur", "Sensor", "Stars", "cramer_rao_px", "psf_table", "render", "response"]
+__all__ = [
+    "Blur",
+    "Sensor",
+    "Stars",
+    "bound_after_jpeg_px",
+    "cramer_rao_px",
+    "psf_table",
+    "render",
+    "response",
+]
 
 FINE = 8  # points a pixel
 HALF = 24  # px from the middle of a star to the edge of its table
@@ -282,3 +295,67 @@ def cramer_rao_px(
     covariance *= scale[:, :, None] * scale[:, None, :]
     bound = np.sqrt(0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1]))
     return np.column_stack([bound, electrons * np.sqrt((value**2 / sky).sum(axis=1))])
+
+
+def jpeg_steps(quality: int) -> NDArray:
+    """(8, 8) steps, DN, to whose multiples JPEG rounds the cosine coefficients of a grey block."""
+    _, file = cv2.imencode(".jpg", np.zeros((8, 8), np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.array(Image.open(io.BytesIO(file.tobytes())).quantization[0], dtype=float).reshape(8, 8)
+
+
+def bound_after_jpeg_px(
+    xy: NDArray, electrons: NDArray, variance_e: NDArray, sensor: Sensor, table: NDArray
+) -> NDArray:
+    """Bound (N,) of a centroid's error along one axis, px, in the compressed frame: information of the cosine
+    coefficients of nine blocks, each normal before it was rounded. Column, row and flux are unknown; of the
+    background's variance, as in `cramer_rao_px`, the median counts."""
+    assert sensor.jpeg is not None
+    gain, half, steps = (
+        sensor.e_per_dn,
+        HALF - 1,
+        np.tile(jpeg_steps(sensor.jpeg), (3, 3)).reshape(3, 8, 3, 8),
+    )
+    sky_e, bound = float(np.median(variance_e)), np.empty(len(xy))
+    level = sensor.sky_e / gain + sensor.bias_dn - 128.0
+    for n, (place, flux) in enumerate(zip(xy, electrons)):
+        inside = place - (8 * np.floor((place + 0.5) / 8) - 8)
+
+        def image(at: NDArray) -> NDArray:
+            whole, stamp = stamps(at[None], table, half)
+            frame = np.zeros((24 + 4 * half, 24 + 4 * half))
+            column, row = whole[0] + half
+            frame[row : row + 2 * half + 1, column : column + 2 * half + 1] = stamp[0]
+            return frame[2 * half : 2 * half + 24, 2 * half : 2 * half + 24]
+
+        value, step = image(inside), 0.05 * np.eye(2)
+        slopes = [(image(inside + d) - image(inside - d)) / 0.1 for d in step]
+        J = np.stack([_cosines(part * scale) for part, scale in zip([*slopes, value], (flux, flux, 1.0))])
+        variance = _cosines((sky_e + flux * value) / gain**2, squared=True)
+        mean = _cosines(value * flux / gain + level)
+        weighed = (J / gain).reshape(3, -1)
+        bound[n] = _mean_error(
+            (weighed * rounded_information(mean, np.sqrt(variance), steps).ravel()) @ weighed.T
+        )
+    return bound
+
+
+def _mean_error(information: NDArray) -> float:
+    return float(np.sqrt(0.5 * np.trace(np.linalg.inv(information)[:2, :2])))
+
+
+def _cosines(pixels: NDArray, squared: bool = False) -> NDArray:
+    """Cosine coefficients (3, 8, 3, 8) of nine blocks of pixels (24, 24), or of their variances."""
+    factors = dct(np.eye(8), norm="ortho", axis=0)
+    factors = factors**2 if squared else factors
+    return np.einsum("ki,aibj,lj->akbl", factors, pixels.reshape(3, 8, 3, 8), factors)
+
+
+def rounded_information(mean: NDArray, sigma: NDArray, step: NDArray) -> NDArray:
+    """Fisher information of the mean of a normal value that is rounded to multiples of `step`; all alike."""
+    nearest, information = np.rint(mean / step), np.zeros_like(mean)
+    for k in range(-8, 9):
+        low, high = (((nearest + k + side) * step - mean) / sigma for side in (-0.5, 0.5))
+        chance = norm.cdf(high) - norm.cdf(low)
+        change = (norm.pdf(low) - norm.pdf(high)) / sigma
+        information += np.where(chance > 1e-14, change**2 / np.maximum(chance, 1e-14), 0.0)
+    return information

@@ -22,6 +22,7 @@ from boresight.star_id.finding.detect import Detections, detect, detection_thres
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.rounded_blocks import places_in_rounded_blocks
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
 from boresight.star_id.settings import StarSettings
@@ -192,10 +193,25 @@ def _list_stars(
     background = as_independent_noise(image, background)
     found = _detections(image, background, settings, saturation)
     stars = _measured(image, found, background, settings, saturation)
-    if settings.psf_sigma_px is not None or settings.smear_px is not None:
+    if settings.psf_sigma_px is None and settings.smear_px is None:
+        comatic = _with_blur(find_coma, image, found, stars, settings)
+        stars = comatic or _trailed_or_shaped(image, found, stars, settings)
+    return stars if background.correlation <= 1.0 else _in_rounded_blocks(image, stars)
+
+
+def _in_rounded_blocks(image: NDArray[Any], stars: StarList) -> StarList:
+    """The stars with the places that rounded blocks of JPEG tell; as they are where blocks are not rounded by
+    more than the noise."""
+    level_dn, _ = stars.background.at(stars.xy_px)
+    answer = places_in_rounded_blocks(
+        image, stars.xy_px, stars.flux_dn, level_dn, stars.psf, stars.gain_e_per_dn
+    )
+    if answer is None:
         return stars
-    comatic = _with_blur(find_coma, image, found, stars, settings)
-    return comatic or _trailed_or_shaped(image, found, stars, settings)
+    xy, cov, found = answer
+    found &= ~stars.saturated & ~stars.blended
+    xy_px = np.where(found[:, None], xy, stars.xy_px)
+    return replace(stars, xy_px=xy_px, cov_px=np.where(found[:, None, None], cov, stars.cov_px))
 
 
 def _trailed_or_shaped(
