@@ -48,6 +48,9 @@ __all__ = ["DimapStrip", "model_attitudes", "operator_model", "read_dimap"]
 _CORNER_M = 1000.0  # the height of a corner is not stated, products round and sharpen
 # Heights, m, between which a corner of the product may lie: no ground is lower or higher.
 _CORNER_HEIGHTS_M = (-500.0, 9000.0)
+# States at most so far apart, s, are extended by one, 1.25 steps beyond the end. Steps above 1.5 would be
+# gaps; over 0.1 s a parabola errs by 1 mm in a low orbit.
+_DENSE_S, _BEYOND = 0.1, 1.25
 _MAX_ITEMS = 10_000  # points of the ephemeris, quaternions
 _MAX_PIXELS = 10_000_000  # rows or columns
 # Highest power of a look polynomial that is read.
@@ -133,7 +136,8 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
     epoch = Epoch.from_utc(start)
     t_first = float(epoch.seconds_from_utc([start])[0])
     period = _period(root, names, epoch, height, file)
-    t_orbit, positions, velocities = _ephemeris(root, names, epoch, file)
+    image_s = (t_first - period, t_first + height * period)
+    t_orbit, positions, velocities = _extended(*_ephemeris(root, names, epoch, file), image_s)
     span = (t_first - 1.0, t_first + height * period + 1.0)
     try:
         earth = EarthRotation.over(epoch, float(t_orbit[0]), float(t_orbit[-1]), eop)
@@ -162,6 +166,10 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
         )
     except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
         raise RawDataError(file, names.point, str(error), "a strip that a satellite can take") from error
+    first, last = pushbroom.known_rows()
+    if first > 0.0 or last < height - 1.0:
+        found = f"orbit and attitudes of lines {first:.0f} to {last:.0f}"
+        raise RawDataError(file, names.point, found, f"of all lines, 0 to {height - 1}")
     _check_corners(root, pushbroom, (width, height), file)
     return DimapStrip(
         pushbroom, width, height, text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
@@ -239,6 +247,31 @@ def _ephemeris(root: Element, names: _Names, epoch: Epoch, file: str) -> tuple[F
     if np.any((radius < 6.4e6) | (radius > 5e7)):
         found = f"{radius.min():.0f} m from the centre"
         raise RawDataError(file, f"{names.point}/{place}", found, "an orbit, metres")
+    return t_s, positions, velocities
+
+
+def _extended(
+    t_s: Floats, positions: Floats, velocities: Floats, image_s: tuple[float, float]
+) -> tuple[Floats, Floats, Floats]:
+    """States with one more before and after dense ones that begin after the image or end before it, as those
+    of Pleiades Neo do by some milliseconds: parabolas through the three states at that end.
+    """
+    step = float(np.median(np.diff(t_s)))
+    if len(t_s) < 4 or step > _DENSE_S:
+        return t_s, positions, velocities
+    for at_end in (False, True):
+        if t_s[0] <= image_s[0] if not at_end else t_s[-1] >= image_s[1]:
+            continue
+        near = slice(-3, None) if at_end else slice(0, 3)
+        t = t_s[-1] + _BEYOND * step if at_end else t_s[0] - _BEYOND * step
+        where = len(t_s) if at_end else 0
+        added = [
+            np.polyval(np.polyfit((t_s[near] - t) / step, of[near], 2), 0.0) for of in (positions, velocities)
+        ]
+        positions, velocities = (
+            np.insert(of, where, one, axis=0) for of, one in zip((positions, velocities), added)
+        )
+        t_s = np.insert(t_s, where, t)
     return t_s, positions, velocities
 
 

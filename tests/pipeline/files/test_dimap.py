@@ -231,6 +231,54 @@ def test_product_whose_corners_lie_elsewhere_is_refused(tmp_path):
         framed(0.05)
 
 
+def dense(text, first_s, count):
+    """A product of V2 with states and quaternions every 4.363 ms from `first_s` after START on."""
+    path = Path(text)
+    model = read_dimap(path, bundled_earth_orientation(), OFF).pushbroom
+    t_s = model.rows.t_first_row_s + first_s + 4.363e-3 * np.arange(count)
+    utc = model.orbit.epoch.utc_from_seconds(t_s)
+    states = zip(model.orbit.positions_e(t_s), model.orbit.velocities_e(t_s), utc)
+    points = "".join(
+        f"<Point><LOCATION_XYZ>{x:.4f} {y:.4f} {z:.4f}</LOCATION_XYZ><VELOCITY_XYZ>{u:.3f} {v:.3f} {w:.3f}"
+        f"</VELOCITY_XYZ><TIME>{time}</TIME></Point>"
+        for (x, y, z), (u, v, w), time in states
+    )
+    t_s = np.concatenate([[t_s[0] - 4.363e-3], t_s, [t_s[-1] + 4.363e-3]])
+    R_es = (model.attitude.R_si(t_s) * model.earth.rotations_ie(t_s)).inv()
+    quaternions = "".join(
+        f"<Quaternion><Q_STATUS>NOMINAL</Q_STATUS><Q0>{w!r}</Q0><Q1>{x!r}</Q1><Q2>{y!r}</Q2><Q3>{z!r}</Q3>"
+        f"<TIME>{time}</TIME></Quaternion>"
+        for (x, y, z, w), time in zip(R_es.as_quat().tolist(), model.orbit.epoch.utc_from_seconds(t_s))
+    )
+    head, rest = path.read_text().split("<Ephemeris>")
+    end = rest.split("</Attitudes>")[1]
+    return (
+        f"{head}<Ephemeris><Point_List>{points}</Point_List></Ephemeris><Attitudes><Quaternion_List>"
+        f"{quaternions}</Quaternion_List></Attitudes>{end}"
+    )
+
+
+def test_states_that_begin_after_the_image_and_end_before_it_by_less_than_a_step_are_extended(tmp_path):
+    # Pleiades Neo 3 over Marseille (Airbus' sample): START 10:29:11.950343, the first state 2.841 ms later,
+    # the first quaternion 1.5 ms before START. The image here takes 661.4 ms: 151 steps of 4.363 ms less 0.2.
+    (tmp_path / "v2.xml").write_text(as_version_2(dimap_text(), listed=True, microseconds=True))
+    ends = np.array([0.0, 19_999.0]), np.array([0.0, 8_999.0])
+    expected = places(tmp_path / "v2.xml", *ends)
+    (tmp_path / "neo.xml").write_text(dense(tmp_path / "v2.xml", 2.841e-3, 151))
+    # 0.1 mm of the positions, four times as much beyond their end
+    assert np.linalg.norm(places(tmp_path / "neo.xml", *ends) - expected, axis=1).max() < 1e-3  # m
+
+
+@pytest.mark.parametrize(("first_s", "count"), [(0.02, 200), (-0.02, 100)])
+def test_states_that_miss_lines_are_refused_with_the_lines(tmp_path, first_s, count):
+    (tmp_path / "v2.xml").write_text(as_version_2(dimap_text(), listed=True, microseconds=True))
+    (tmp_path / "neo.xml").write_text(dense(tmp_path / "v2.xml", first_s, count))
+    with pytest.raises(
+        RawDataError, match=r"orbit and attitudes of lines .* expected of all lines, 0 to 8999"
+    ):
+        read_dimap(tmp_path / "neo.xml", bundled_earth_orientation(), OFF)
+
+
 def test_spot_5_is_refused_by_its_name(tmp_path):
     mission = "<Scene_Source><MISSION>SPOT</MISSION><MISSION_INDEX>5</MISSION_INDEX></Scene_Source>"
     (tmp_path / "spot.xml").write_text(f"<Dimap_Document>{mission}</Dimap_Document>")
