@@ -44,7 +44,8 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.folder import dumps_in
-from boresight.pipeline.results.reading import SavedResult
+from boresight.pipeline.results.ownership import dump_identity
+from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.results.reading import read_saved_result as saved_in
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import TruthErrors
@@ -474,6 +475,8 @@ def _settings_of(settings: PathLike | Settings | None) -> Settings:
     """The settings themselves, or those of a file, or all defaults."""
     if isinstance(settings, Settings):
         return settings
+    if settings is not None and not isinstance(settings, str | os.PathLike):
+        raise wrong("settings", settings, "the path of a TOML file, or Settings")
     return read_settings(None if settings is None else path_of(settings, "settings"))
 
 
@@ -580,12 +583,21 @@ def validate(result: Calibration | PathLike, dump: DumpLike) -> Validation:
     Raises
     ------
     RawDataError
-        If the dump has no truth.
+        If the dump has no truth, or the result is not made from it.
     ValueError
         If the result is from vectors, or an argument is no path.
     """
     estimate = result if isinstance(result, Calibration) else read_result(result)
     if estimate.saved is None:
         raise ValueError("validate needs the result of a dump, this one is from vectors")
-    found = against_truth(estimate.saved, open_dump(source_of_dump(dump)))
+    flown = open_dump(source_of_dump(dump))
+    if estimate._run is None:
+        _, saved = read_for_dump(Path(estimate), flown.root)
+    else:
+        saved = estimate.saved
+        if dump_identity(estimate._run[0].root) != dump_identity(flown.root):
+            raise RawDataError(
+                str(flown.root), "dump", "another dump", "the dump that the result is made from"
+            )
+    found = against_truth(saved, flown)
     return Validation(**{field.name: getattr(found, field.name) for field in dataclasses.fields(found)})

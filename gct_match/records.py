@@ -143,6 +143,9 @@ class Refusal:
     def __str__(self) -> str:
         return self.sentence
 
+    def __repr__(self) -> str:
+        return f"not matched: {self.sentence}"
+
 
 @record(kw_only=True)
 class TemplateMatch:

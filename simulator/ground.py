@@ -71,8 +71,12 @@ class BlurredGround:
         self._tiles: OrderedDict[tuple[int, int], Patch] = OrderedDict()
 
     def window(self, column: int, row: int, width: int, height: int) -> Patch:
-        """Blurred reflectance, (height, width)."""
+        """Blurred reflectance, (height, width), not to be overwritten."""
         side = self._side
+        i, j = column // side, row // side
+        if column + width <= (i + 1) * side and row + height <= (j + 1) * side:  # in one tile
+            left, top = column - i * side, row - j * side
+            return self._tile(i, j)[top : top + height, left : left + width]
         out = np.empty((height, width), np.float32)
         for j in range(row // side, (row + height - 1) // side + 1):
             for i in range(column // side, (column + width - 1) // side + 1):

@@ -22,7 +22,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
 from boresight.simulator.ground import BlurredGround
-from boresight.simulator.normal_numbers import normal_numbers, random_bytes
+from boresight.simulator.normal_numbers import normal_rows, random_bytes
 from boresight.simulator.scenario import GroundSettings
 
 __all__ = [
@@ -280,6 +280,6 @@ def _digitised(image: Grey, settings: GroundSettings, rng: np.random.Generator) 
     noise = np.multiply(image, np.float32(1.0 / settings.e_per_dn))
     noise += np.float32(settings.read_noise_dn**2)
     np.sqrt(noise, out=noise)
-    noise *= normal_numbers(image.shape, rng)
+    noise *= normal_rows(image.shape[0], image.shape[1], rng)
     noise += image
     return np.clip(np.rint(noise, out=noise), 0, 2**settings.bits - 1, out=noise).astype(_grey_type(settings))

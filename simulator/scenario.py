@@ -251,7 +251,7 @@ class GroundSettings:
     """The ground's look and how the cameras render it."""
 
     image: str = ""  # path of a GeoTIFF to be used instead of the procedural ground; "" is procedural
-    texels_per_pixel: float = 1.5  # ground texture's sampling against the strip's pixel; linear in between
+    texels_per_pixel: float = 1.4  # ground texture's sampling against the strip's pixel; linear in between
     parcel_m: float = 140.0  # mean side of a field
     detail: float = 1.0  # strength of the fractal texture on fields, 1 = realistic
     water: float = 0.05  # fraction of parcels

@@ -54,7 +54,8 @@ def geolocate(
     -------
     pandas.DataFrame
         One row a pixel: lat_deg, lon_deg, height_m, sigma_along_m, sigma_across_m; NaN where the line of
-        sight meets no known ground or the row has no attitude.
+        sight meets no known ground, or the row lies outside the star exposures by more than half of the time
+        from one to the next.
 
     Raises
     ------

@@ -38,7 +38,9 @@ class Pixels:
 
 @record
 class GroundPlaces:
-    """Ground points of N pixels; NaN without attitude, or where the line of sight meets no known ground."""
+    """Ground points of N pixels; NaN more than half a step outside the exposures, or where the line of sight
+    meets no known ground.
+    """
 
     lat_deg: Floats = array("N", "geodetic latitude")
     lon_deg: Floats = array("N", "longitude")
@@ -69,7 +71,8 @@ def ground_places(
     n = len(pixels.line)
     p_e, sigma = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
     t_s = model.pushbroom.instants_of_lines(pixels.ccd, pixels.line)
-    covered = (t_s >= model.track.t_s[0]) & (t_s <= model.track.t_s[-1])
+    first_s, last_s = model.track.span_s  # as in matching: half a step beyond the exposures
+    covered = (t_s >= first_s) & (t_s <= last_s)
     for ccd in np.unique(pixels.ccd[covered]).tolist():
         rows = np.flatnonzero(covered & (pixels.ccd == ccd))
         sample, line = pixels.sample[rows], pixels.line[rows]

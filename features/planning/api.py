@@ -6,6 +6,8 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from boresight.accepted import PathLike, number_of, path_of, wrong
 from boresight.features.planning.campaign_plan import Plan, PlanForecast, forecast_plan, read_plan
 from boresight.pipeline.run.settings import settings_from_values
@@ -60,8 +62,15 @@ def _plan(plan: object) -> Plan:
     if plan is None:
         return Plan()
     if isinstance(plan, Mapping):
-        values = {key: dict(part) if isinstance(part, Mapping) else part for key, part in plan.items()}
+        values = {key: _plain(part) for key, part in plan.items()}
         return settings_from_values(Plan, values, "plan", "plan")
     if not isinstance(plan, str | os.PathLike):
         raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
     return read_plan(path_of(plan, "plan"))
+
+
+def _plain(value: object) -> Any:
+    """Mappings as dictionaries, arrays as lists, and NumPy's numbers as Python's."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value

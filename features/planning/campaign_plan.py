@@ -6,12 +6,13 @@ import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from boresight.calib.forecast import Forecast
+from boresight.display import axes_or_new
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
@@ -19,6 +20,9 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.settings import settings_from_values
 from boresight.pipeline.stages.plan_forecast import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Plan", "PlanForecast", "forecast_plan", "read_plan"]
 
@@ -137,6 +141,17 @@ class PlanForecast:
 
     def __repr__(self) -> str:
         return self.text
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """1-sigma about each axis against the number of strips; dotted, what no number of them goes below."""
+        ax = axes_or_new(ax)
+        for axis, rows in self.table.groupby("axis"):
+            (line,) = ax.plot(rows["strips"], rows["sigma_arcsec"], label=str(axis))
+            if (floor := float(rows["floor_arcsec"].iloc[0])) > 0.0:
+                ax.axhline(floor, color=line.get_color(), linestyle=":")
+        ax.set(xscale="log", yscale="log", xlabel="strips", ylabel="predicted 1 sigma, arcsec")
+        ax.legend()
+        return ax
 
     def _repr_html_(self) -> str:
         head = self.table.head(9).to_html(border=0, float_format="{:.6g}".format)

@@ -140,8 +140,8 @@ class Stars(Result):
         columns |= {name: getattr(self, name) for name in ("flux_dn", "snr", "saturated", "blended")}
         return pd.DataFrame(columns)
 
-    def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Circles at the stars, over the image (H, W) if it is given; blended stars dashed, misshapen
+    def plot(self, ax: Axes | None = None, *, image: ImageLike | None = None) -> Axes:
+        """Circles at the stars, over the image if it is given; blended stars dashed, misshapen
         detections as crosses.
         """
         ax = _sky_axes(ax, self.size_px, image)
@@ -278,8 +278,8 @@ class StarSolution(SuccessfulResult):
             xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
         return xy
 
-    def plot(self, ax: Axes | None = None, *, image: NDArray[np.generic] | None = None) -> Axes:
-        """Identified stars, over the image (H, W) if given; of the brightest 30 the Hipparcos numbers, as far
+    def plot(self, ax: Axes | None = None, *, image: ImageLike | None = None) -> Axes:
+        """Identified stars, over the image if given; of the brightest 30 the Hipparcos numbers, as far
         as they do not overlap.
         """
         ax = _sky_axes(ax, self.stars.size_px, image)
@@ -361,7 +361,7 @@ def find_stars(
     ----------
     image : (H, W) or (H, W, 3) array, or path
         Raw counts, integers from 0 to 65535 or floating, at least 32 px a side; colours become grey, and what
-        is no number the median; or a PNG, TIFF, FITS, JPEG, BMP or .npy file.
+        is no number or masked the median; or a PNG, TIFF, FITS, JPEG, BMP or .npy file.
     dark : (H, W) array, or path, optional
         Dark frame of the same camera and exposure time.
     settings : StarSettings
@@ -611,6 +611,9 @@ def _pixels(image: object, name: str) -> _Pixels:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
         raise wrong(name, image, "an array of shape (H, W) or (H, W, 3), or a path") from None
+    hidden = np.ma.getmaskarray(image) if np.ma.is_masked(image) else None
+    if hidden is not None and hidden.all():
+        raise wrong(name, "an array of which all is masked", "pixels that are not masked")
     if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
         raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
     if planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16):
@@ -620,6 +623,9 @@ def _pixels(image: object, name: str) -> _Pixels:
         planes = planes.astype(np.uint16)
     floating = planes.dtype.kind == "f"
     masked = int((~np.isfinite(planes)).sum()) if floating else 0
+    if hidden is not None:  # of a masked array: as what is no number
+        masked += int(hidden.sum())
+        planes = np.where(hidden, np.asarray(np.median(planes[~hidden])).astype(planes.dtype), planes)
     try:
         grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
@@ -664,12 +670,15 @@ def _solution(found: FieldSolution, stars: Stars, observer: Observer | None) -> 
     )
 
 
-def _sky_axes(ax: Axes | None, size_px: tuple[int, int], image: NDArray[np.generic] | None) -> Axes:
+def _sky_axes(ax: Axes | None, size_px: tuple[int, int], image: ImageLike | None) -> Axes:
     """Axes over a detector, row 0 on top, with the image in grey if there is one."""
     ax = axes_or_new(ax)
     if image is not None:
-        low, high = np.percentile(np.asarray(image, dtype=float), (1.0, 99.7))
-        ax.imshow(np.asarray(image, dtype=float), cmap="gray", vmin=low, vmax=high)
+        grey = image_pixels(image, "image").astype(float)
+        if grey.shape != size_px[::-1]:
+            raise wrong("image", f"shape {grey.shape}", f"the image of these stars, shape {size_px[::-1]}")
+        low, high = np.nanpercentile(grey, (1.0, 99.7))
+        ax.imshow(grey, cmap="gray", vmin=low, vmax=high)
     ax.set(xlim=(-0.5, size_px[0] - 0.5), ylim=(size_px[1] - 0.5, -0.5), aspect="equal")
     ax.set(xlabel="column, px", ylabel="row, px")
     return ax

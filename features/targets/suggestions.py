@@ -239,7 +239,8 @@ def _alike(
 def _chip_at(ortho: Ortho, lon: float, lat: float, size_px: int) -> NDArray[np.float32] | None:
     """The window of an image around a point; None where the image has no data."""
     x, y = _to_degrees(ortho.crs).transform(lon, lat, direction="INVERSE")
-    column, row = ~rasterio.Affine(*ortho.transform) * (x, y)
+    a, b, c, d, e, f = ortho.transform[:6]
+    column, row = np.linalg.solve([[a, b], [d, e]], [x - c, y - f])
     half = size_px // 2
     inside = half <= column < ortho.values.shape[1] - half and half <= row < ortho.values.shape[0] - half
     if not (np.isfinite([column, row]).all() and inside):
@@ -319,7 +320,8 @@ def _inside(place: Floats, size: int, sigma: float) -> Floats:
 def _write_chip(path: Path, one: Candidate, size_px: int) -> None:
     image = _window(one.ortho.values, one.place.column, one.place.row, size_px)
     left, top = round(one.place.column) - size_px // 2, round(one.place.row) - size_px // 2
-    transform = rasterio.Affine(*one.ortho.transform) * rasterio.Affine.translation(left, top)
+    a, b, c, d, e, f = one.ortho.transform[:6]
+    transform = rasterio.Affine(a, b, c + a * left + b * top, d, e, f + d * left + e * top)
     whole = bool(np.all(image == np.round(image))) and image.min() >= 0.0 and image.max() <= 65535.0
     kind = "uint8" if whole and image.max() <= 255.0 else "uint16" if whole else "float32"
     profile = {

@@ -370,7 +370,8 @@ def _existing(root: object) -> Path:
     except OSError as error:  # a name that is too long, no permission
         raise RawDataError(str(folder)[:200], "dump", error.strerror, "a folder with a dump.toml") from error
     if not is_there:
-        raise RawDataError(str(folder), "dump", "no such folder", "a folder with a dump.toml")
+        found = "a file" if folder.is_file() else "no such folder"
+        raise RawDataError(str(folder), "dump", found, "a folder with a dump.toml")
     if not (folder / "dump.toml").exists():
         expected = "the folder's dump.toml; `boresight dump init FOLDER` writes one to fill in"
         raise RawDataError("dump.toml", "file", f"no such file in {folder}", expected)

@@ -29,7 +29,7 @@ from boresight.simulator.scan import (
     read_ground,
     scan,
 )
-from boresight.simulator.scenario import scenario_from_dict
+from boresight.simulator.scenario import GroundSettings, scenario_from_dict
 
 LINES, EPSG = 900, 32648
 SCENARIO = scenario_from_dict(
@@ -203,7 +203,7 @@ def plain(ground, column, row, sigma_texel):
 
 @pytest.mark.parametrize("line", [40, 400, 700])
 def test_a_strip_is_what_the_plain_sum_over_texels_gives(model, surface, line):
-    texels_per_pixel = 1.5  # the default
+    texels_per_pixel = GroundSettings().texels_per_pixel
     sigma_texel = gaussian_sigma_px(SCENARIO.ground.mtf_nyquist) * texels_per_pixel
     ground = ProceduralGround(SCENARIO.ground, SCENARIO.ground_pixel_m / texels_per_pixel, 5, 1)
     near = panels_near(np.array([[128.0, line + 60.0]]), 60.0, LINES, SCENARIO.line_camera.samples)
@@ -213,9 +213,9 @@ def test_a_strip_is_what_the_plain_sum_over_texels_gives(model, surface, line):
     expected = 255.0 * plain(ground, *scene.texels(2, samples, lines), sigma_texel)
     difference = image[line : line + 120, 70:190] - expected
     assert expected.std() > 10.0  # DN of 8 bits: the land has contrast
-    # The camera's own noise has 0.8 DN and more: linear interpolation between texels adds 14 % to its
-    # variance at most.
-    assert difference.std() < 0.3
+    # The camera's own noise has 0.8 DN and more: linear interpolation between texels adds a fifth to its
+    # variance here, where pixels of 8 m show much contrast; a fiftieth where they have 0.7 m.
+    assert difference.std() < 0.35
     slopes = np.stack([slope.ravel() for slope in np.gradient(expected)])
     shift_px = np.linalg.solve(slopes @ slopes.T, slopes @ difference.ravel())
     assert np.abs(shift_px).max() < 0.005  # px: of a chip, whose matching is good to 0.01 px and more

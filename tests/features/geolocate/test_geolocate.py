@@ -206,3 +206,23 @@ def test_the_attitude_s_covariance_is_rotated_into_the_axes_of_c():
         axes_c = R_cs.apply(np.eye(3))  # those of s, along which the errors are independent
         expected = sum(one**2 * np.outer(axis, axis) for one, axis in zip(own, axes_c))
         np.testing.assert_allclose(at, expected, rtol=0, atol=1e-12 * own.max() ** 2)  # rounding
+
+
+def test_rows_half_a_step_outside_the_exposures_have_a_place_as_in_matching(calibrated, model):
+    """Exposures from line 500 on, one each 400 lines: places from line 300 on, with a larger sigma."""
+    strip = model.strip
+    period = strip.clock.row_period_s
+    first = float(model.pushbroom.instants(np.array([500.0]))[0])
+    t_s = first + 400.0 * period * np.arange(5)
+    track = AttitudeTrack(
+        t_s, model.track.R_si(t_s), calibrated.dump.orbit, np.tile(1e-12 * np.eye(3), (5, 1, 1))
+    )
+    cut = replace(model, track=track, pushbroom=replace(model.pushbroom, attitude=track))
+    pixels = Pixels(np.zeros(4, dtype=int), np.full(4, 50.0), np.array([250.0, 310.0, 400.0, 900.0]))
+    surface = ConstantHeight(300.0)
+    found, true = (ground_places(calibrated, one, pixels, surface) for one in (cut, model))
+    assert np.isfinite(found.lat_deg).tolist() == [False, True, True, True]
+    assert np.isfinite(found.sigma_along_m).tolist() == [False, True, True, True]
+    metre_deg = 1.0 / 111e3  # of latitude
+    assert np.abs(found.lat_deg - true.lat_deg)[1:].max() < 50.0 * metre_deg
+    assert found.sigma_along_m[1] > found.sigma_along_m[3]

@@ -1,0 +1,91 @@
+"""Further tasks of people who know names and docstrings alone, with values given by mistake."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import rasterio
+from matplotlib.axes import Axes
+
+import boresight as bs
+
+MINI = Path(__file__).parents[2] / "fixtures" / "mini"
+EXPOSURE = MINI / "exposures" / "e0001.png"
+
+
+@pytest.fixture(scope="module")
+def pixels() -> np.ndarray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(EXPOSURE) as file:
+            return file.read(1)
+
+
+def test_masked_pixels_hold_no_star_and_are_counted(pixels: np.ndarray) -> None:
+    stars = bs.find_stars(pixels)
+    x, y = (round(one) for one in stars.xy_px[1])
+    hidden = np.zeros(pixels.shape, dtype=bool)
+    hidden[y - 6 : y + 7, x - 6 : x + 7] = True
+    found = bs.find_stars(np.ma.masked_array(pixels, hidden))
+    assert found.masked == 169 and "169 masked pixels" in repr(found)
+    assert np.hypot(*(found.xy_px - stars.xy_px[1]).T).min() > 6.0
+    assert np.isfinite(found.saturation_dn) and found.saturated.any()  # counts stay counts
+    assert len(bs.find_stars(np.ma.masked_array(pixels))) == len(stars)
+    with pytest.raises(ValueError, match="image: found an array of which all is masked"):
+        bs.find_stars(np.ma.masked_array(pixels, np.ones_like(hidden)))
+
+
+@pytest.mark.parametrize("kind", ["stars", "solution"])
+def test_a_plot_takes_every_form_of_its_image_and_no_other_image(pixels: np.ndarray, kind: str) -> None:
+    stars = bs.find_stars(pixels)
+    shown = stars if kind == "stars" else bs.identify(stars, camera=bs.open_dump(MINI).star_camera)
+    for image in (pixels, EXPOSURE, np.dstack([pixels] * 3), np.where(pixels > 200, np.nan, pixels)):
+        assert isinstance(shown.plot(image=image), Axes)
+        plt.close("all")
+    with pytest.raises(ValueError, match=r"image: found shape \(500, 1024\), expected the image of these"):
+        shown.plot(image=pixels[:500])
+    plt.close("all")
+
+
+def test_a_plan_takes_numbers_of_numpy_and_its_forecast_is_drawn() -> None:
+    plan = {"strips": {"count": np.int64(6)}, "targets": {"sigma_px": np.float32(0.25)}}
+    forecast = bs.forecast(plan)
+    plain = bs.forecast({"strips": {"count": 6}, "targets": {"sigma_px": 0.25}})
+    assert forecast.table.equals(plain.table)
+    lines = forecast.plot().get_lines()
+    assert [line.get_label() for line in lines if line.get_label() in "XYZ"] == ["X", "Y", "Z"]
+    assert np.array_equal(
+        lines[0].get_ydata(), forecast.table.query("axis == 'X'")["sigma_arcsec"].to_numpy()
+    )
+    plt.close("all")
+
+
+def test_what_is_not_matched_says_why() -> None:
+    found = bs.match_template(
+        np.ones((64, 64)), np.random.default_rng(1).normal(size=(200, 200)), start_px=(90, 90)
+    )
+    assert not found and repr(found) == f"not matched: {found.sentence}"
+
+
+def test_a_file_in_place_of_a_folder_is_said() -> None:
+    with pytest.raises(bs.RawDataError, match=r"found a file, expected a folder with a dump\.toml"):
+        bs.open_dump(MINI / "dump.toml")
+    with pytest.raises(ValueError, match=r"settings: .*expected the path of a TOML file, or Settings"):
+        bs.calibrate(MINI, settings={"run": {"passes": 1}})  # type: ignore[arg-type]
+
+
+def test_a_result_is_validated_against_its_own_dump_alone(tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(MINI, tmp_path / "copy"))
+    for name, rows in (("strips.csv", 4), ("exposures.csv", 14), ("targets.csv", 12)):
+        lines = (copy / name).read_text().splitlines(keepends=True)
+        (copy / name).write_text("".join(lines[: rows + 1]))
+    in_memory, on_disk = bs.calibrate(copy), bs.calibrate(copy, out=tmp_path / "result")
+    for result in (in_memory, on_disk, tmp_path / "result"):
+        assert bs.validate(result, copy).nees > 0.0
+        with pytest.raises(bs.RawDataError, match="another dump"):
+            bs.validate(result, MINI)
