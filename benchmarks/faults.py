@@ -1057,6 +1057,6 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 head, mark, heads = before.partition("[[star_cameras]]")
                 write_text(dump / "dump.toml", f"{head}\n[light]\n{text}\n{mark}{heads}")
 
-            # Aberration moves a target by 13 m; light time and refraction by 1 m near nadir, below the 2 m stated.
+            # Aberration moves a target by 13 m, light time and refraction by 1 m near nadir: 2 m are stated.
             times = 3.0 if key == "aberration" else 0.5
             yield Fault("light", key, 1, "", times, light, ("light|aberration|refraction",), f"light|{key}")
