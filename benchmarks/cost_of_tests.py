@@ -65,9 +65,8 @@ def main() -> None:
             off.append(seconds(options.dump))
         on.append(seconds(options.dump))
     for name, times in (("with the tests", on), ("without", off)):
-        print(
-            f"{name:16s} median {np.median(times):.2f} s of {len(times)}: {min(times):.2f} to {max(times):.2f}"
-        )
+        spread = f"{min(times):.2f} to {max(times):.2f}"
+        print(f"{name:16s} median {np.median(times):.2f} s of {len(times)}: {spread}")
     ratio = float(np.median(on) / np.median(off))
     print(f"median of the ratios of neighbours {np.median(np.divide(on, off)):.3f}\n")
     record.verdict(f"with over without {ratio:.3f} ({MOST})", ratio <= MOST)

@@ -45,6 +45,7 @@ from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, excha
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.pipeline.stages.input_findings import assumed_motion, input_findings, shifted_chips
 from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, searched_alone, with_left_out
+from boresight.pipeline.stages.loss_groups import LookedFor
 from boresight.pipeline.stages.matchings import match_again, match_first
 from boresight.pipeline.stages.missing import targets_out_of_view, what_is_missing
 from boresight.pipeline.stages.moved_inputs import moved_inputs
@@ -56,6 +57,7 @@ from boresight.pipeline.stages.sky_losses import (
     named_alone,
     reversed_strips,
     sky_counts,
+    sky_looked_for,
     strips_without_stars,
     without_stars,
 )
@@ -76,6 +78,7 @@ from boresight.pipeline.stages.strip import (
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.pipeline.stages.target_findings import (
+    lost_parts,
     lost_stars,
     lost_targets,
     single_targets,
@@ -175,7 +178,8 @@ def calibrate_dump(
         *rejections_of(found),
         *unused_rows(dump, last.tasks, observed, settings.run.exposure_margin_s),
     )
-    stars = sky_counts(dump, last.sky, last.named, found.R_cs)
+    looked_for = sky_looked_for(dump, last.sky, last.named, found.R_cs)
+    stars = sky_counts(last.sky, looked_for)
     sighted = _sighted(dump, heads, first, last, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = _examined(dump, found, sighted, error_model, inputs, settings)
@@ -194,7 +198,7 @@ def calibrate_dump(
     )
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
-        *_explanations(dump, heads, last, found, verdict, reliability, stars, settings),
+        *_explanations(dump, heads, last, found, verdict, reliability, looked_for, settings),
         *of_inputs,
         *assumed_motion(last.strips, error_model),
         *earth_findings(earth, dump.earth_file),
@@ -392,7 +396,7 @@ def _explanations(
     estimate: InstallationEstimate,
     verdict: Verdict,
     reliability: Reliability,
-    stars: Counts,
+    looked_for: Sequence[LookedFor],
     settings: Settings,
 ) -> list[Finding]:
     """Exposures that are exchanged and a convention that is wrong; without either, what `_target_findings`
@@ -404,7 +408,7 @@ def _explanations(
         convention = likely_convention(dump, lambda changed: _agreeing_strips(changed, heads, settings))
     if convention or exchanged:
         return [*exchanged, *([convention] if convention else [])]
-    return _target_findings(dump, last, estimate, reliability, verdict.findings, stars)
+    return _target_findings(dump, last, estimate, reliability, verdict.findings, looked_for)
 
 
 def _target_findings(
@@ -413,7 +417,7 @@ def _target_findings(
     estimate: InstallationEstimate,
     reliability: Reliability,
     told: Sequence[Finding],
-    stars: Counts,
+    looked_for: Sequence[LookedFor],
 ) -> list[Finding]:
     """Targets and stars that contradict the rest or were not found, and that no common cause
     `told` explains.
@@ -422,6 +426,7 @@ def _target_findings(
     strips = {name.rpartition("/")[0] for one in told for name in one.targets}
     suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
     images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
+    stars = sky_counts(last.sky, looked_for)
     strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
     exchanged = [
         *strips_exchanged,
@@ -432,8 +437,11 @@ def _target_findings(
     if any(one.refutes for one in told):  # what is off or lost under a wrong matrix accuses nothing else
         return exchanged
     apart = {key: count for key, count in stars.items() if f"strip {key[0]}" not in items}
+    parts = list(lost_parts(last.tasks, last.matched, looked_for, estimate.R_cs, items))
+    items += [ccd for one in parts for ccd in re.findall(r"CCD \d+", one.item)]
     return [
         *exchanged,
+        *parts,
         *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
         *(() if strips_exchanged else lost_targets(last.tasks, last.matched, items)),
         *lost_stars(images, apart, without_stars(apart), items),

@@ -17,7 +17,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.left_out import Counts, counts_of
-from boresight.pipeline.stages.sky_losses import as_bright_as_named, stars_found
+from boresight.pipeline.stages.sky_losses import as_bright_as_named, star_counts, stars_looked_for
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
@@ -79,7 +79,7 @@ def exchanged_in_sky(
 
         def found(a: int, b: int, task: SkyTask = task, stars: StripStars = one.found) -> int:
             other = replace(stars, ccd=np.where(stars.ccd == a, b, np.where(stars.ccd == b, a, stars.ccd)))
-            again = stars_found(dump, task, other, bright, R_cs)
+            again = star_counts(task, stars_looked_for(dump, task, other, bright, R_cs))
             return again[task.strip.strip_id, a][0] + again[task.strip.strip_id, b][0]
 
         own = {key: value for key, value in counts.items() if key[0] == task.strip.strip_id}

@@ -19,6 +19,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.left_out import Counts, lost_ccds
+from boresight.pipeline.stages.loss_groups import LookedFor
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.star_id.strip_stars.find import StripStars
@@ -31,7 +32,9 @@ __all__ = [
     "named_alone",
     "reversed_strips",
     "sky_counts",
-    "stars_found",
+    "sky_looked_for",
+    "star_counts",
+    "stars_looked_for",
     "strips_without_stars",
     "without_stars",
 ]
@@ -103,17 +106,33 @@ def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> Su
     return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
 
 
-def stars_found(
+def stars_looked_for(
     dump: Dump, task: SkyTask, found: StripStars, bright: SurveyedStars, R_cs: Rotation
-) -> Counts:
-    """By strip and CCD: stars with a detection where they must be, and all that must be there."""
+) -> LookedFor:
+    """All stars that must be in a strip, and whether a detection is where they must be."""
     expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
-    counts: dict[tuple[str, int], tuple[int, int]] = {}
+    seen = np.zeros(len(expected.ccd), dtype=bool)
+    part = np.zeros(len(expected.ccd))
     for ccd in task.strip.images.ccds:
-        there = expected.xy_px[expected.ccd == ccd]
-        off_px = np.abs(there[:, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
-        counts[task.strip.strip_id, ccd] = int((off_px < near_px).any(axis=1).sum()), len(there)
-    return counts
+        here = expected.ccd == ccd
+        off_px = np.abs(expected.xy_px[here, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
+        seen[here] = (off_px < near_px).any(axis=1)
+        part[here] = expected.xy_px[here, 0] / (task.camera.n_px(ccd) - 1.0)
+    return LookedFor(
+        strip_id=task.strip.strip_id,
+        ccd=expected.ccd,
+        part=part,
+        magnitude=bright.places.v_mag[expected.star],
+        found=seen,
+    )
+
+
+def star_counts(task: SkyTask, looked: LookedFor) -> Counts:
+    """By strip and CCD: stars with a detection where they must be, and all that must be there."""
+    return {
+        (looked.strip_id, ccd): (int(looked.found[looked.ccd == ccd].sum()), int((looked.ccd == ccd).sum()))
+        for ccd in task.strip.images.ccds
+    }
 
 
 def _near_px(dump: Dump, task: SkyTask) -> float:
@@ -126,12 +145,21 @@ def _near_px(dump: Dump, task: SkyTask) -> float:
     return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
 
 
-def sky_counts(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Counts:
-    """Bright stars found, and expected, by strip and CCD; empty where no strip of the sky has a name."""
+def sky_looked_for(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation
+) -> tuple[LookedFor, ...]:
+    """Bright stars of each strip, found or not; empty where no strip of the sky has a name."""
     if not any(len(one.rows) for one in named):
-        return {}
+        return ()
     bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
-    each = [stars_found(dump, task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)]
+    return tuple(
+        stars_looked_for(dump, task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)
+    )
+
+
+def sky_counts(side: SkySide, looked: Sequence[LookedFor]) -> Counts:
+    """Bright stars found, and expected, by strip and CCD."""
+    each = [star_counts(task, one) for task, one in zip(side.tasks, looked)]
     return {key: count for counts in each for key, count in counts.items()}
 
 

@@ -18,14 +18,25 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.stages.left_out import Counts, counts_of, lost_ccds, over_strips
+from boresight.pipeline.stages.left_out import (
+    LOST_SHARE,
+    PROBABILITY,
+    Counts,
+    counts_of,
+    lost_ccds,
+    over_strips,
+)
+from boresight.pipeline.stages.loss_groups import LookedFor, lost_halves
 from boresight.pipeline.stages.point_slips import fitting_slip
+from boresight.pipeline.stages.sky_losses import LOST_SHARE as LOST_SHARE_SKY
+from boresight.pipeline.stages.sky_losses import PROBABILITY_LOST
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 
 __all__ = [
     "Suspected",
     "displaced_ccds",
     "is_flat",
+    "lost_parts",
     "lost_stars",
     "lost_strip",
     "lost_targets",
@@ -333,6 +344,48 @@ def lost_stars(
     if displaced:
         no_majority = 2 * len(displaced) >= len(every)
         yield displaced_ccds(displaced, every, "bright stars", refutes=no_majority)
+
+
+def lost_parts(
+    tasks: Sequence[StripTask],
+    matched: Sequence[MatchedTargets],
+    stars: Sequence[LookedFor],
+    R_cs: Rotation,
+    explained: Sequence[str],
+) -> Iterator[Finding]:
+    """Halves of CCDs and of the field, and of stars in order of magnitude, of which too much was lost, but of
+    the items `explained`.
+    """
+    ground = [_looked_for(replace(task, R_cs=R_cs), one) for task, one in zip(tasks, matched)]
+    for found in (
+        *lost_halves(ground, LOST_SHARE, PROBABILITY, "targets", fewest_strips=2),
+        *lost_halves(stars, LOST_SHARE_SKY, PROBABILITY_LOST, "stars"),
+    ):
+        if not any(item in found.item for item in explained):
+            yield found
+
+
+def _looked_for(task: StripTask, matched: MatchedTargets) -> LookedFor:
+    """The targets that a strip must show: those matched, and those in view that were not."""
+    p_e = {one.target_id: one.p_e for one in task.targets}
+    lost = [
+        (name.rpartition("/")[2], int(number))
+        for name, mark, number in (one.name.partition(", CCD ") for one in matched.omissions)
+        if mark and number.isdigit() and name.rpartition("/")[2] in p_e
+    ]
+    ccd = np.array([*matched.ccd.tolist(), *(number for _, number in lost)], dtype=np.int64)
+    model = pushbroom_of(task)
+    predicted = [float(model.pixels_from_ground(number, p_e[name][None])[0][0]) for name, number in lost]
+    sample = np.array([*matched.xy_px[:, 0].tolist(), *predicted])
+    inside = np.isfinite(sample)
+    last = np.array([task.camera.n_px(number) - 1.0 for number in ccd.tolist()])
+    return LookedFor(
+        strip_id=matched.strip_id,
+        ccd=ccd[inside],
+        part=sample[inside] / last[inside],
+        magnitude=np.full(int(inside.sum()), np.nan),
+        found=(np.arange(len(ccd)) < len(matched.ccd))[inside],
+    )
 
 
 def _dead_ccd(ccd: int, strips: Sequence[str], targets: tuple[str, ...] = ()) -> Finding:

@@ -474,6 +474,35 @@ def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(two_sca
     assert set(either) <= set(first.rivals)
 
 
+def test_half_of_a_ccd_without_light_is_told(two_scans):
+    """Its other half shows all its stars: neither the CCD nor a strip is lost."""
+
+    def dark(image: np.ndarray) -> np.ndarray:
+        half = image.copy()
+        half[:, : half.shape[1] // 2] = np.median(image)
+        return half
+
+    for strip in ("sky01", "sky02"):
+        faults.repaint(two_scans / "strips" / f"{strip}_ccd1.tif", dark)
+    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+    assert (told.cause, told.item) == ("lost part of a CCD", "first half of CCD 1")
+    assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
+
+
+def test_a_scan_whose_background_hides_faint_stars_is_told(two_scans):
+    """Noise of some six times the detector's in one of two scans."""
+    rng = np.random.default_rng(5)
+
+    def noisy(image: np.ndarray) -> np.ndarray:
+        return (image + rng.normal(0.0, 18.0, image.shape)).clip(0, 65535).round().astype(image.dtype)
+
+    for ccd in range(4):
+        faults.repaint(two_scans / "strips" / f"sky02_ccd{ccd}.tif", noisy)
+    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+    assert told.cause == "lost faint stars" and told.item.startswith("strip sky02, fainter than V")
+    assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS and not told.refutes
+
+
 @pytest.mark.parametrize(("stages", "label", "refutes"), [(4, "start", True), (128, "middle", False)])
 def test_stages_that_would_smear_a_scan_against_the_charge_are_told(two_scans, stages, label, refutes):
     """The images have one stage; a label at the start of four would date rows two periods wrong."""

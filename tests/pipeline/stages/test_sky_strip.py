@@ -28,6 +28,7 @@ from boresight.pipeline.stages.sky_losses import (
     named_alone,
     reversed_strips,
     sky_counts,
+    sky_looked_for,
     strips_without_stars,
 )
 from boresight.pipeline.stages.sky_side import scatter_px
@@ -209,7 +210,7 @@ def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump):
 
 def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibration):
     dump, side, named = open_dump(SKY), calibration.sky, calibration.named
-    counts = sky_counts(dump, side, named, calibration.estimate.R_cs)
+    counts = counted(dump, side, named, calibration)
     seen = [found for found, _ in counts.values()]
     expected = [n for _, n in counts.values()]
     assert sum(expected) >= 15 and sum(seen) == sum(expected)  # no star of this sky is lost
@@ -223,14 +224,14 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     shifted = replace(side, found=(replace(found, xy_px=moved),))
     (one,) = named
     gone = replace_named(one, shifted.found[0], one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
-    counts = sky_counts(dump, shifted, [gone], calibration.estimate.R_cs)
+    counts = counted(dump, shifted, [gone], calibration)
     assert lost_ccds(counts, LOST_SHARE).keys() == {1, 2}
     (alone,) = named_alone(dump, shifted, counts)  # by its own vote, for the test of its place
     assert set(alone.found.ccd[alone.rows].tolist()) == {1, 2} and len(alone.rows) >= 3
 
     exchanged = replace(found, ccd=np.array([0, 2, 1, 3])[found.ccd])
     gone = replace_named(one, exchanged, one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
-    counts = sky_counts(dump, side, [gone], calibration.estimate.R_cs)
+    counts = counted(dump, side, [gone], calibration)
     (told,) = exchanged_in_sky(dump, side, [gone], counts, calibration.estimate.R_cs)
     assert told.item == "CCD 1 and CCD 2 in strip sky01" and told.file == "strips.csv"
 
@@ -245,7 +246,7 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     ]
 
     empty = replace_named(one, found, one.rows[:0])
-    counts = {key: (0, n) for key, (_, n) in sky_counts(dump, side, named, calibration.estimate.R_cs).items()}
+    counts = {key: (0, n) for key, (_, n) in counted(dump, side, named, calibration).items()}
     (told,) = strips_without_stars(dump, side, [empty], counts, [])
     assert told.refutes and "agree by themselves" in told.text  # named by its own vote: contradicts
     assert list(strips_without_stars(dump, side, [empty], counts, ["sky01"])) == []  # a cause explains it
@@ -267,7 +268,7 @@ def test_a_star_counts_as_found_within_the_errors_that_are_stated(calibration):
     for shift_px in (2.5, 7.0):  # stated: attitudes to some 0.3 px, 0.3 px of distortion, 1 px not stated
         moved = found.xy_px + np.where(found.ccd == 3, shift_px, 0.0)[:, None] * [1.0, 0.0]
         off = replace_named(one, replace(found, xy_px=moved), one.rows)
-        counts = sky_counts(dump, side, [off], calibration.estimate.R_cs)
+        counts = counted(dump, side, [off], calibration)
         kept[shift_px], expected = counts["sky01", 3]
         assert expected >= 2
         assert all(n == of for (_, ccd), (n, of) in counts.items() if ccd != 3)
@@ -285,6 +286,11 @@ def test_two_exposures_let_stars_lie_as_far_off_as_the_satellite_may_move(calibr
     moved_px = dump.errors.motion_arcsec * ARCSEC / dump.line_camera.pixel_rad
     assert len(task.t_attitude_s) > 2 and moved_px > 1.0
     assert scatter_px(dump, two) == pytest.approx(np.hypot(scatter_px(dump, task), moved_px))
+
+
+def counted(dump, side, named, calibration):
+    """Bright stars found, and expected, by strip and CCD."""
+    return sky_counts(side, sky_looked_for(dump, side, named, calibration.estimate.R_cs))
 
 
 def replace_named(one, found, rows):
