@@ -22,9 +22,11 @@ from boresight.features.exports.kml import kml_text
 from boresight.features.exports.matrix_csv import matrix_csv
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
+from boresight.features.exports.quaternions import step_between_attitudes
 from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.spice_attitude import (
+    TICK_S,
     attitude_kernel,
     clock_kernel,
     instants_of_ticks,
@@ -59,9 +61,8 @@ from boresight.pipeline.results.strip_model import (
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
 
-# Largest step of the attitudes of an exported AEM, s (set by hand).
-AEM_STEP_S = 0.05
-CK_TICKS = 32  # 1/32 s
+# Error between exported attitudes when they are interpolated, px: a third of what is asked of an export.
+ATTITUDE_LIMIT_PX = 0.003
 RPC_LIMIT_PX = 0.1  # an RPC that misses the rigorous model by more is reported
 
 
@@ -125,7 +126,8 @@ def _spice_attitude(request: ExportRequest) -> Made:
     yield "clock.tsc", clock_kernel(dump.epoch, frames, "\n".join(["Clock of the attitudes", *lines]))
     yield "camera.ti", instrument_kernel(dump.line_camera, frames, "\n".join(["Fields of view", *lines]))
     for model in _models(calibrated, request.strips):
-        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, CK_TICKS)
+        step = round(_step_s(calibrated, model) / TICK_S)
+        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, step)
         name = model.strip.strip_id
         about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
         comment = "\n".join([*about, *lines])
@@ -155,7 +157,7 @@ def _camera_attitudes(
     C = R_cs.as_matrix()
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
-        steps = int(np.ceil((last - first) / AEM_STEP_S)) + 1
+        steps = int(np.ceil((last - first) / _step_s(calibrated, model))) + 1
         t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
         own = np.nan_to_num(model.track.covariance_s(t_s))
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
@@ -169,6 +171,14 @@ def _camera_attitudes(
         comments += [*_line_times(model, dump.epoch), *notes.lines()]
         utc = dump.epoch.utc_from_seconds(t_s)
         yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
+
+
+def _step_s(calibrated: Calibrated, model: StripModel) -> float:
+    """Step of time between the attitudes of a strip."""
+    first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
+    begin, end = np.clip([first, last], *model.track.span_s).tolist()
+    limit_rad = ATTITUDE_LIMIT_PX * calibrated.dump.line_camera.pixel_rad
+    return step_between_attitudes(model.track, begin, end, limit_rad)
 
 
 def _csm_isd(request: ExportRequest) -> Made:
