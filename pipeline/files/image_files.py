@@ -46,6 +46,9 @@ MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a w
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
 # Mean radius of the Earth, m: turns pixels in degrees into metres where only their size matters.
 EARTH_RADIUS_M = 6.371e6
+# A star image of more than 64 million pixels whose file has less than a byte for 10,000 of them shows no sky,
+# whose noise packs to some tenths of a byte a pixel; unpacked it may take a GB. Set by hand.
+LARGE_PIXELS, MOST_PIXELS_A_BYTE = 2**26, 10_000
 _BANDS = (1, 2, 3, 4)  # grey, colours, either with opacity
 _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_PAM_ENABLED": "NO",
@@ -73,10 +76,14 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
 def read_planes(path: Path, file: str) -> NDArray[Any]:
     """All bands (K, height, width) of a TIFF of any depth, at most 4; `RawDataError` if it is none."""
     _check_black(path, file)
-    with open_geotiff(path, file, small_content(path)) as image:
+    content = small_content(path)
+    with open_geotiff(path, file, content) as image:
         if image.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
             raise RawDataError(file, "SamplesPerPixel", str(image.count), "1 to 4: grey or colours")
         check_size(file, (image.width * image.count, image.height), None, 16, None)
+        least = image.width * image.height // MOST_PIXELS_A_BYTE
+        if content is not None and len(content) < least and image.width * image.height > LARGE_PIXELS:
+            raise RawDataError(file, "file", f"{len(content)} bytes", f"{least} or more for so many pixels")
         try:
             return np.asarray(image.read())
         except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:

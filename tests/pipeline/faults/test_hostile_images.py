@@ -21,6 +21,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.image_files import MOST_PIXELS_A_BYTE
 from boresight.pipeline.files.png_rows import png_rows
 from boresight.pipeline.files.star_images import read_exposure, read_star_image
 from boresight.star_id.finding import star_shape
@@ -188,6 +189,22 @@ def test_tiff_of_thousands_of_bands_is_refused_before_it_is_read(tmp_path: Path)
         assert image.count == 5000
     with pytest.raises(RawDataError, match=r"SamplesPerPixel.*5000"):
         read_star_image(path, path.name)
+
+
+@pytest.mark.parametrize(("side", "refused"), [(16_384, True), (8192, False)])
+def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpacked(
+    side: int, refused: bool, tmp_path: Path
+) -> None:
+    path = tmp_path / "sparse.tif"
+    form = {"tiled": True, "blockxsize": 4096, "blockysize": 4096, "compress": "deflate", "sparse_ok": True}
+    with rasterio.open(path, "w", driver="GTiff", width=side, height=side, count=1, dtype="uint8", **form):
+        pass
+    assert path.stat().st_size * MOST_PIXELS_A_BYTE < side**2
+    if refused:
+        with pytest.raises(RawDataError, match=f"file: found {path.stat().st_size} bytes"):
+            read_star_image(path, path.name)
+    else:  # a small one is read: a quarter of a second
+        assert not read_star_image(path, path.name).any()
 
 
 def test_text_pgm_and_ppm_are_read_and_bounded(tmp_path: Path) -> None:
