@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import warnings
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import lru_cache
@@ -20,6 +21,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
+from rasterio.enums import Compression, Interleaving
 from rasterio.errors import RasterioError, RasterioIOError
 from rasterio.io import MemoryFile
 from rasterio.transform import Affine
@@ -49,6 +51,7 @@ EARTH_RADIUS_M = 6.371e6
 # A star image of more than 64 million pixels whose file has less than a byte for 10,000 of them shows no sky,
 # whose noise packs to some tenths of a byte a pixel; unpacked it may take a GB. Set by hand.
 LARGE_PIXELS, MOST_PIXELS_A_BYTE = 2**26, 10_000
+_INFLATED_BYTES = 2**20  # of a block that is inflated to see its checksum, at once
 _BANDS = (1, 2, 3, 4)  # grey, colours, either with opacity
 _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_PAM_ENABLED": "NO",
@@ -65,11 +68,13 @@ def read_tiff(path: Path, file: str, size: tuple[int, int] | None, bits: int | N
     Raises `RawDataError` if it is none, or not of `size` and `bits`.
     """
     _check_black(path, file)
-    with open_geotiff(path, file, small_content(path)) as image:
+    content = small_content(path)
+    with open_geotiff(path, file, content) as image:
         depth = _bits(image, file)
         check_size(file, (image.width, image.height), size, depth, bits)
         if image.count != 1:
             raise RawDataError(file, "bands", str(image.count), "1")
+        _check_deflated(image, content, file)
         return _read_window(image, file, Window(0, 0, image.width, image.height))
 
 
@@ -81,13 +86,43 @@ def read_planes(path: Path, file: str) -> NDArray[Any]:
         if image.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
             raise RawDataError(file, "SamplesPerPixel", str(image.count), "1 to 4: grey or colours")
         check_size(file, (image.width * image.count, image.height), None, 16, None)
-        least = image.width * image.height // MOST_PIXELS_A_BYTE
-        if content is not None and len(content) < least and image.width * image.height > LARGE_PIXELS:
+        values = image.width * image.height * image.count
+        least = values // MOST_PIXELS_A_BYTE if values > LARGE_PIXELS else 0
+        if content is not None and len(content) < least:
             raise RawDataError(file, "file", f"{len(content)} bytes", f"{least} or more for so many pixels")
+        _check_deflated(image, content, file)
         try:
             return np.asarray(image.read())
         except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
             raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
+
+
+def _check_deflated(image: Any, content: bytes | None, file: str) -> None:
+    """`RawDataError` unless every deflated block of an open TIFF, whose bytes are `content`, ends and has its
+    checksum: GDAL and others do not look at it, and fill a damaged end with different values. A file that is
+    too large for `small_content` is not looked through.
+    """
+    if content is None or image.compression is not Compression.deflate:
+        return
+    bands = range(1, image.count + 1) if image.interleaving is Interleaving.band else (1,)
+    for band in bands:
+        for (row, column), _ in image.block_windows(band):
+            place = f"{column}_{row}"
+            start, size = (
+                image.get_tag_item(f"BLOCK_{key}_{place}", "TIFF", band) for key in ("OFFSET", "SIZE")
+            )
+            if start is None or size is None:
+                continue  # a block that is not there is zero
+            stream = zlib.decompressobj()
+            try:
+                rest = content[int(start) : int(start) + int(size)]
+                while rest and not stream.eof:
+                    stream.decompress(rest, _INFLATED_BYTES)
+                    rest = stream.unconsumed_tail
+            except zlib.error as error:
+                raise RawDataError(file, f"block {place}", str(error), "a sound stream") from error
+            if not stream.eof:
+                raise RawDataError(file, f"block {place}", "a stream without end", "a sound stream")
 
 
 def _check_black(path: Path, file: str) -> None:

@@ -207,6 +207,29 @@ def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpack
         assert not read_star_image(path, path.name).any()
 
 
+@pytest.mark.parametrize("form", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}, {"predictor": 2}])
+@pytest.mark.parametrize("fault", ["checksum", "end"])
+def test_deflated_block_of_a_tiff_whose_end_is_damaged_is_refused(
+    fault: str, form: dict[str, object], tmp_path: Path
+) -> None:
+    """The last pixels of such a block are other ones by GDAL than by Pillow, without a word of either."""
+    path, pixels = tmp_path / "sky.tif", np.random.default_rng(3).integers(0, 200, (40, 50), dtype=np.uint8)
+    profile = {"driver": "GTiff", "width": 50, "height": 40, "count": 1, "dtype": "uint8"}
+    with rasterio.open(path, "w", **profile, compress="deflate", **form) as image:
+        image.write(pixels, 1)
+    exposure = {"width": 50, "height": 40, "bit_depth": 8}
+    assert np.array_equal(read_star_image(path, "sky.tif"), pixels)
+    assert np.array_equal(read_exposure(path, "sky.tif", **exposure), pixels)
+    with rasterio.open(path) as image:
+        start, size = (int(image.get_tag_item(f"BLOCK_{key}_0_0", "TIFF", 1)) for key in ("OFFSET", "SIZE"))
+    content = bytearray(path.read_bytes())
+    content[start + size - (1 if fault == "checksum" else 6)] ^= 0x55
+    path.write_bytes(content)
+    for read in (read_star_image, lambda *given: read_exposure(*given, **exposure)):
+        with pytest.raises(RawDataError, match=r"sky.tif: (block 0_0|pixels)"):
+            read(path, "sky.tif")
+
+
 def test_text_pgm_and_ppm_are_read_and_bounded(tmp_path: Path) -> None:
     path, rng = tmp_path / "e.ppm", np.random.default_rng(8)
     grey, colours = rng.integers(0, 4096, (30, 40)), rng.integers(0, 256, (30, 40, 3))
