@@ -53,7 +53,7 @@ DUMP = Path(__file__).parents[1] / "fixtures" / "mini"
 SHIFTS_PX = (0.5, 0.7, 1.0, 2.0, 4.0)
 DRAWN_PX = (0.3, 0.4, 0.5, 0.7, 1.0, 2.0)
 DRAWS = 40_000
-LEAST_CHANCE = 0.01  # of a count that still agrees with a share; the share itself is told by `DRAWS` errors
+LEAST_CHANCE = 0.01  # of a count that still agrees with a share; the share itself comes from `DRAWS` errors
 
 
 @dataclasses.dataclass(frozen=True)
