@@ -41,8 +41,9 @@ _UNKNOWN_RATE = math.radians(5.0)
 _LARGEST_REACH_PX = 32.0
 # Stars that are measured, the brightest, and those that give the common shift (set by hand).
 _STARS, _STARS_FOR_SHIFT = 48, 16
-# Brightest stars of which those are taken, should many be saturated (wide fields; set by hand).
-_MOST_IN_VIEW = 400
+# Brightest stars of which those are taken, should many be saturated (wide fields), and those that are tried
+# first: two in three lie in the image, the others beside it (set by hand).
+_MOST_IN_VIEW, _FIRST_IN_VIEW = 400, 100
 # Rows and columns of a pixel and its eight neighbours, from it.
 _AROUND = np.repeat([-1, 0, 1], 3), np.tile([-1, 0, 1], 3)
 # Distance, px, from the shifted prediction within which a star is the predicted one.
@@ -276,16 +277,20 @@ def _in_view(
 ) -> tuple[Ints, Floats, Floats]:
     """The brightest reliable stars of the index in view that are not saturated in the image (H, W), as rows,
     pixels (N, 2) and directions (N, 3); `lens` is the camera with its present focal length."""
-    rows = index.near(camera.middle_axes()[:, 2] @ R_si.as_matrix(), _radius_about_middle(camera))
-    xy = lens.pixels_from_directions(R_si.apply(index.u_i[rows]))
-    with np.errstate(invalid="ignore"):
-        inside = (xy > reach) & (xy < np.array([camera.width_px, camera.height_px]) - 1.0 - reach)
-    chosen = np.flatnonzero(inside.all(axis=1))
-    chosen = chosen[_reliable(index, camera, before.psf.sigma_px, settings)[rows[chosen]]][:_MOST_IN_VIEW]
-    column, row = np.rint(xy[chosen]).astype(np.int64).T[:, :, None]
-    around = image[row + _AROUND[0], column + _AROUND[1]]
-    chosen = chosen[(around < before.saturation_dn).all(axis=1)][:_STARS]
-    rows, xy = rows[chosen], xy[chosen]
+    every = index.near(camera.middle_axes()[:, 2] @ R_si.as_matrix(), _radius_about_middle(camera))
+    every = every[_reliable(index, camera, before.psf.sigma_px, settings).take(every)]
+    for most in (_FIRST_IN_VIEW, len(every)):
+        rows = every[:most]
+        xy = lens.pixels_from_directions(R_si.apply(index.u_i.take(rows, axis=0)))
+        with np.errstate(invalid="ignore"):
+            inside = (xy > reach) & (xy < np.array([camera.width_px, camera.height_px]) - 1.0 - reach)
+        chosen = np.flatnonzero(inside.all(axis=1))[:_MOST_IN_VIEW]
+        column, row = np.rint(xy.take(chosen, axis=0)).astype(np.int64).T[:, :, None]
+        around = image[row + _AROUND[0], column + _AROUND[1]]
+        chosen = chosen[(around < before.saturation_dn).all(axis=1)][:_STARS]
+        if len(chosen) == _STARS:  # those that follow are fainter
+            break
+    rows, xy = rows.take(chosen), xy.take(chosen, axis=0)
     if observer is None:
         return rows, xy, index.u_i[rows]
     u_i = star_directions(index, rows, observer)

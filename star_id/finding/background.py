@@ -78,8 +78,8 @@ class Background:
         rows, columns = self.level_dn.shape
         across, down = (np.diff(self.level_dn, axis=axis) for axis in (1, 0))
         return (
-            float(np.median(across)) * columns / self.width_px if across.size else 0.0,
-            float(np.median(down)) * rows / self.height_px if down.size else 0.0,
+            _median(across) * columns / self.width_px if across.size else 0.0,
+            _median(down) * rows / self.height_px if down.size else 0.0,
         )
 
     def limits(self, sigmas: float, pixels: float) -> Floats:
@@ -105,13 +105,19 @@ class Background:
     def _between(self, xy_px: Floats, *grids: Floats) -> list[Floats]:
         """Grids with a ring of blocks added (R + 2, C + 2), interpolated to pixels (N, 2): (N,) each."""
         rows, columns = self.level_dn.shape
-        x = np.clip((xy_px[:, 0] + 0.5) * (columns / self.width_px) + 0.5, 0.0, columns + 1.0)
-        y = np.clip((xy_px[:, 1] + 0.5) * (rows / self.height_px) + 0.5, 0.0, rows + 1.0)
-        i, j = np.minimum(y.astype(int), rows), np.minimum(x.astype(int), columns)
-        corner, a, b = i * (columns + 2) + j, y - i, x - j
-        weights = ((1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b)
-        steps = (0, 1, columns + 2, columns + 3)
-        return [sum(grid.ravel()[corner + k] * w for k, w in zip(steps, weights)) for grid in grids]
+        x, y = ((xy_px + 0.5) * [columns / self.width_px, rows / self.height_px] + 0.5).T
+        x, y = np.minimum(np.maximum(x, 0.0), columns + 1.0), np.minimum(np.maximum(y, 0.0), rows + 1.0)
+        i, j = np.minimum(y.astype(np.int64), rows), np.minimum(x.astype(np.int64), columns)
+        a, b = y - i, x - j
+        weights = np.array([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
+        corners = i * (columns + 2) + j + np.array([[0], [1], [columns + 2], [columns + 3]])
+        return [(grid.take(corners) * weights).sum(axis=0) for grid in grids]
+
+
+def _median(values: Floats) -> float:
+    """The median; numpy's takes ten times as long for a few hundred numbers."""
+    ordered, n = np.sort(values, axis=None), values.size
+    return float(0.5 * (ordered[(n - 1) // 2] + ordered[n // 2]))
 
 
 def estimate_background(image: NDArray[Any]) -> Background:

@@ -108,7 +108,9 @@ def fit_stars(
     sigma, gain = psf.sigma_at(pixels.astype(float)), counts.gain_e_per_dn
     radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + psf.reach_px)))
     windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
-    full = windows.saturated & (windows.good.mean(axis=1) < _UNSATURATED)
+    full = windows.saturated
+    if full.any():
+        full = full & (windows.good.mean(axis=1) < _UNSATURATED)
     if not full.any():
         return _fit(windows, pixels, offset, sigma, psf, gain, one_step)
     large = int(np.ceil(_SATURATED_WINDOW_SIGMA * sigma.mean() + psf.reach_px))

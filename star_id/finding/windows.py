@@ -67,7 +67,8 @@ def star_windows(
         x, y = (corner % 2).T[:, :, None, None]
         good *= background.weights.astype(np.float32)[(row + y) % 2, (column + x) % 2]
     rows = saturated.nonzero()[0]
-    good[rows] *= _unsaturated(full[rows])
+    if len(rows):
+        good[rows] *= _unsaturated(full[rows])
     n = len(raw)
     along_x, along_y = background.slope_dn
     away = np.arange(-radius, radius + 1.0)
