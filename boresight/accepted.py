@@ -173,9 +173,12 @@ def floats_of(value: object, name: str, shape: str) -> Floats:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf" and not (array.dtype == object and array.size):
             raise TypeError
-        return array.astype(float)
+        masked, numbers = bool(np.ma.is_masked(value)), array.astype(float)
     except Exception:  # of ragged lists, strings and foreign classes that pretend to be arrays
         raise wrong(name, value, f"numbers of shape {shape}") from None
+    if masked:
+        raise wrong(name, "an array with masked values", f"numbers of shape {shape}, none of them masked")
+    return numbers
 
 
 def rotation_of(value: object, name: str) -> Rotation:

@@ -230,8 +230,8 @@ def _new_folder(out: PathLike | None) -> Path:
 
 def _three(sigma: ArrayLike) -> list[float]:
     values = floats_of(sigma, "sigma_R_cs0_rad", "(3,)")
-    if values.shape not in ((), (3,)) or not (np.isfinite(values).all() and (values > 0.0).all()):
-        raise wrong("sigma_R_cs0_rad", sigma, "a number or three, above 0, rad")
+    if values.shape not in ((), (3,)) or not ((values > 0.0) & (values <= np.pi)).all():
+        raise wrong("sigma_R_cs0_rad", sigma, "a number or three, above 0 and at most pi, rad")
     return [float(value) for value in np.broadcast_to(values, 3)]
 
 

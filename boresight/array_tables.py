@@ -83,14 +83,20 @@ def image_of(value: Any, name: str) -> NDArray[Any]:
 
 
 def pixels_of(value: Any, name: str, expected: str) -> NDArray[Any]:
-    """Grey values (H, W), computed now where they are a function."""
+    """Grey values (H, W), computed now where they are a function; masked pixels of floating ones are NaN."""
     try:
-        pixels = np.asarray(value() if isinstance(value, Callable) else value)  # type: ignore[arg-type]
+        given = value() if isinstance(value, Callable) else value  # type: ignore[arg-type]
+        hidden = np.ma.getmaskarray(given) if np.ma.is_masked(given) else None
+        pixels = np.asarray(given)
     except Exception as error:  # of a function, or of a foreign class that pretends to be an array
         raise wrong(name, value, f"{expected} ({shown(error)})") from error
     if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or not pixels.size:
         raise wrong(name, pixels, expected)
-    return pixels
+    if hidden is None:
+        return pixels
+    if pixels.dtype.kind != "f":
+        raise wrong(name, f"an array with {hidden.sum()} masked pixels", f"{expected}, none of them masked")
+    return np.where(hidden, pixels.dtype.type(np.nan), pixels)
 
 
 def bits_of(stated: int | None, types: set[Any], name: str) -> int:

@@ -265,7 +265,7 @@ def _is_one_frame(value: Any) -> bool:
 def _or_zero(value: Any) -> Any:
     """The value, or 0 for what is no regular array."""
     try:
-        return np.asarray(value, dtype=float)
+        return 0.0 if np.iscomplexobj(value) else np.asarray(value, dtype=float)
     except Exception:  # of ragged lists, texts, foreign classes
         return 0.0
 

@@ -123,6 +123,24 @@ def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None
     [
         ({"attitudes": [{}]}, "exposures, attitudes: found neither or both"),
         ({"attitudes": [{}], "exposures": None}, "aberration_removed: found None"),
+        (
+            {"sigma_R_cs0_rad": 30.0},
+            "sigma_R_cs0_rad: found 30.0, expected a number or three, above 0 and at",
+        ),
+        (
+            {
+                "strips": [
+                    {
+                        "id": "s01",
+                        "ccd": 0,
+                        "time": "2024-11-20T03:40:02",
+                        "row_period_s": 9e-4,
+                        "image": np.ma.masked_equal(np.eye(300, 512, dtype=np.uint8), 1),
+                    }
+                ]
+            },
+            "strips, row 0, image: found an array with 300 masked pixels, expected raw counts",
+        ),
         ({"remote_camera": 5}, "remote_camera: found 5, expected a LineCamera or a LookAngleCamera"),
         (
             {"exposures": [{"time": "2024-11-20T03:40:00", "exposure_s": 0.1, "stars": [{"x_px": 1.0}]}]},
