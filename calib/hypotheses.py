@@ -26,6 +26,10 @@ __all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "v
 MILLI = 1e-3
 # One hundredth, in units of hypotheses.
 PERCENT = 1e-2
+# Largest error of an input that is believed, by unit: an effect of light or of aberration is modelled or not
+# (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
+# km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
+LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
@@ -48,6 +52,11 @@ class Hypothesis:
     most: float = scalar("largest size that is possible", default=np.inf)
 
     @property
+    def largest(self) -> float:
+        """Size beyond which it is not believed: `most`, or what its unit allows; inf: none."""
+        return min(self.most, LARGEST.get(self.unit, np.inf))
+
+    @property
     def remedy(self) -> str:
         """What to look at."""
         return f"check {self.field} in {self.file}" if self.field else f"check {self.file}"
@@ -63,6 +72,7 @@ class HypothesisInputs:
     effects: Sequence[StarEffects] = ()  # errors of the star camera, by strip; none: attitudes were delivered
     inputs: Sequence[MovedInput] = ()  # what moves in the prediction with further inputs
     pivots: Mapping[int, float] | None = None  # samples about which CCDs rotate; else: their mean
+    target_files: str = "targets.csv"  # files of the dump with the coordinates of the targets
 
 
 HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
@@ -76,7 +86,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     ccd = np.concatenate([one.ccd for one in prepared])
     late_c = -np.concatenate([one.late_s for one in prepared]) @ C.T  # rows dated late by 1 s
     ground = ~np.concatenate([one.is_star for one in prepared])
-    found = [*_of_clock(prepared, strip, late_c), *_of_position(prepared, strip, ground, C)]
+    found = [*_of_clock(prepared, strip, late_c), *_of_position(of, strip, ground)]
     found += [_of_input(prepared, C, one) for one in of.inputs]
     found += _of_looks(prepared, ccd, pixel_rad, of.pivots or {})
     attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
@@ -177,17 +187,15 @@ def _since_first_row(strip: PreparedStrip) -> Floats:
     return np.asarray(strip.line * period)
 
 
-def _of_position(
-    prepared: Sequence[PreparedStrip], strip: Ints, ground: Bools, C: Floats
-) -> Iterator[Hypothesis]:
+def _of_position(of: HypothesisInputs, strip: Ints, ground: Bools) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
-    move_c = -C @ np.concatenate([one.move_s for one in prepared])
+    move_c = -of.R_cs.as_matrix() @ np.concatenate([one.move_s for one in of.prepared])
     axes = (
         ("along the track", 1.0, ("too far ahead", "too far back")),
         ("across the track", 1.0, ("too far right", "too far left")),
         ("height", -1.0, ("too high", "too low")),
     )
-    for item, members in _each(prepared):
+    for item, members in _each(of.prepared):
         here = (np.isin(strip, members) & ground)[:, None]
         for axis, (name, sign, words) in enumerate(axes):
             if len(members) == 1 and axis == 0:
@@ -197,7 +205,7 @@ def _of_position(
                 item=item,
                 unit="m",
                 words=words,
-                file="orbit, targets.csv",
+                file=f"orbit, {of.target_files}",
                 field="",
                 change_c=sign * move_c[:, :, axis] * here,
             )

@@ -209,6 +209,7 @@ def examine(
     star_camera: StarCamera | None = None,
     inputs: Sequence[MovedInput] = (),
     pivots: Mapping[int, float] | None = None,
+    target_files: str = "targets.csv",
     limits: ReliabilitySettings | None = None,
     table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
@@ -231,6 +232,8 @@ def examine(
         Further inputs whose errors were evaluated by prediction.
     pivots : mapping of int to float, optional
         Samples about which CCDs rotate, by CCD; default: the mean of their observations.
+    target_files : str
+        Files with the coordinates of the targets, as findings name them.
     limits : ReliabilitySettings, optional
         False-alarm rate and what counts as harm.
     table_of : callable
@@ -248,7 +251,7 @@ def examine(
         settings,
         star_camera,
         lambda prepared, effects: table_of(
-            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs, pivots)
+            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs, pivots, target_files)
         ),
     )
     tests = _tests(one, limits)
@@ -370,7 +373,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
         own = float(effect_m @ weight @ effect_m)
         if np.isfinite(h.most) and not touches_sky and own * h.most**2 > limit:
             size = float(effect_m @ weight @ bias.value) / own
-            possible = abs(size) < h.most + BEYOND_SIGMAS / np.sqrt(own)
+            possible = abs(size) < h.largest + BEYOND_SIGMAS / np.sqrt(own)
             if possible and before - own * size**2 < limit < before:
                 yield h
 
@@ -439,7 +442,7 @@ def _causes(
 
 def _is_possible(h: Hypothesis, fit: _Fit) -> bool:
     """Whether the size of the last hypothesis of a fit can be one."""
-    return bool(abs(fit.size[-1]) < h.most + BEYOND_SIGMAS * fit.sigma[-1])
+    return bool(abs(fit.size[-1]) < h.largest + BEYOND_SIGMAS * fit.sigma[-1])
 
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:

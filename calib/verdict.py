@@ -225,6 +225,7 @@ def assess(
     *,
     sigma_installation_rad: Floats | None = None,
     reliability: Reliability | None = None,
+    target_files: str = "targets.csv",
 ) -> Verdict:
     """The verdict on an estimate and the sightings that it was made from.
 
@@ -240,6 +241,8 @@ def assess(
         1-sigma of the starting matrix about the axes of frame c, rad; without it that check is not made.
     reliability : Reliability, optional
         Tests of the inputs (`reliability.examine`), whose causes decide with the checks.
+    target_files : str
+        Files with the coordinates of the targets, as findings name them.
 
     Returns
     -------
@@ -277,7 +280,8 @@ def assess(
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
     heads_told = [one for one in _head_findings(heads) if not any(one.item == c.item for c in causes)]
-    return verdict.with_findings(heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias)))
+    told = heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias, target_files))
+    return verdict.with_findings(told)
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
@@ -448,7 +452,10 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
 
 
 def _orbit_finding(
-    estimate: InstallationEstimate, checks: Sequence[Check], others: Sequence[Hypothesis]
+    estimate: InstallationEstimate,
+    checks: Sequence[Check],
+    others: Sequence[Hypothesis],
+    target_files: str,
 ) -> Iterator[Finding]:
     """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas.
     The first of `others`, which explain it too, is listed.
@@ -463,13 +470,13 @@ def _orbit_finding(
         cause="orbit, or datum of the targets",
         item="all ground strips",
         text=f"{value:+.3g} ± {sigma:.2g} m {bias.names[n]}, against the sky: check the orbit; "
-        "latitude, longitude, height_kind in targets.csv"
+        f"latitude, longitude, height_kind in {target_files}"
         + "".join(f"; or {one.field} in {one.file}" for one in others[:1])
         + ".",
         value=value,
         sigma=sigma,
         unit="m",
-        file="orbit, targets.csv",
+        file=f"orbit, {target_files}",
         refutes=True,
         p_value=min(c.p_value for c in checks if c.kind is CheckKind.ORBIT_BIAS),
         rivals=tuple(f"{one.cause}, {one.item}" for one in others[:1]),

@@ -61,6 +61,7 @@ class Cause(StrEnum):
     OUT_OF_VIEW = "in no strip"
     OUTSIDE_CHIP = "outside chip"
     NOT_NEEDED = "not near a strip"
+    ATTITUDES_NOT_NEEDED = "with attitudes not near a strip"
     INTERNAL_ERROR = "internal error"
 
 

@@ -209,6 +209,12 @@ class Dump:
         ]
         return "\n".join(lines)
 
+    @property
+    def target_files(self) -> str:
+        """Files with the coordinates of its targets, for messages."""
+        chips = "targets.csv" if self.targets or not self.points else ""
+        return ", ".join(filter(None, (chips, "points.csv" if self.points else "")))
+
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(repr(self))}</pre>"
 

@@ -42,7 +42,8 @@ __all__ = [
 Array = NDArray[np.float64]
 # Most reasons why something is not used that the console lists without --verbose.
 MOST_REASONS = 8
-UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.NO_TARGET)  # told after what went wrong
+# Told after what went wrong.
+UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.ATTITUDES_NOT_NEEDED, Cause.NO_TARGET)
 # Most blind spots that the console names; installation.json has all.
 MOST_BLIND = 6
 # Regular expression of the size at the beginning of a reason such as "4.2 sigma from ...".

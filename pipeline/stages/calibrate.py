@@ -195,6 +195,7 @@ def calibrate_dump(
         settings.verdict,
         sigma_installation_rad=dump.sigma_installation_rad,
         reliability=reliability,
+        target_files=dump.target_files,
     )
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
@@ -361,6 +362,7 @@ def _examined(
         star_camera=dump.star_camera,
         inputs=inputs,
         pivots=_pivots(dump.line_camera),
+        target_files=dump.target_files,
         limits=settings.verdict.of_reliability,
     )
 

@@ -1,7 +1,8 @@
-"""Conventions of attitudes and installation matrices, tried where no strip sees what it must see.
+"""Conventions of attitudes, installation matrices and tables, tried where no strip sees what it must see.
 
 A quaternion of the other sense, with its scalar first, or the files of two heads exchanged turn the camera by
-tens of degrees: far from any linear test. Each is put right in memory, and the strips that then see their
+tens of degrees: far from any linear test. So do times and points that are read in another way
+(`other_readings`). Each is put right in memory, and the strips that then see their
 stars or targets are counted.
 """
 
@@ -15,25 +16,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Floats
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.stages.missing import misses
+from boresight.pipeline.stages.other_readings import Convention, other_readings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 
 __all__ = ["likely_convention", "sees_its_targets"]
-
-
-@record(kw_only=True)
-class Convention:
-    """A dump with one convention changed."""
-
-    cause: str = scalar("what would be wrong")
-    item: str = scalar("what it concerns")
-    changed: str = scalar("what is changed, in words")
-    file: str = scalar("file of the dump that states it")
-    field: str = scalar("field of that file")
-    dump: Dump = scalar("the dump with it changed")
 
 
 def likely_convention(dump: Dump, agreeing: Callable[[Dump], int]) -> Finding | None:
@@ -43,7 +33,7 @@ def likely_convention(dump: Dump, agreeing: Callable[[Dump], int]) -> Finding | 
     strips, stated = len(dump.strips) + len(dump.sky_strips), agreeing(dump)
     if 2 * stated > strips:
         return None
-    found = [(agreeing(one.dump), one) for one in _conventions(dump)]
+    found = [(agreeing(one.dump), one) for one in (*_conventions(dump), *other_readings(dump))]
     count, best = max(found, key=lambda pair: pair[0])
     if count <= stated or 2 * count <= strips:
         return None

@@ -128,10 +128,16 @@ def calibrate_jointly(
         pixel_rad=first.dump.line_camera.pixel_rad,
         star_camera=first.dump.star_camera,
         inputs=_joined_inputs(calibrated),
+        target_files=first.dump.target_files,
         limits=settings.verdict.of_reliability,
     )
     verdict = assess(
-        estimate, strips, settings.verdict, sigma_installation_rad=sigma, reliability=reliability
+        estimate,
+        strips,
+        settings.verdict,
+        sigma_installation_rad=sigma,
+        reliability=reliability,
+        target_files=first.dump.target_files,
     )
     return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
 

@@ -125,7 +125,8 @@ def unneeded_exposures(dump: Dump, margin_s: float) -> list[Omission]:
             far = ~around_strips(dump, head.source.rows.t_s, margin_s)
             if far.any():
                 reason = f"{far.sum()} of {len(far)} attitudes are more than {margin_s:g} s from every strip"
-                found.append(Omission("head", head.name, head.source.file, reason, Cause.NOT_NEEDED))
+                cause = Cause.ATTITUDES_NOT_NEEDED
+                found.append(Omission("head", head.name, head.source.file, reason, cause))
             continue
         t_s = np.array([one.t_s for one in head.source.exposures])
         reason = f"more than {margin_s:g} s from every strip (run.exposure_margin_s)"

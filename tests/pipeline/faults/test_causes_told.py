@@ -119,7 +119,7 @@ CAUSES = [
         "orbit or targets, height",
         "all strips",
         -212.0,
-        "orbit, targets.csv",
+        "orbit, points.csv",
     ),  # "or focal length"
     (
         partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"),
