@@ -26,7 +26,7 @@ __all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "v
 MILLI = 1e-3
 # One hundredth, in units of hypotheses.
 PERCENT = 1e-2
-# Largest error of an input that is believed, by unit: an effect of light or of aberration is modelled or not
+# Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
@@ -53,7 +53,7 @@ class Hypothesis:
 
     @property
     def largest(self) -> float:
-        """Size beyond which it is not believed: `most`, or what its unit allows; inf: none."""
+        """Largest possible size: `most`, or what its unit allows; inf: none."""
         return min(self.most, LARGEST.get(self.unit, np.inf))
 
     @property
