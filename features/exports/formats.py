@@ -14,10 +14,8 @@ from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, co
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
 from boresight.features.exports.dimap_product import corrected_dimap
 from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_asp import points_asp
-from boresight.features.exports.gcp_envi import points_envi
 from boresight.features.exports.gcp_geojson import points_geojson
-from boresight.features.exports.gcp_qgis import points_qgis
+from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.matrix_csv import matrix_csv
 from boresight.features.exports.notes import Notes, notes_of

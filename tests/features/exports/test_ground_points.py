@@ -10,10 +10,8 @@ import pytest
 from orbiting_camera import LINES, NOTES, strip
 
 from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_asp import points_asp
-from boresight.features.exports.gcp_envi import points_envi
 from boresight.features.exports.gcp_geojson import points_geojson
-from boresight.features.exports.gcp_qgis import points_qgis
+from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_asp import points_asp
-from boresight.features.exports.gcp_envi import points_envi
+from boresight.features.exports.gcp_texts import points_asp, points_envi
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
