@@ -164,9 +164,9 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
             R_cs=Rotation.identity(),
             effects=effects,
         )
+        first, last = pushbroom.known_rows()
     except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
         raise RawDataError(file, names.point, str(error), "a strip that a satellite can take") from error
-    first, last = pushbroom.known_rows()
     if first > 0.0 or last < height - 1.0:
         found = f"orbit and attitudes of lines {first:.0f} to {last:.0f}"
         raise RawDataError(file, names.point, found, f"of all lines, 0 to {height - 1}")

@@ -279,6 +279,13 @@ def test_states_that_miss_lines_are_refused_with_the_lines(tmp_path, first_s, co
         read_dimap(tmp_path / "neo.xml", bundled_earth_orientation(), OFF)
 
 
+def test_states_of_another_time_than_the_attitudes_are_refused(tmp_path):
+    path = tmp_path / "dimap.xml"
+    path.write_text(dimap_text().replace("10:48:55.4490000Z", "10:58:55.4490000Z"))
+    with pytest.raises(RawDataError, match="no interval in common, expected a strip that a satellite can"):
+        read_dimap(path, bundled_earth_orientation(), OFF)
+
+
 def test_spot_5_is_refused_by_its_name(tmp_path):
     mission = "<Scene_Source><MISSION>SPOT</MISSION><MISSION_INDEX>5</MISSION_INDEX></Scene_Source>"
     (tmp_path / "spot.xml").write_text(f"<Dimap_Document>{mission}</Dimap_Document>")
