@@ -228,7 +228,9 @@ def test_slopes_of_pixels_are_the_pseudo_inverse_of_the_jacobian_everywhere(came
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max())
 
 
-def test_the_radius_of_the_field_is_the_angle_to_the_outer_edge_of_the_corner_pixel():
-    tiny = StarCamera(focal_m=1e-3, pixel_m=1e-3, width_px=3, height_px=2, principal_px=(0.3, 0.8))
-    # corners are (-0.5 or 2.5, -0.5 or 1.5): the farthest is 2.2 pixels across and 1.3 down; f = 1 pixel
-    assert tiny.field_radius_rad == pytest.approx(np.arctan(np.hypot(2.2, 1.3)), abs=1e-12)
+@pytest.mark.parametrize("principal_px", [(0.3, 0.8), (0.3, 0.1), (1.7, 0.8), (1.7, 0.1)])
+def test_the_radius_of_the_field_is_the_angle_to_the_outer_edge_of_the_corner_pixel(principal_px):
+    tiny = StarCamera(focal_m=1e-3, pixel_m=1e-3, width_px=3, height_px=2, principal_px=principal_px)
+    # f = 1 pixel; corners are (-0.5 or 2.5, -0.5 or 1.5): the farthest is another one each time
+    far = [max(at + 0.5, size - 0.5 - at) for at, size in zip(principal_px, (3, 2))]
+    assert tiny.field_radius_rad == pytest.approx(np.arctan(np.hypot(*far)), abs=1e-12)
