@@ -209,7 +209,7 @@ def has_reliable_position(
     limit_arcsec = settings.max_photocentre_shift_px * arcsec_per_px
     reliable = _sound(index, float(f"{limit_arcsec:.3g}")).take(rows)
     displaced = _displaced(index, rows, psf_sigma_px * arcsec_per_px * ARCSEC, limit_arcsec * ARCSEC)
-    return np.asarray(reliable if displaced is None else reliable & ~displaced)
+    return np.asarray(reliable & ~displaced)
 
 
 @lru_cache(maxsize=4)  # every image of a camera asks
@@ -220,17 +220,17 @@ def _sound(index: StarIndex, limit_arcsec: float) -> Bools:
     return np.asarray(np.isin(index.stars.hip, sound))
 
 
-def _displaced(index: StarIndex, rows: Ints, sigma_rad: float, limit_rad: float) -> Bools | None:
+def _displaced(index: StarIndex, rows: Ints, sigma_rad: float, limit_rad: float) -> Bools:
     """(N,) which of the stars `rows` (N,) of the index a neighbour displaces by more than `limit_rad`, for
-    Gaussian images of `sigma_rad`; None where no star has a neighbour."""
+    Gaussian images of `sigma_rad`."""
     start, d, flux_ratio = _neighbours(index)
     first, end = start.take(rows), start.take(rows + 1)
-    if np.array_equal(first, end):
-        return None
+    displaced = np.zeros(len(rows), dtype=bool)
+    if np.array_equal(first, end):  # no star has a neighbour
+        return displaced
     star, pair = concatenated_ranges(first, end)
     d, flux_ratio = d.take(pair), flux_ratio.take(pair)
     overlap = (d < _REACH_SIGMA * sigma_rad) * d * np.exp(-((0.5 * d / sigma_rad) ** 2))
-    displaced = np.zeros(len(rows), dtype=bool)
     displaced[star[flux_ratio * overlap > limit_rad]] = True
     return displaced
 
