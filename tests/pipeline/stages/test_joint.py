@@ -414,6 +414,7 @@ def visits(place: np.ndarray) -> list:
             sigma_installation_rad=sigma,
             heads=(head,),
             line_camera=SimpleNamespace(pixel_rad=1e-6),
+            target_files="targets.csv",
             star_camera=None,
         )
         own = strips[4 * n : 4 * n + 4]
