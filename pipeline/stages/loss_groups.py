@@ -6,7 +6,8 @@ its other half has not: dead pixels, stray light, a shifted image; too little si
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import bdtrc
@@ -29,6 +30,17 @@ class LookedFor:
     part: Floats = of_shape("N", "place on it: 0 the first sample, 1 the last")
     magnitude: Floats = of_shape("N", "V magnitude; NaN: not a star")
     found: Bools = of_shape("N", "whether it was found there")
+
+    def without(self, items: Collection[str]) -> LookedFor:
+        """What is not on a CCD named among `items` ("CCD 2")."""
+        rest = np.array([f"CCD {ccd}" not in items for ccd in self.ccd.tolist()], dtype=bool)
+        return replace(
+            self,
+            ccd=self.ccd[rest],
+            part=self.part[rest],
+            magnitude=self.magnitude[rest],
+            found=self.found[rest],
+        )
 
 
 def lost_halves(

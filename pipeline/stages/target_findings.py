@@ -354,12 +354,13 @@ def lost_parts(
     explained: Sequence[str],
 ) -> Iterator[Finding]:
     """Halves of CCDs and of the field, and of stars in order of magnitude, of which too much was lost, but of
-    the items `explained`.
+    the items `explained`; a CCD among these counts in no half.
     """
     ground = [_looked_for(replace(task, R_cs=R_cs), one) for task, one in zip(tasks, matched)]
+    targets_left, stars_left = ([one.without(explained) for one in those] for those in (ground, stars))
     for found in (
-        *lost_halves(ground, LOST_SHARE, PROBABILITY, "targets", fewest_strips=2),
-        *lost_halves(stars, LOST_SHARE_SKY, PROBABILITY_LOST, "stars"),
+        *lost_halves(targets_left, LOST_SHARE, PROBABILITY, "targets", fewest_strips=2),
+        *lost_halves(stars_left, LOST_SHARE_SKY, PROBABILITY_LOST, "stars"),
     ):
         if not any(item in found.item for item in explained):
             yield found

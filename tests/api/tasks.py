@@ -226,7 +226,7 @@ def latitude_and_longitude_of_pixels(given: Given) -> None:
 
 
 def compare_with_a_simulated_truth(given: Given) -> None:
-    found = bs.validate(given.result, given.mini)
+    found = bs.validate(bs.calibrate(given.mini), given.mini)
     assert found.nees < 16.3 and len(repr(found).splitlines()) <= 25
 
 
