@@ -51,3 +51,13 @@ def test_what_one_strip_of_the_ground_lost_may_be_a_cloud():
     assert told([cloud, clear], 0.3, 1e-4, fewest_strips=2) == []
     again = [looked(name, rng, lambda ccd, part, magnitude: ccd + part < 1.9) for name in "ab"]
     assert "first half of the field" in told(again, 0.3, 1e-4, fewest_strips=2)
+
+
+def test_a_ccd_without_any_star_is_no_half_of_the_field():
+    """4 of 9 stars are left in the first half of the field, all of the lost ones on CCD 1."""
+    ccd = np.repeat(np.arange(4), (4, 5, 5, 5))
+    one = LookedFor(
+        strip_id="s", ccd=ccd, part=np.full(19, 0.4), magnitude=np.full(19, np.nan), found=ccd != 1
+    )
+    assert told([one]) == []
+    assert one.without(["CCD 1", "strip s"]).ccd.tolist() == [0] * 4 + [2] * 5 + [3] * 5
