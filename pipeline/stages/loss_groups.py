@@ -56,7 +56,7 @@ def lost_halves(
     strip = np.repeat(np.arange(len(shown)), [len(one.found) for one in shown])
     groups = list(_halves(shown))
     ccd = np.concatenate([one.ccd for one in shown])
-    left: Bools = np.isin(ccd, ccd[found])  # a CCD without any is told as a whole, and counts in no half
+    left: Bools = np.isin(ccd, ccd[found])  # a CCD without any is a finding of its own
 
     def p_value(half: Bools, other: Bools) -> float:
         """Of all halves together; 1 where not most of a half is lost, or its other half is, too."""
