@@ -54,6 +54,7 @@ EVERY = list(calls())
 
 def test_findings_are_made_where_data_are_judged():
     assert {place.partition("/")[0] for place, _, _ in EVERY} == {"calib", "pipeline"}
+    assert len(EVERY) > 15
 
 
 @pytest.mark.parametrize(("place", "function", "call"), EVERY, ids=[one[0] for one in EVERY])
