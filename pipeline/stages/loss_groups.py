@@ -120,12 +120,12 @@ def _halves(looked: Sequence[LookedFor]) -> Iterator[tuple[str, str, str, Bools,
                 "lost faint stars",
                 signal,
                 here & faint,
-                (here & ~faint),
+                here & ~faint,
             )
             yield (
                 f"strip {name}, brighter than V {middle:.1f}",
                 "lost bright stars",
-                ("check its images for saturation"),
+                "check its images for saturation",
                 here & ~faint,
                 here & faint,
             )
