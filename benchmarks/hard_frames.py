@@ -3,13 +3,14 @@
 The renderer shares nothing with the simulator or with `star_id`: the point spread function is a table of
 eight points a pixel (a core with the wings of a Moffat function, drawn out to a trail, a ring or a comatic
 fan), integrated over pixels and interpolated by cubic splines; electrons are Poisson; sensors add column
-offsets, row noise, hot pixels, vignetting, colour filters, captions and the black clip of a consumer camera.
+offsets, row noise, hot pixels, dead rows, unequal pixels, vignetting, colour filters, captions, two fields of
+rows, a gamma curve and the black clip of a consumer camera.
 """
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import cv2
@@ -69,6 +70,10 @@ class Sensor:
     nebula_e: float = 0.0
     cosmic_rays: int = 0
     jpeg: int | None = None  # quality, of 8 bits
+    prnu: float = 0.0  # scatter of the pixels' response, normal
+    dead_rows: int = 0  # that read zero
+    interlace_px: float = 0.0  # motion along rows between the exposures of even and odd rows
+    gamma: float = 1.0  # of the curve from light to numbers, over the full range
 
 
 @dataclass(frozen=True)
@@ -168,8 +173,10 @@ def render(
             )
     sensitivity = response(sensor, size)
     variance = sensor.read_e**2 + light * sensitivity + sensor.e_per_dn**2 / 12.0
-    add_stars(light, stars, blur)
-    light *= sensitivity
+    variance += (sensor.prnu * light * sensitivity) ** 2
+    light = _exposed(light, stars, blur, sensor) * sensitivity
+    if sensor.prnu:
+        light *= rng.normal(1.0, sensor.prnu, light.shape).clip(0.0)
     noise = np.sqrt(sensor.read_e**2 + sensor.sky_e)
     electrons = rng.poisson(light) + rng.normal(0.0, sensor.read_e, light.shape)
     if sensor.hot_pixels:
@@ -190,7 +197,10 @@ def render(
     if sensor.clipped:
         image -= np.median(image)
     top = 2**sensor.bits - 1
-    image = np.clip(np.rint(image), 0, top)
+    image = np.clip(image, 0, top)
+    image = np.rint(top * (image / top) ** (1.0 / sensor.gamma))
+    if sensor.dead_rows:
+        image[rng.choice(height, sensor.dead_rows, replace=False)] = 0
     if sensor.caption:
         write_caption(image, top)
     image = image.astype(np.uint8 if sensor.bits == 8 else np.uint16)
@@ -198,6 +208,20 @@ def render(
         _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg])
         image = cv2.imdecode(file, cv2.IMREAD_UNCHANGED)
     return image, variance
+
+
+def _exposed(sky: NDArray, stars: Stars, blur: Blur, sensor: Sensor) -> NDArray:
+    """Light of sky and stars (H, W); that of even and odd rows was exposed half a motion before and after."""
+    if not sensor.interlace_px:
+        add_stars(sky, stars, blur)
+        return sky
+    fields = []
+    for sign in (-0.5, 0.5):
+        light = sky.copy()
+        add_stars(light, replace(stars, xy_px=stars.xy_px + [sign * sensor.interlace_px, 0.0]), blur)
+        fields.append(light)
+    fields[0][1::2] = fields[1][1::2]
+    return fields[0]
 
 
 def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:
@@ -269,13 +293,13 @@ def write_caption(image: NDArray, top: int) -> None:
 
 
 def cramer_rao_px(
-    xy: NDArray, electrons: NDArray, variance_e: NDArray, share: NDArray, table: NDArray
+    xy: NDArray, electrons: NDArray, variance_e: NDArray, share: NDArray, table: NDArray, prnu: float = 0.0
 ) -> NDArray:
     """Bound (N,) of a centroid's error along one axis, px, and the matched filter's SNR (N,), of the rendered
     PSF; column, row, flux and background unknown.
 
     `variance_e` and `share` (H, W) are the background's variance, electrons squared, and the share of the
-    light that each pixel sees."""
+    light that each pixel sees, which scatters by `prnu` of it."""
     half, step = HALF - 1, 0.05
     whole, image = stamps(xy, table, half)
     images = [image]
@@ -289,7 +313,8 @@ def cramer_rao_px(
     value, d_x, d_y = ((part * share[rows, columns]).reshape(len(xy), -1) for part in images)
     flux, sky = electrons[:, None], variance_e[rows, columns].reshape(len(xy), -1)
     J = np.stack([flux * d_x, flux * d_y, value, np.ones_like(value)], axis=1)
-    information = (J / (sky + np.maximum(flux * value, 0.0))[:, None]) @ J.transpose(0, 2, 1)
+    star = np.maximum(flux * value, 0.0)
+    information = (J / (sky + star + (prnu * star) ** 2)[:, None]) @ J.transpose(0, 2, 1)
     scale = 1.0 / np.sqrt(np.einsum("npp->np", information))
     covariance = np.linalg.inv(information * scale[:, :, None] * scale[:, None, :])
     covariance *= scale[:, :, None] * scale[:, None, :]
