@@ -3,7 +3,7 @@
     python scripts/records.py                                   # stale ones, exit status 1 if there are any
     python scripts/records.py --all
     python scripts/records.py --why star_naming                 # the modules that differ from its commit's
-    python scripts/records.py --run star_naming same_matrix --with OLDER=../old MISSION=build/mission
+    python scripts/records.py --run star_naming speed --with OLDER=../old MISSION=build/mission
     python scripts/records.py --stamp real_exports              # a record without the line "code"
 
 A record states the commit, the digest of the code that it depends on (`benchmarks/code_digest.py`) and its
