@@ -188,11 +188,6 @@ def _f_test(square: float, n: int, other: float, m: int) -> float:
     return float(2.0 * min(above, 1.0 - above))
 
 
-def compare_plainly(table: pd.DataFrame) -> Iterator[str]:
-    """The table itself."""
-    yield from table.to_string(index=False, float_format="%.4g").splitlines()
-
-
 def compare_table5(table: pd.DataFrame) -> Iterator[str]:
     """Table 5 and Fig. 10: errors at check points, and the law in sigma_s that the paper's columns follow."""
     yield "Table 5: rms at check points, m; floor: all errors of Table 1, attitude and matrix perfect"
@@ -345,7 +340,6 @@ COMPARISONS: dict[str, Callable[[pd.DataFrame], Iterator[str]]] = {
     "readings": compare_readings,
     "grid-pixels": compare_grid_pixels,
     "table4-pixels": compare_table4_pixels,
-    "table5-pixels": compare_plainly,
 }
 
 

@@ -42,9 +42,7 @@ def experiment_command(
     star_from_zenith_deg: Annotated[
         float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
     ] = 15.0,
-    pixels: Annotated[
-        bool, typer.Option("--pixels", help="From rendered images: grid, table4, table5.")
-    ] = False,
+    pixels: Annotated[bool, typer.Option("--pixels", help="From rendered images: grid, table4.")] = False,
 ) -> Answer:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
 

@@ -1,9 +1,8 @@
-"""The grid and Tables 4 and 5 from rendered images: raw pixels of small cameras through calibration.
+"""The grid and Table 4 from rendered images: raw pixels of small cameras through calibration.
 
-Table 5 varies the detector noise of both cameras of the mini scenario. The cells of the grid and the rows of
-Table 4 are set by the star camera's read noise and by the survey errors of the targets, since matching alone
-is far better than 0.3 px. The sigmas in the tables are those stated by the measurements. Every mission is
-rendered, calibrated and compared with its truth in a temporary folder.
+The cells of the grid and the rows of Table 4 are set by the star camera's read noise and by the survey errors
+of the targets, since matching alone is far better than 0.3 px. The sigmas in the tables are those stated by
+the measurements. Every mission is rendered, calibrated and compared with its truth in a temporary folder.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from boresight.features.paper.paper_tables import (
     FIGURE_7_CELLS,
     FIGURE_7_SIGMA_ARCSEC,
     TABLE_4,
-    TABLE_5,
 )
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
@@ -49,9 +47,7 @@ __all__ = [
     "PixelRuns",
     "PixelSettings",
     "grid_from_pixels",
-    "run_missions",
     "table4_from_pixels",
-    "table5_from_pixels",
 ]
 
 Progress = Callable[[int, int], None]
@@ -87,13 +83,9 @@ SIGMA_S_PX = (0.0091, 0.0332)  # mean stated sigma_s over the sky: first + secon
 
 @record
 class PixelSettings:
-    """Numbers of missions; for Table 5 also the detectors' noise."""
+    """Numbers of missions."""
 
-    star_noise_dn: tuple[float, ...] = scalar("read noise of the star camera, DN", default=(2.0, 6.0))
-    strip_noise_dn: tuple[float, ...] = scalar(
-        "read noise of the remote-sensing camera, DN", default=(0.8, 6.0)
-    )
-    runs: int = scalar("missions per cell of the grid and of Table 5", default=2)
+    runs: int = scalar("missions per cell of the grid", default=2)
     redraws: int = scalar("runs at the level of vectors per mission of the grid", default=20)
     table4_runs: int = scalar("missions per row of Table 4", default=20)
     seed: int = scalar("seed of the first mission", default=2020)
@@ -101,14 +93,12 @@ class PixelSettings:
 
 @record(kw_only=True)
 class PixelRuns:
-    """Results of R missions of one cell with N check points."""
+    """Results of R missions of one cell."""
 
     sigma_s_px: float = scalar("stated 1-sigma of stars per axis, px")
     sigma_c_px: float = scalar("stated 1-sigma of targets per axis, px")
     errors: Floats = array("R, 3", "theta minus truth, rad, axes of c")
     covariances: Floats = array("R, 3, 3", "stated covariance of theta, rad²")
-    along_m: Floats = array("N", "error of check points along the track, m")
-    across_m: Floats = array("N", "and across, m")
     cpu_s: float = scalar("CPU time, s")
     redrawn_errors: Floats = array("V, 3", "the same of vectors redrawn with the stated covariances")
     redrawn_covariances: Floats = array("V, 3, 3", "the same of those vectors")
@@ -175,33 +165,6 @@ def _cells_from_pixels(
     return pd.concat(tables, ignore_index=True)
 
 
-def table5_from_pixels(settings: PixelSettings, progress: Progress | None = None) -> pd.DataFrame:
-    """Long-form table of Table 5, method "pixels", at the check points of the missions.
-
-    `paper_m` is the paper's row nearest in sigma_s, of a larger camera pair; no floor is known.
-    """
-    rows = []
-    for cell in run_missions(settings, progress):
-        paper = TABLE_5[min(TABLE_5, key=lambda s: abs(s - cell.sigma_s_px))]
-        for direction, off, own in (("along", cell.along_m, paper[1]), ("across", cell.across_m, paper[3])):
-            rms = float(np.sqrt(np.mean(off**2)))
-            head = (cell.sigma_c_px, cell.sigma_s_px, "pixels", direction)
-            rows.append((*head, rms, own, settings.runs))
-    columns = ["sigma_c_px", "sigma_s_px", "method", "direction", "rms_m", "paper_m", "runs"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def run_missions(settings: PixelSettings, progress: Progress | None = None) -> list[PixelRuns]:
-    """Results by both cameras' noise, rendered, calibrated and compared with the truth."""
-    cells = [(s, c) for s in settings.star_noise_dn for c in settings.strip_noise_dn]
-    found = []
-    for n, (star_noise, strip_noise) in enumerate(cells):
-        changes = (f"sky.read_noise_dn={star_noise}", f"ground.read_noise_dn={strip_noise}")
-        missions = [(changes, settings.seed + run) for run in range(settings.runs)]
-        found.append(_cell(missions, _counted(progress, n * settings.runs, len(cells) * settings.runs)))
-    return found
-
-
 def _counted(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
     return lambda done: progress(before + done, total) if progress else None
 
@@ -223,8 +186,6 @@ def _cell(
         sigma_c_px=float(sigma_c),
         errors=np.array([v.error_rad for v, _ in validations]),
         covariances=np.array([covariance for _, covariance in validations]),
-        along_m=np.concatenate([v.after.along_m for v, _ in validations]),
-        across_m=np.concatenate([v.after.across_m for v, _ in validations]),
         cpu_s=time.process_time() - begin,
         redrawn_errors=np.array([error for error, _ in redrawn]).reshape(-1, 3),
         redrawn_covariances=np.array([covariance for _, covariance in redrawn]).reshape(-1, 3, 3),

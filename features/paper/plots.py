@@ -320,21 +320,6 @@ def plot_table4_pixels(table: pd.DataFrame) -> Figure:
     return _finished(figure, axes, title, "σs, σc, px", "error / bound")
 
 
-def plot_table5_pixels(table: pd.DataFrame) -> Figure:
-    """Geo-positioning from rendered images."""
-    figure, axes = panels(1, 1, 3.4)
-    ax = axes[0, 0]
-    for direction, colour, shift in (("along", OURS, -0.2), ("across", THIRD, 0.2)):
-        part = table[table["direction"] == direction]
-        place = np.arange(len(part))
-        ax.bar(place + shift, part["rms_m"], 0.36, color=colour, label=f"{direction} track")
-        ax.set_xticks(place, [f"{s:.3f}\n{c:.2f}" for s, c in zip(part["sigma_s_px"], part["sigma_c_px"])])
-    ax.set(xlabel="σs, σc of the sightings, px", ylabel="rms at check points, m")
-    legend_below(figure, ax)
-    ax.set_title("Geo-positioning from pixels (mini scenario)", fontsize=10)
-    return figure
-
-
 # What draws the table of an experiment, by the experiment's name.
 PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "inputs": plot_inputs,
@@ -348,7 +333,6 @@ PLOTS: dict[str, Callable[[pd.DataFrame], Figure]] = {
     "geometry": plot_geometry,
     "grid-pixels": plot_grid_pixels,
     "table4-pixels": plot_table4_pixels,
-    "table5-pixels": plot_table5_pixels,
 }
 
 

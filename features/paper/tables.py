@@ -22,7 +22,6 @@ from boresight.features.paper.pixels import (
     PixelSettings,
     grid_from_pixels,
     table4_from_pixels,
-    table5_from_pixels,
 )
 from boresight.features.paper.plots import PLOTS
 from boresight.features.paper.provenance import record_head
@@ -66,7 +65,7 @@ EXPERIMENTS = (
     "readings",
     "geometry",
 )
-FROM_PIXELS = ("grid", "table4", "table5")  # of them: those that can be run through rendered images
+FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rendered images
 
 
 def run_experiment(
@@ -86,9 +85,8 @@ def run_from_pixels(
     name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels` as csv, png and txt."""
-    made = {"grid": grid_from_pixels, "table4": table4_from_pixels, "table5": table5_from_pixels}
     begin = time.process_time()
-    table = made[name](settings, progress)
+    table = {"grid": grid_from_pixels, "table4": table4_from_pixels}[name](settings, progress)
     return table, _written(f"{name}-pixels", table, out, time.process_time() - begin)
 
 

@@ -171,7 +171,7 @@ def test_settings_of_a_scenario_are_offered_with_their_values() -> None:
 
 def test_formats_after_a_comma_and_experiments_from_pixels() -> None:
     assert answers("export", "r", "--format", "spice,r") == ["spice,rpc"]
-    assert answers("experiment", "--pixels", "") == ["grid", "table4", "table5"]
+    assert answers("experiment", "--pixels", "") == ["grid", "table4"]
 
 
 @pytest.mark.parametrize(
