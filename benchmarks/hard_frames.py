@@ -218,7 +218,8 @@ def _exposed(sky: NDArray, stars: Stars, blur: Blur, sensor: Sensor) -> NDArray:
     fields = []
     for sign in (-0.5, 0.5):
         light = sky.copy()
-        add_stars(light, replace(stars, xy_px=stars.xy_px + [sign * sensor.interlace_px, 0.0]), blur)
+        shift = np.array([sign * sensor.interlace_px, 0.0])
+        add_stars(light, replace(stars, xy_px=stars.xy_px + shift), blur)
         fields.append(light)
     fields[0][1::2] = fields[1][1::2]
     return fields[0]
