@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_fit import IdentifiedStars, fit_camera
+from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
 
 __all__ = ["FieldFit", "LensFit", "common_variance", "fit_attitude_and_lens"]
@@ -26,6 +26,8 @@ _LARGEST_VARIANCE = 1e12
 _HALVINGS = 50
 # Most rounds of fitting the camera and the common variance in turn (set by hand).
 _ROUNDS = 8
+# Most fits of the camera, each to places without the stretch that was seen before.
+_STRETCH_ROUNDS = 3
 # Gain of log likelihood by a variance common to all stars for it to be stated: one, for its one parameter
 # (Akaike 1974).
 _COMMON_LOG_LIKELIHOOD = 1.0
@@ -71,8 +73,32 @@ def fit_attitude_and_lens(
     looks like a rotated and decentred one. So a Gaussian prior regularises them (`_prior_sigmas`), and the
     covariance is that of the well-determined direction of the image's centre. What the camera model cannot
     explain is a position error of each star (`common_variance`; without it the few brightest stars would
-    determine the distortion), a stretch and a smooth distortion (`lens_misfit`).
+    determine the distortion), a stretch and a smooth distortion (`lens_misfit`). A stretch that is seen is
+    taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
+    that are not linear.
     """
+    moved = np.zeros_like(xy_px)
+    for _ in range(_STRETCH_ROUNDS):
+        fit, equations, common = _fit(camera, R_si, xy_px - moved, cov_px, u_i, expected)
+        whole = replace(equations, residual_px=equations.residual_px + moved[fit.keep])
+        errors = lens_errors(whole, common)
+        if not errors.stretch_px:
+            break
+        moved = errors.stretched_px(xy_px)
+    cov_s, fov_x_sigma = errors.of_centre()
+    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
+
+
+def _fit(
+    camera: StarCamera,
+    R_si: Rotation,
+    xy_px: Floats,
+    cov_px: Floats,
+    u_i: Floats,
+    expected: StarCamera | None,
+) -> tuple[CameraFit, LensEquations, float]:
+    """Camera and attitude, equations of what is left, and the stars' common variance, px^2; arguments as in
+    `fit_attitude_and_lens`."""
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
@@ -90,9 +116,7 @@ def fit_attitude_and_lens(
         common = common_variance(fit.residual_px[fit.keep], leverage, own, before)
         if abs(common - before) <= 0.1 * before:
             break
-    errors = lens_errors(equations, common)
-    cov_s, fov_x_sigma = errors.of_centre()
-    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
+    return fit, equations, common
 
 
 def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:

@@ -58,6 +58,10 @@ _TRIED_WARP = 2.0
 _STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)
 # Gain of log evidence by a stretch for it to be stated: one, for its one parameter (Akaike 1974).
 _STRETCH_LOG_EVIDENCE = 1.0
+# Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
+# shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
+# direction. No star tells which, so that it is the geometric mean.
+_SCALE_BY_STRETCH2 = 2.0**0.5
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
 _FOCAL = PARAMETERS[:1]
@@ -85,27 +89,22 @@ class LensErrors:
     def of_centre(self) -> tuple[Floats, float]:
         """Covariance (3, 3) of a rotation of the image's centre about the axes of s, rad^2, and 1-sigma error
         of the field of view, rad, of a fitted camera. A distortion that is seen, but not in the camera,
-        counts as an error; so does a shear of the stretch's size, of which the camera may have absorbed a
-        part."""
-        (turn, cov_s), field = self._turn(), self.slopes[:, 3]
-        cov_s = cov_s + np.outer(turn, turn)
+        counts as an error; so does half of a shear, if the stretch is that of one."""
+        turn, cov_s = self._turn()
+        other, field = self.mean.copy(), self.slopes[:, 3]
         if self.stretch_px:
-            axis, half = self.camera.middle_axes()[:, 2], self._half_px
-            sheared = max(abs(float(self.mean[self._diagonal])), self.stretch_px) / half
-            cov_s += np.outer(axis, axis) * (sheared**2 + 2.0 * sheared * abs(float(turn @ axis)))
-        scale = self.stretch_px / self._half_px * self.camera.fov_x_rad
-        return cov_s, float(np.sqrt(field @ self.covariance @ field + (field @ self.mean) ** 2 + scale**2))
+            cov_s = cov_s + self._shear()
+            other[self._diagonal - 1 : self._diagonal + 1] = 0.0
+        scale2 = _SCALE_BY_STRETCH2 * (self.stretch_px / self._half_px * self.camera.fov_x_rad) ** 2
+        sigma2 = field @ self.covariance @ field + (field @ other) ** 2 + scale2
+        return cov_s + np.outer(turn, turn), float(np.sqrt(sigma2))
 
     def turned(self) -> tuple[Floats, Floats]:
         """Rotation (3,) of the image's centre, about the axes of s, and its covariance (3, 3), rad^2: of a
         given camera, whose attitude follows what displaces the stars. A stretch along a diagonal may be half
         of a shear along rows or columns: the covariance has a rotation of its size."""
         turn, cov_s = self._turn()
-        if self.stretch_px:
-            axis, k = self.camera.middle_axes()[:, 2], self._diagonal
-            sheared2 = float(self.mean[k] ** 2 + self.covariance[k, k]) / self._half_px**2
-            cov_s = cov_s + np.outer(axis, axis) * sheared2
-        return turn, cov_s
+        return turn, cov_s + self._shear() if self.stretch_px else cov_s
 
     def predict(self, u_s: Floats, xy_px: Floats) -> tuple[Floats, Floats]:
         """Places (N, 2), px, and covariances (N, 2, 2), px^2, of stars in directions (N, 3), frame s, that
@@ -113,6 +112,13 @@ class LensErrors:
         columns = self._columns(u_s, xy_px)
         cov = _multiplied(columns, self.covariance) @ columns.transpose(0, 2, 1)
         return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
+
+    def stretched_px(self, xy_px: Floats) -> Floats:
+        """Displacements (N, 2) of pixels (N, 2) by the stretch; zero where none is seen."""
+        if not self.stretch_px:
+            return np.zeros_like(xy_px)
+        k = self._diagonal
+        return np.asarray(_stretch_derivatives(self.camera, xy_px) @ self.mean[k - 1 : k + 1])
 
     def displaced_px(self) -> float:
         """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
@@ -135,6 +141,12 @@ class LensErrors:
             k = self._diagonal
             to_turn[:, k - 1 : k + 1] = self.slopes[k - 1 : k + 1, :3].T
         return to_turn @ self.mean, to_turn @ self.covariance @ to_turn.T
+
+    def _shear(self) -> Floats:
+        """Covariance (3, 3) of the rotation about the axis if the diagonal stretch is half of a shear."""
+        axis, k = self.camera.middle_axes()[:, 2], self._diagonal
+        rotation2 = float(self.mean[k] ** 2 + self.covariance[k, k]) / self._half_px**2
+        return np.asarray(rotation2 * np.outer(axis, axis))
 
     @property
     def _diagonal(self) -> int:

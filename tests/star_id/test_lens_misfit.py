@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -54,6 +56,37 @@ def test_air_that_is_not_known_of_is_in_the_error_of_the_field_of_view():
     # of 60 degrees of freedom; 1.3, and 23 if only the stars' errors are stated
     assert np.mean(((off - AT_THE_ZENITH) / sigma) ** 2) < 2.0
     assert np.mean(sigma) < 3.0 * np.sqrt(np.mean((off - AT_THE_ZENITH) ** 2))
+
+
+def shuttered(moved_px, rng):
+    """Rotation about the image's centre, rad, and relative error of the field of view, with their 1-sigma
+    errors, by an image whose stars move by `moved_px` (2,) while its rows are read."""
+    corner = np.sqrt(2.0) * np.tan(0.5 * CAMERA.fov_x_rad) * 1e3 * CAMERA.focal_m
+    camera = replace(CAMERA, principal_px=(1012.0, 1031.0), q1=0.02 / corner**2, p1=1e-3 / corner)
+    xy = rng.uniform(0, 2047, (STARS, 2))
+    R_si = Rotation.random(random_state=rng)
+    u_i = R_si.inv().apply(camera.directions_from_pixels(xy))
+    sigma = 10.0 ** rng.uniform(-2.0, -0.5, STARS)
+    measured = xy + (xy[:, 1:] / 2047 - 0.5) * moved_px + rng.normal(size=xy.shape) * sigma[:, None]
+    field = fit_attitude_and_lens(CAMERA, R_si, measured, sigma[:, None, None] ** 2 * np.eye(2), u_i).field
+    axes = field.camera.middle_axes()
+    found, true = field.R_si.inv().as_matrix() @ axes, R_si.inv().as_matrix() @ camera.middle_axes()
+    roll = Rotation.from_matrix(found.T @ true).as_rotvec()[2]
+    off = field.camera.fov_x_rad / camera.fov_x_rad - 1.0
+    return roll, np.sqrt(axes[:, 2] @ field.cov_s @ axes[:, 2]), off, field.fov_x_sigma_rad / camera.fov_x_rad
+
+
+def test_a_rolling_shutter_turns_an_image_by_half_its_shear_and_is_in_the_stated_errors():
+    """Rows displaced by m along themselves are a shear: a stretch and a rotation by m / 2 of the height."""
+    rng = np.random.default_rng(8)
+    angle = rng.uniform(0.0, 2.0 * np.pi, 60)
+    moved = np.column_stack([np.cos(angle), np.sin(angle)])
+    roll, roll_sigma, off, off_sigma = np.array([shuttered(m, rng) for m in moved]).T
+    # a twentieth of the largest rotation; 0.44 of it where the camera absorbs a part of the shear
+    assert np.sqrt(np.mean((np.abs(roll) - 0.5 * np.abs(moved[:, 0]) / 2047) ** 2)) < 0.05 * 0.5 / 2047
+    # of 60 degrees of freedom, 0.7 to 1.4; of the field 0.71 is expected, since refraction is as likely
+    assert 0.7 < np.mean((roll / roll_sigma) ** 2) < 1.4
+    assert 0.5 < np.mean((off / off_sigma) ** 2) < 1.0
 
 
 def test_images_without_a_stretch_keep_their_errors():
