@@ -241,8 +241,8 @@ class Calibration(Result):
         Parameters
         ----------
         formats : str, or sequence of str
-            `spice`, `spice-ck`, `aem`, `acm`, `operator`, `json`, `csv`, `csm-isd`, `rpc`, `vrt`, `kml`,
-            `asp`, `geojson`, `envi`, `qgis` or `fits` (docs/exports.md).
+            `spice`, `spice-ck`, `aem`, `acm`, `operator`, `csm-isd`, `rpc`, `vrt`, `kml`, `asp`, `geojson`,
+            `envi`, `qgis` or `fits` (docs/exports.md).
         out : path
             Folder for the files; it is made.
         dump : path or Dump, optional

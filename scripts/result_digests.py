@@ -131,7 +131,7 @@ def commands_on(name: str, sources: list[str]) -> list[list[str]]:
         commands.append(["plan", "plan.toml"])
         commands.append(["remote-camera-calibrate", name, "--out", "interior"])
         commands.append(["drift", name, "sky", "--out", "drift"])
-        for kind in ("spice", "aem", "acm", "csm-isd", "rpc", "asp", "qgis", "envi", "geojson", "kml", "csv"):
+        for kind in ("spice", "aem", "acm", "csm-isd", "rpc", "asp", "qgis", "envi", "geojson", "kml"):
             commands.append(["export", name, "--format", kind, "--out", "exported"])
     return commands
 

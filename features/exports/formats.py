@@ -17,7 +17,6 @@ from boresight.features.exports.exported_points import GroundPoints
 from boresight.features.exports.gcp_geojson import points_geojson
 from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
 from boresight.features.exports.kml import kml_text
-from boresight.features.exports.matrix_csv import matrix_csv
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
 from boresight.features.exports.quaternions import step_between_attitudes
@@ -130,10 +129,6 @@ def _spice_attitude(request: ExportRequest) -> Made:
         about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
         comment = "\n".join([*about, *lines])
         yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
-
-
-def _csv(request: ExportRequest) -> Made:
-    yield "matrix.csv", matrix_csv(read_saved_result(request.result).installation, _notes(request))
 
 
 def _aem(request: ExportRequest) -> Made:
@@ -323,7 +318,6 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "acm": _acm,
     "operator": _operator,
     "dimap": _dimap,
-    "csv": _csv,
     "csm-isd": _csm_isd,
     "rpc": _rpc,
     "vrt": _vrt,

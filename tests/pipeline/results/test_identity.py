@@ -70,7 +70,7 @@ def test_page_and_exports_carry_the_identity_and_what_the_operator_says(
     for text in (own.result, own.inputs, own.finished, "GA-CAL-12", "R. &lt;b&gt;Viewer&lt;/b&gt;"):
         assert page.count(text) >= 2, text  # on the sheet that is signed, and among settings and inputs
     out = tmp_path / "exports"
-    asked = ["export", str(result), "--format", "spice,csv,kml", "--dump", str(dump), "--out", str(out)]
+    asked = ["export", str(result), "--format", "spice,kml", "--dump", str(dump), "--out", str(out)]
     assert CliRunner().invoke(app, asked).exit_code == 0
     for path in out.iterdir():
         written = path.read_text()

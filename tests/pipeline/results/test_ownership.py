@@ -73,7 +73,8 @@ def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still
     version = json.loads(before["installation.json"])["version"]
     assert status == 1 and f"a result of boresight {version} without {MARKER}" in text
     assert "another folder (report, validate and export still read this one), or delete it first" in text
-    for command in (["status", str(out)], ["export", str(out), "--format", "csv", "--out", str(out.parent)]):
+    export = ["export", str(out), "--format", "spice", "--out", str(out.parent)]
+    for command in (["status", str(out)], export):
         ran = runner.invoke(app, command)
         assert ran.exit_code == 0, (ran.output, ran.exception)
     assert contents(out) == before
