@@ -58,7 +58,6 @@ def identify_command(
     report: Annotated[
         Path | None, typer.Option(help="HTML page: detections by kind, PSF, noise, stars, identified or not.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Parquet file for the stars that were named.")] = None,
     times: Times = None,
     orbit: OrbitFile = None,
     site: Site = None,
@@ -84,16 +83,14 @@ def identify_command(
     if constellations and overlay is None:
         raise wrong_usage("--constellations needs --overlay")
     if sequence:
-        others = (dark, overlay, report, out, times, orbit, site)
+        others = (dark, overlay, report, times, orbit, site)
         if camera is None or as_json or as_fits or any(one is not None for one in others):
             raise wrong_usage("--sequence needs --camera, and takes --interval, --exposure and --csv only")
         return _track(images, camera, interval, exposure, as_csv, settings)
     if as_csv:
         print_data(csv_line(FIELDS))
     named = lines = 0
-    request = Request(
-        camera, fov, dark, Whereabouts(times, orbit, site), as_fits, out, overlay, constellations
-    )
+    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, overlay, constellations)
     if as_fits or report is not None:
         from boresight.features.sky_images import identify_page, wcs_files  # with astropy 0.4 s to load
 
@@ -110,9 +107,7 @@ def identify_command(
             wcs_files.write_wcs(Path(f"{Path(path).stem}.wcs.fits"), path, line.found)
         if report is not None and line.image is not None:
             identify_page.write_sky_page(line, own_name(report, Path(str(line.record["file"])), len(images)))
-    (say if as_json or as_csv else tell)(
-        f"identified {named} of {lines} images" + (f" -> {out}" if out else "")
-    )
+    (say if as_json or as_csv else tell)(f"identified {named} of {lines} images")
     return Answer(exit_status=DONE if named else DATA_DID_NOT_ALLOW)
 
 

@@ -77,20 +77,19 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is known of the camera, and where the named stars go."""
+    """What is known of the camera, and what is drawn."""
 
     camera_file: Path | None = None
     fov_deg: float | None = None
     dark_file: Path | None = None
     known: Whereabouts = NOWHERE
     catalogue_places: bool = False  # times in the images' headers are not used
-    out: Path | None = None  # Parquet, at the end
     overlay: Path | None = None  # PNG; with several images each adds its own name
     constellations: bool = False  # whether it shows their figures
 
 
 def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
-    """One line per image; the stars go to `request.out` at the end. `RawDataError` for wrong options."""
+    """One line per image; `RawDataError` for wrong options."""
     camera = read_camera(request.camera_file)
     check_field(request.fov_deg)
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
@@ -99,7 +98,6 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
     timeless = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
-    named: list[tuple[Path, FieldSolution]] = []
     for path in images:
         started = time.process_time()
         if path.suffix.lower() == ".csv":
@@ -107,7 +105,6 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                 if isinstance(solved, NotIdentified):
                     yield _unnamed(name, width, "not identified", solved.reason, started)
                     continue
-                named.append((name, solved))
                 record = _record(name, solved, 1e3 * (time.process_time() - started))
                 yield Line(f"{name!s:{width}s}   {_facts(record, solved)}", True, record, solved)
             continue
@@ -134,7 +131,6 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             yield replace(line, image=image, stars=stars)
             continue
         spent_ms = 1e3 * (time.process_time() - started)
-        named.append((path, outcome))
         planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
             _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))
@@ -144,10 +140,6 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
         ]
         text = f"{path!s:{width}s}   {_facts(record, outcome)}{_named(planets)}"
         yield Line(text, True, record, outcome, image, stars, planets)
-    if request.out is not None:
-        from boresight.features.sky_images.named_stars import write_named_stars
-
-        write_named_stars(request.out, named)
 
 
 def _named(planets: Sequence[Planet]) -> str:
