@@ -189,7 +189,7 @@ def calibrated(fault: Fault, folder: Path, base: Path | None) -> tuple[Path, str
             pass
         shutil.copytree(base / "work", out / "work")
     command = [sys.executable, "-m", "boresight", "calibrate", str(dump), "--out", str(out), "--workers", "1"]
-    ran = subprocess.run([*command, "--accept-inconsistent"], capture_output=True, text=True)
+    ran = subprocess.run([*command, "--accept", "refuted"], capture_output=True, text=True)
     return out, ran.stdout + ran.stderr
 
 

@@ -92,9 +92,6 @@ WorkerTimeout = Annotated[
     float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
 ]
 WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
-AcceptInconsistent = Annotated[
-    bool, typer.Option("--accept-inconsistent", help="The same as --accept refuted.")
-]
 Accept = Annotated[
     list[Accepted] | None,
     typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
@@ -117,7 +114,6 @@ def calibrate_command(
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
     about: AboutFile = None,
-    accept_inconsistent: AcceptInconsistent = False,
     accept: Accept = None,
     overwrite: Overwrite = False,
 ) -> Answer:
@@ -152,7 +148,7 @@ def calibrate_command(
         line=f"{_gravest(outcome)} -> {files[0]}",
         content=SavedContent(out),
         files=files,
-        exit_status=_exit_status(outcome, {*(accept or ()), *([Accepted.REFUTED] * accept_inconsistent)}),
+        exit_status=_exit_status(outcome, accept or ()),
     )
 
 
