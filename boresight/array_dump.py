@@ -43,7 +43,7 @@ from boresight.array_tables import (
     pixels_of,
     rows_of,
     stored,
-    write_tiff,
+    write_image,
 )
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
@@ -252,7 +252,7 @@ def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int |
             pixels = image_of(image, f"{at}, image")
             types.add(pixels.dtype)
             count = len(pixels)
-            write_tiff(folder / file, stored(pixels, stated or 8))
+            write_image(folder / file, stored(pixels, stated or 8))
         instant = utc_of(cell_of(row, "time", "strips", n), f"{at}, time")
         period = number_of(cell_of(row, "row_period_s", "strips", n), f"{at}, row_period_s")
         name, kind = label_of(cell_of(row, "id", "strips", n), f"{at}, id"), row.get("kind", "ground")
@@ -270,7 +270,7 @@ def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = pixels.astype(np.float32)
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
-        write_tiff(folder / file, pixels, **_georeference(affine, crs, at))
+        write_image(folder / file, pixels, **_georeference(affine, crs, at))
         lines.append([*cells_of(row, ["id", *PLACE], "targets", n), file])
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], lines)
 
@@ -296,7 +296,7 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
     if heights.ndim != 2 or not heights.size:
         raise wrong("terrain, heights", heights, "shape (rows, columns)")
     place = _georeference(terrain[1], terrain[2], "terrain")
-    write_tiff(folder / "terrain" / "dem.tif", heights.astype(np.float32), nodata=float("nan"), **place)
+    write_image(folder / "terrain" / "dem.tif", heights.astype(np.float32), nodata=float("nan"), **place)
     return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from boresight.accepted import floats_of, instance_of, number_of, utc_of, wrong
-from boresight.array_tables import Table, bits_of, cell_of, image_of, label_of, rows_of, stored, write_tiff
+from boresight.array_tables import Table, bits_of, cell_of, image_of, label_of, rows_of, stored, write_image
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
@@ -47,7 +47,7 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
         else:
             pixels = image_of(cell_of(row, "image", "exposures", n), f"{at}, image")
             types.add(pixels.dtype)
-            write_tiff(folder / file, stored(pixels, stated or 8))
+            write_image(folder / file, stored(pixels, stated or 8))
         instant = utc_of(cell_of(row, "time", "exposures", n), f"{at}, time")
         exposure_s = number_of(cell_of(row, "exposure_s", "exposures", n), f"{at}, exposure_s")
         lines.append([label_of(row.get("id", f"e{n + 1:04d}"), f"{at}, id"), file, instant, exposure_s])

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
-import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import NotGeoreferencedWarning
 
 from boresight.accepted import count_of, listed, number_of, shown, wrong
+from boresight.pipeline.files.tiff_files import TILES, write_tiff
 
 __all__ = [
     "Table",
@@ -25,7 +23,7 @@ __all__ = [
     "pixels_of",
     "rows_of",
     "stored",
-    "write_tiff",
+    "write_image",
 ]
 
 TEXTS = ("id", "strip", "height_kind")  # columns of targets and measured points that are no numbers
@@ -107,14 +105,8 @@ def bits_of(stated: int | None, types: set[Any], name: str) -> int:
     return 8 if types else 0
 
 
-def write_tiff(path: Path, pixels: NDArray[Any], **options: Any) -> None:
-    height, width = pixels.shape
-    tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256} if min(pixels.shape) > 256 else {}
-    profile = {"driver": "GTiff", "height": height, "width": width, "count": 1, "dtype": pixels.dtype.name}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile, **tiles, compress="deflate", **options) as file:
-            file.write(pixels, 1)
+def write_image(path: Path, pixels: NDArray[Any], **options: Any) -> None:
+    write_tiff(path, pixels, **(TILES if min(pixels.shape) > 256 else {}), **options)
 
 
 def stored(pixels: NDArray[Any], bits: int) -> NDArray[Any]:

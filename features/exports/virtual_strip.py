@@ -6,7 +6,6 @@ The virtual camera has a smooth attitude and equal steps of time between lines, 
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.tiff_files import tiff_opened
 from boresight.pipeline.files.whole_file import write_text, write_whole
 from boresight.pipeline.results.strip_model import StripModel
 
@@ -50,20 +50,18 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
     smooth = -0.5, lines - 0.5
     virtual = VirtualStrip(pushbroom.tabulated(0.0, lines - 1.0), surface, smooth_rows=smooth)
     rpc, error = fit_rpc(virtual.virtual, 0, lines, rpc_heights(surface))
-    profile = {"driver": "GTiff", "width": virtual.width_px, "height": lines, "count": 1, "dtype": "float32"}
     control = _control_points(virtual, lines)
 
     def write(path: Path) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            with rasterio.open(path, "w", **profile, nodata=np.nan, compress="deflate", predictor=3) as image:
-                if control:
-                    image.gcps = control, rasterio.CRS.from_epsg(4979)
-                image.rpcs = RPC.from_gdal(rpc_metadata(rpc, error))
-                for top in range(0, lines, BLOCK_LINES):
-                    bottom = min(top + BLOCK_LINES, lines)
-                    part = virtual.stitched(images.read, n_lines, (top, bottom))
-                    image.write(part, 1, window=Window(0, top, virtual.width_px, bottom - top))
+        how = {"nodata": np.nan, "compress": "deflate", "predictor": 3}
+        with tiff_opened(path, (lines, virtual.width_px), "float32", **how) as image:
+            if control:
+                image.gcps = control, rasterio.CRS.from_epsg(4979)
+            image.rpcs = RPC.from_gdal(rpc_metadata(rpc, error))
+            for top in range(0, lines, BLOCK_LINES):
+                bottom = min(top + BLOCK_LINES, lines)
+                part = virtual.stitched(images.read, n_lines, (top, bottom))
+                image.write(part, 1, window=Window(0, top, virtual.width_px, bottom - top))
 
     write_whole(out, write)
     write_text(out.with_name(f"{out.stem}_RPC.TXT"), rpc_text(rpc, error))

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
+from rasterio.transform import Affine
 from scipy.stats import norm
 
 from boresight.features.targets.ortho_files import HeightModel, Ortho
@@ -29,6 +29,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
 from boresight.pipeline.files.text_tables import write_csv
+from boresight.pipeline.files.tiff_files import write_tiff
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.calibrate import strips_with_stars
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
@@ -321,18 +322,7 @@ def _write_chip(path: Path, one: Candidate, size_px: int) -> None:
     image = _window(one.ortho.values, one.place.column, one.place.row, size_px)
     left, top = round(one.place.column) - size_px // 2, round(one.place.row) - size_px // 2
     a, b, c, d, e, f = one.ortho.transform[:6]
-    transform = rasterio.Affine(a, b, c + a * left + b * top, d, e, f + d * left + e * top)
+    transform = Affine(a, b, c + a * left + b * top, d, e, f + d * left + e * top)
     whole = bool(np.all(image == np.round(image))) and image.min() >= 0.0 and image.max() <= 65535.0
     kind = "uint8" if whole and image.max() <= 255.0 else "uint16" if whole else "float32"
-    profile = {
-        "driver": "GTiff",
-        "width": image.shape[1],
-        "height": image.shape[0],
-        "count": 1,
-        "dtype": kind,
-        "crs": one.ortho.crs,
-        "transform": transform,
-        "compress": "deflate",
-    }
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(image.astype(kind), 1)
+    write_tiff(path, image.astype(kind), crs=one.ortho.crs, transform=transform)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
@@ -20,6 +17,7 @@ from boresight.pipeline.files.png import png_of_noise
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
+from boresight.pipeline.files.tiff_files import TILES, tiff_opened, write_tiff
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.simulator.mission_records import (
     ChipImage,
@@ -150,25 +148,13 @@ def _write_strips(root: Path, mission: Mission) -> None:
 
 
 def _write_strip_image(path: Path, strip: RenderedStrip) -> None:
-    profile = {
-        "driver": "GTiff",
-        "width": strip.samples,
-        "height": strip.lines,
-        "count": 1,
-        "dtype": "uint8" if strip.bits <= 8 else "uint16",
-        "tiled": True,
-        "blockxsize": 256,
-        "blockysize": 256,
-        "bigtiff": "if_safer",
-        **(SMALL_STRIP if strip.lines * strip.samples < SMALL_PIXELS else LARGE_STRIP),
-    }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile) as image:
-            line = 0
-            for block in strip.blocks(512):
-                image.write(block, 1, window=Window(0, line, strip.samples, len(block)))
-                line += len(block)
+    kind = "uint8" if strip.bits <= 8 else "uint16"
+    how = SMALL_STRIP if strip.lines * strip.samples < SMALL_PIXELS else LARGE_STRIP
+    with tiff_opened(path, (strip.lines, strip.samples), kind, **TILES, bigtiff="if_safer", **how) as image:
+        line = 0
+        for block in strip.blocks(512):
+            image.write(block, 1, window=Window(0, line, strip.samples, len(block)))
+            line += len(block)
 
 
 def _write_targets(root: Path, mission: Mission) -> None:
@@ -185,26 +171,14 @@ def _write_targets(root: Path, mission: Mission) -> None:
 
 
 def _write_chip(path: Path, chip: ChipImage) -> None:
-    height, width = chip.image.shape
-    profile = {
-        "driver": "GTiff",
-        "width": width,
-        "height": height,
-        "count": 1,
-        "dtype": chip.image.dtype.name,
-    }
-    profile |= {"crs": f"EPSG:{chip.epsg}", "transform": Affine(*chip.affine), "compress": "deflate"}
-    with rasterio.open(path, "w", **profile, zlevel=9, predictor=2) as image:
-        image.write(chip.image, 1)
+    place = {"crs": f"EPSG:{chip.epsg}", "transform": Affine(*chip.affine)}
+    write_tiff(path, chip.image, **place, zlevel=9, predictor=2)
 
 
 def _write_terrain(path: Path, terrain: TerrainReport) -> None:
-    height, width = terrain.heights_m.shape
     centimetres = np.round(np.asarray(terrain.heights_m, dtype=float), 2).astype(np.float32)
-    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": "float32"}
-    profile |= {"crs": f"EPSG:{terrain.epsg}", "transform": Affine(*terrain.affine), "nodata": -32768.0}
-    with rasterio.open(path, "w", **profile, compress="deflate", zlevel=9, predictor=3) as image:
-        image.write(centimetres, 1)
+    place = {"crs": f"EPSG:{terrain.epsg}", "transform": Affine(*terrain.affine), "nodata": -32768.0}
+    write_tiff(path, centimetres, **place, zlevel=9, predictor=3)
 
 
 def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
