@@ -24,9 +24,9 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.stages.calibrate import calibrate_dump
 
 MOST = 1.05  # of the processor time without the tests
-STAGE = "boresight.pipeline.stages.calibrate."
+STAGE = "boresight.pipeline.stages.assessment."
 WITHOUT = {
-    "_examined": Reliability((), (), ()),
+    "examined": Reliability((), (), ()),
     "moved_inputs": (),
     "sky_counts": {},
     "_explanations": [],
@@ -41,7 +41,7 @@ def without_tests() -> Iterator[None]:
     with ExitStack() as stack:
         for name, nothing in WITHOUT.items():
             stack.enter_context(patch(f"{STAGE}{name}", lambda *_, nothing=nothing, **__: nothing))
-        stack.enter_context(patch(f"{STAGE}_sighted", lambda dump, heads, first, last, stars: last.strips))
+        stack.enter_context(patch(f"{STAGE}_sighted", lambda basis, first, last, looked_for: last.strips))
         yield
 
 

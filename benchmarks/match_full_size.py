@@ -37,8 +37,8 @@ from boresight.geometry.strip_image import StripImage
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.files.image_files import read_grid
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
+from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 TARGETS = 40
 WRONG_PX = 1.0

@@ -14,7 +14,7 @@ from boresight.features.targets.target_matches import matched_lines, matches_tab
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import strips_to_match
+from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,7 +22,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for
-from boresight.pipeline.stages.calibrate import strips_to_match
+from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 __all__ = ["match_command"]
 

@@ -31,9 +31,9 @@ from boresight.pipeline.files.dump import ChipFile, Dump
 from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.files.tiff_files import write_tiff
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.calibrate import strips_with_stars
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
+from boresight.pipeline.stages.strip_tasks import strips_with_stars
 
 __all__ = ["Candidate", "SuggestRequest", "Suggestion", "suggest_in", "suggestion_lines", "write_targets"]
 

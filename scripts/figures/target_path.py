@@ -13,8 +13,8 @@ from style import Ink, draw
 from boresight.gct_match.records import TargetMatch
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import strips_to_match
 from boresight.pipeline.stages.strip import StripTask, strip_matches
+from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
 ERROR_SCALE = 1000.0

@@ -15,11 +15,12 @@ from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages import calibrate
+from boresight.pipeline.stages import passes
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import calibrate_dump, strips_to_match
+from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.matchings import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
+from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_matrix_is_that_of_searching_every_strip(
     dump, again = open_dump(FIXTURE), Settings(run=RunSettings(settled_px=0.0))  # all matched again
     from_one = calibrate_dump(dump, again, store).estimate
     searched = lambda tasks, start_from, runner: (tasks, all_searched, [True] * len(tasks))  # noqa: E731
-    monkeypatch.setattr(calibrate, "match_first", searched)
+    monkeypatch.setattr(passes, "match_first", searched)
     everywhere = calibrate_dump(dump, again, store).estimate
     sigma = np.sqrt(np.diag(everywhere.cov_theta))
     # The second matching starts from matrices that differ by a tenth of a pixel; positions then agree to some
