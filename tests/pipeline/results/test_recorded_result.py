@@ -56,7 +56,7 @@ def test_tables_and_matrix_are_those_recorded(finished: tuple[Path, Path]) -> No
     for path in sorted([*result.glob("sightings/*.parquet"), *result.glob("evidence/*.parquet")]):
         found |= table_numbers(path)
     found |= flat("context", json.loads((result / "evidence" / "context.json").read_text()))
-    # After the only strip the estimate is that of the whole: rounding is left, rad, and it differs by processor.
+    # After the only strip the estimate is that of the whole: rounding is left, which differs by processor.
     assert np.abs(found.pop("convergence/theta_rad")).max() < 1e-12
     assert_recorded("result", found)
 
