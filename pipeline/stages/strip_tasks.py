@@ -46,8 +46,8 @@ def strip_tasks(
 ) -> tuple[list[StripTask], list[Omission]]:
     """A task for each strip that orbit and star exposures cover, and an omission for each other one.
 
-    `R_cs` with 1-sigma (3,) predicts where targets lie. Where another head carries the strip, its attitudes are
-    turned to frame s by `mountings`.
+    `R_cs` with 1-sigma (3,) predicts where targets lie. Where another head carries the strip, its attitudes
+    are turned to frame s by `mountings`.
     """
     tasks = []
     points = {one.strip_id: one for one in dump.points}
