@@ -29,7 +29,7 @@ from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.finding.windows import windows_at
 from boresight.star_id.given_camera import fit_known_camera, fit_scaled_camera
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.observer import Observer, proper_motion_covariance, star_directions
+from boresight.star_id.observer import proper_motion_covariance
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position, smear_of_rate
 
@@ -171,7 +171,6 @@ def near_prediction(
     settings: StarSettings,
     *,
     exposure_s: float | None = None,
-    observer: Observer | None = None,
 ) -> StarFix | None:
     """Attitude of a frame by the stars at their predicted places; None where they are not there.
 
@@ -191,15 +190,13 @@ def near_prediction(
         `max_false_alarm_probability`, `epoch_error_years` and `max_photocentre_shift_px` are used.
     exposure_s : float, optional
         Exposure time: the rate then gives the trails of the stars; without it they are as `before`.
-    observer : Observer, optional
-        Aberration and proper motion are removed.
     """
     lens = replace(camera, focal_m=camera.focal_m * math.exp(motion.log_scale))
     focal_px = camera.focal_m / camera.pixel_m
     reach = 4.0 * focal_px * math.sqrt(np.linalg.eigvalsh(motion.covariance[:3, :3])[-1]) + 1.0
     if not reach < _LARGEST_REACH_PX:
         return None
-    rows, xy, u_i = _in_view(image, motion.R_si, before, camera, lens, index, settings, observer, reach)
+    rows, xy, u_i = _in_view(image, motion.R_si, before, camera, lens, index, settings, reach)
     if len(rows) < _FEWEST:
         return None
     sky, psf = _sky_now(image, before), _psf_now(before.psf, motion, camera, exposure_s)
@@ -211,7 +208,7 @@ def near_prediction(
     if found is None:
         return None
     fits, good = found
-    years = settings.epoch_error_years if observer is None else 0.0
+    years = settings.epoch_error_years
     cov = fits.cov_px[good] + proper_motion_covariance(index, rows[good], camera, motion.R_si, years)
     measured = fits.xy_px[good], cov, u_i[good], motion.R_si
     if motion.covariance[6, 6] == 0.0:
@@ -272,7 +269,6 @@ def _in_view(
     lens: StarCamera,
     index: StarIndex,
     settings: StarSettings,
-    observer: Observer | None,
     reach: float,
 ) -> tuple[Ints, Floats, Floats]:
     """The brightest reliable stars of the index in view that are not saturated in the image (H, W), as rows,
@@ -291,10 +287,7 @@ def _in_view(
         if len(chosen) == _STARS:  # those that follow are fainter
             break
     rows, xy = rows.take(chosen), xy.take(chosen, axis=0)
-    if observer is None:
-        return rows, xy, index.u_i[rows]
-    u_i = star_directions(index, rows, observer)
-    return rows, lens.pixels_from_directions(R_si.apply(u_i)), u_i
+    return rows, xy, index.u_i[rows]
 
 
 @lru_cache(maxsize=4)  # every frame of a camera asks
