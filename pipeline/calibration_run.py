@@ -10,9 +10,8 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ from boresight.pipeline.results.requirement import (
     saved_requirement,
     write_requirement,
 )
-from boresight.pipeline.results.status import kept_units, run_status
+from boresight.pipeline.results.status import kept_units, saved_omissions
 from boresight.pipeline.results.summary import (
     calibration_summary,
     finding_lines,
@@ -63,7 +62,7 @@ from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 
 log = logging.getLogger("boresight.commands")
 
-__all__ = ["RunOutcome", "RunRequest", "SavedContent", "going_on", "run_dump", "run_dumps"]
+__all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
 
 @record(kw_only=True)
@@ -105,29 +104,13 @@ def going_on(out: Path) -> Iterator[None]:
         raise
 
 
-class SavedContent(Mapping[str, Any]):
-    """What a result folder holds, for --json: installation.json, what to look at, and what is not used. It is
-    read when it is asked for."""
-
-    def __init__(self, out: Path) -> None:
-        self._out = out
-
-    @cached_property
-    def _content(self) -> dict[str, Any]:
-        return {
-            "installation": read_json(self._out / "installation.json"),
-            "findings": read_findings(self._out),
-            "omitted": [plain(omission) for omission in run_status(self._out).omissions],
-        }
-
-    def __getitem__(self, key: str) -> Any:
-        return self._content[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._content)
-
-    def __len__(self) -> int:
-        return len(self._content)
+def saved_content(out: Path) -> dict[str, Any]:
+    """What a finished result holds, for --json: installation.json, what to look at, what is not used."""
+    return {
+        "installation": read_json(out / "installation.json"),
+        "findings": read_findings(out),
+        "omitted": [plain(omission) for omission in saved_omissions(out) or ()],
+    }
 
 
 def run_dump(

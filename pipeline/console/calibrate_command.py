@@ -20,10 +20,10 @@ from boresight.pipeline import __version__
 from boresight.pipeline.calibration_run import (
     RunOutcome,
     RunRequest,
-    SavedContent,
     going_on,
     run_dump,
     run_dumps,
+    saved_content,
 )
 from boresight.pipeline.console.arguments import (
     AboutFile,
@@ -146,7 +146,7 @@ def calibrate_command(
     return Answer(
         text=f"{outcome.text}\n{took}",
         line=f"{_gravest(outcome)} -> {files[0]}",
-        content=SavedContent(out),
+        content=saved_content(out),
         files=files,
         exit_status=_exit_status(outcome, accept or ()),
     )

@@ -25,7 +25,7 @@ from boresight.pipeline.stages.stage_words import stage_words
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "status_lines"]
+__all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "saved_omissions", "status_lines"]
 
 OUTCOMES = (StarSightings, MatchedTargets, StripStars, Omission)  # records that a finished unit may hold
 
@@ -63,7 +63,7 @@ def run_status(result: Path) -> RunStatus:
         dumps = tuple(
             run_status(result / name) if (result / name).is_dir() else _none(result / name) for name in names
         )
-        return _status(result, (), _saved_omissions(result), dumps=dumps)
+        return _status(result, (), saved_omissions(result), dumps=dumps)
     work = result / "work"
     if not work.is_dir() and not (result / "installation.json").is_file():
         raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
@@ -73,7 +73,7 @@ def run_status(result: Path) -> RunStatus:
         stages.append(stage)
         omissions += failed
     if (result / "installation.json").is_file():
-        saved = _saved_omissions(result)
+        saved = saved_omissions(result)
         return _status(result, stages, saved if saved is not None else omissions)
     try:
         return _status(
@@ -165,7 +165,8 @@ def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
     return StageStatus(folder.name, tuple(done), damaged, len(failed), (), tuple(settled)), failed
 
 
-def _saved_omissions(result: Path) -> list[Omission] | None:
+def saved_omissions(result: Path) -> list[Omission] | None:
+    """What a finished result does not use; None where it has no table of that."""
     path = result / "sightings" / "omissions.parquet"
     if not path.is_file():
         return None
