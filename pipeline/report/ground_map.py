@@ -24,7 +24,7 @@ from boresight.calib.estimate import TargetResiduals
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
@@ -67,7 +67,6 @@ SCHEMA = pa.schema(
     + [(name, pa.float64()) for name in NUMBERS]
 )
 NODES = 33  # of the lattice that maps ground to pixels, along each side
-SPARE_NODES = 2  # beside the outline of a footprint: relief between its points
 SUN = np.array([-0.5, 0.5, np.sqrt(0.5)])  # east, north, up: light from the north-west, as on maps
 RELIEF = 4.0  # slopes are shown so many times steeper
 
@@ -370,19 +369,6 @@ def _lattice(scene: MapScene, box_m: Sequence[float]) -> tuple[Floats, Floats, t
     return np.radians(lat), np.radians(lon), size
 
 
-def _nodes_near(box_m: Sequence[float], outline_m: Floats) -> Bools:
-    """Mask (`NODES`, `NODES`) of the nodes of `_lattice` in the box around an outline (P, 2), m, and
-    `SPARE_NODES` beside it.
-    """
-    west, south, east, north = box_m
-    nodes = np.linspace((west, north), (east, south), NODES)
-    spare = SPARE_NODES * np.abs(nodes[1] - nodes[0])
-    low = np.min(outline_m, axis=0, initial=np.inf) - spare
-    high = np.max(outline_m, axis=0, initial=-np.inf) + spare
-    column, row = ((nodes >= low) & (nodes <= high)).T
-    return row[:, None] & column
-
-
 def _shaded(scene: MapScene, surface: Surface) -> NDArray[np.uint8]:
     """Hill shading of the terrain."""
     lat, lon, (rows, columns) = _lattice(scene, scene.box_m)
@@ -411,15 +397,11 @@ def _quicklook(view: _View) -> NDArray[np.float32]:
     images, surface = one.task.strip.images, surface_of(one.task.terrain)
     box_m = one.box_m(view.scene)
     lat, lon, (rows, columns) = _lattice(view.scene, box_m)
-    outline_e = one.outlines_e[ccd]
-    near = _nodes_near(box_m, view.scene.plane_m(outline_e[np.isfinite(outline_e).all(axis=1)]))
-    height = np.nan_to_num(surface.height_m(lat[near], lon[near]), nan=0.0)
-    places = np.full((2, NODES, NODES), np.nan, dtype=np.float32)
-    places[:, near] = one.model.pixels_from_ground(
-        ccd, ecef_from_geodetic(lat[near], lon[near], height, WGS84)
-    )
+    height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
+    ground_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
+    pixels = np.array(one.model.pixels_from_ground(ccd, ground_e), dtype=np.float32)
     to_size = _lattice_map(rows, columns)
-    sample, line = (cv2.remap(v, *to_size, cv2.INTER_LINEAR) for v in places)
+    sample, line = (cv2.remap(v, *to_size, cv2.INTER_LINEAR) for v in pixels.reshape(2, NODES, NODES))
     lines, samples = images.shape(ccd)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     with suppress(RawDataError):  # reported as an omission
