@@ -135,15 +135,7 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
 
 def numerical_versions() -> dict[str, str]:
     """Versions of Python and of the libraries of numbers that are in Python."""
-    return {"python": platform.python_version()} | {name: _version(name) for name in DISTRIBUTIONS}
-
-
-def _version(name: str) -> str:
-    """Version of a distribution; `metadata.version` parses the whole description before it."""
-    stated = re.search(
-        r"^Version: *(\S+)", metadata.distribution(name).read_text("METADATA") or "", re.MULTILINE
-    )
-    return stated[1] if stated else metadata.version(name)
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in DISTRIBUTIONS}
 
 
 def _with_submodules(name: str) -> list[str]:
