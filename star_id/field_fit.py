@@ -26,8 +26,8 @@ _LARGEST_VARIANCE = 1e12
 _HALVINGS = 50
 # Most rounds of fitting the camera and the common variance in turn (set by hand).
 _ROUNDS = 8
-# Most fits of the camera, each to places without the stretch that was seen before.
-_STRETCH_ROUNDS = 3
+# Further fits of the camera, each to places without the stretch that was seen before.
+_STRETCH_ROUNDS = 2
 # Gain of log likelihood by a variance common to all stars for it to be stated: one, for its one parameter
 # (Akaike 1974).
 _COMMON_LOG_LIKELIHOOD = 1.0
@@ -77,14 +77,14 @@ def fit_attitude_and_lens(
     taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
     that are not linear.
     """
-    moved = np.zeros_like(xy_px)
+    fit, errors = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
     for _ in range(_STRETCH_ROUNDS):
-        fit, equations, common = _fit(camera, R_si, xy_px - moved, cov_px, u_i, expected)
-        whole = replace(equations, residual_px=equations.residual_px + moved[fit.keep])
-        errors = lens_errors(whole, common)
         if not errors.stretch_px:
             break
-        moved = errors.stretched_px(xy_px)
+        without = _fit(camera, R_si, xy_px, cov_px, u_i, expected, errors.stretched_px(xy_px))
+        if not without[1].stretch_px:  # at the limit of being seen
+            break
+        fit, errors = without
     cov_s, fov_x_sigma = errors.of_centre()
     return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
 
@@ -96,16 +96,17 @@ def _fit(
     cov_px: Floats,
     u_i: Floats,
     expected: StarCamera | None,
-) -> tuple[CameraFit, LensEquations, float]:
-    """Camera and attitude, equations of what is left, and the stars' common variance, px^2; arguments as in
-    `fit_attitude_and_lens`."""
+    moved_px: Floats,
+) -> tuple[CameraFit, LensErrors]:
+    """Camera and attitude of centroids that a stretch moved by `moved_px` (N, 2), and the errors of both;
+    other arguments as in `fit_attitude_and_lens`."""
     image = np.zeros(len(xy_px), dtype=np.int64)
-    stars = IdentifiedStars(xy_px=xy_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
+    stars = IdentifiedStars(xy_px=xy_px - moved_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera)
-    residual = xy_px - camera.pixels_from_directions(R_si.apply(u_i))
+    residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / 1.386  # median of chi2 with two degrees of freedom
     for _ in range(_ROUNDS):
         cov = cov_px + common * np.eye(2)
@@ -116,7 +117,8 @@ def _fit(
         common = common_variance(fit.residual_px[fit.keep], leverage, own, before)
         if abs(common - before) <= 0.1 * before:
             break
-    return fit, equations, common
+    whole = replace(equations, residual_px=equations.residual_px + moved_px[fit.keep])
+    return fit, lens_errors(whole, common)
 
 
 def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
