@@ -32,9 +32,6 @@ def sentinel2_command(
         Path | None,
         typer.Option(help="CSV of mjd_utc, ut1_utc_s, x_arcsec, y_arcsec; else its bulletin."),
     ] = None,
-    ours: Annotated[
-        bool, typer.Option("--ours", help="Interpolate attitudes as for other missions, not as the operator.")
-    ] = False,
     limit_m: Limit = 0.02,
 ) -> Answer:
     """Check the model of a Sentinel-2 datastrip against the operator's location grid.
@@ -45,7 +42,7 @@ def sentinel2_command(
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))
     strip, rows = read_sentinel2(datastrip, gipp, band), read_grid_rows(grid)
-    off_m = sentinel2_grid_differences(strip, rows, table, "lagrange" if ours else "taylor")
+    off_m = sentinel2_grid_differences(strip, rows, table)
     lines = []
     for detector in sorted({row.detector for row in rows}):
         own = off_m[[row.detector == detector for row in rows]]

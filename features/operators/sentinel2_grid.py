@@ -67,7 +67,6 @@ def sentinel2_grid_differences(
     strip: Sentinel2,
     rows: Sequence[GridRow],
     table: EarthOrientationTable | None,
-    interpolation: Interpolation,
 ) -> Floats:
     """Distances (N,), m, of our places of pixels from the operator's. `RawDataError` for another detector."""
     orbit = operator_orbit(strip, table or strip.earth_orientation)
@@ -80,7 +79,7 @@ def sentinel2_grid_differences(
     places = ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
     off = np.empty(len(rows))
     for one in np.unique(detector).tolist():
-        model = operator_pushbroom(strip, one - 1, orbit, interpolation=interpolation)
+        model = operator_pushbroom(strip, one - 1, orbit)
         for n in np.flatnonzero(detector == one).tolist():
             level = ConstantHeight(float(height[n]))
             ours = model.ground_points(one - 1, sample[n : n + 1], line[n : n + 1], level)[0]

@@ -39,9 +39,6 @@ def experiment_command(
         typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
-    star_from_zenith_deg: Annotated[
-        float, typer.Option(help="Star camera's axis from the zenith in the Y-Z plane, degrees.")
-    ] = 15.0,
     pixels: Annotated[bool, typer.Option("--pixels", help="From rendered images: grid, table4.")] = False,
 ) -> Answer:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
@@ -51,7 +48,7 @@ def experiment_command(
     known = _known(pixels)
     if name not in known:
         raise wrong_usage(f"there is no experiment {name!r} of this kind, only {', '.join(known)}")
-    chosen = ExperimentSettings(seed=seed, from_zenith_deg=star_from_zenith_deg)
+    chosen = ExperimentSettings(seed=seed)
     if runs is not None:
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
     rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)

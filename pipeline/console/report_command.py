@@ -31,9 +31,6 @@ __all__ = ["report_command"]
 
 def report_command(
     result: ResultArgument,
-    matches: Annotated[
-        int, typer.Option(help="Show the pictures of at most so many targets that were used.", min=0)
-    ] = 200,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print the page to report.pdf, too (Chromium).")] = False,
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
@@ -45,7 +42,7 @@ def report_command(
     """
     write_about(result, about)
     write_requirement(result, Requirement(require_arcsec, require_m))
-    path = write_dumps_report(result) if dumps_in(result) else write_report(result, most_matches=matches)
+    path = write_dumps_report(result) if dumps_in(result) else write_report(result)
     lines = [f"{path.stat().st_size / 1e6:.1f} MB -> {path}"]
     if pdf:
         printed = print_page(path)

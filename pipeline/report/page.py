@@ -41,21 +41,20 @@ MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
-def write_report(result: Path, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> Path:
+def write_report(result: Path, *, executor: Executor | None = None) -> Path:
     """Write `report.html` into the folder of a result and return its path.
 
-    At most `most_matches` targets are shown with pictures, those with the largest residuals first. `executor`
-    draws the figures; default: this process. Raises `RawDataError` naming a file of the result that is
-    missing or damaged.
+    `executor` draws the figures; default: this process. Raises `RawDataError` naming a file of the result
+    that is missing or damaged.
     """
-    text = report_html(read_saved(result), most_matches=most_matches, executor=executor)
+    text = report_html(read_saved(result), executor=executor)
     path = result / "report.html"
     write_text(path, text)
     return path
 
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> str:
-    """The report as HTML text; `write_report` writes it."""
+    """The report as HTML text; of used targets `most_matches` are pictured, the largest residuals first."""
     from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
 
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
