@@ -48,6 +48,6 @@ def numbers_of(stars: StarList, size: int) -> dict[str, np.ndarray | list[float]
 def test_stars_of_a_frame_are_those_recorded(kind: str) -> None:
     image, _ = rendered(kind, 1)
     stars = list_stars(image, StarSettings())
-    # Places agree to some 1e-5 px, numbers of a background to what medians of its blocks do. Two faint stars of
-    # JPEG, whose fit has not settled, have sigmas of 1 and 8 % more on another processor: 6e-4 of the mean.
+    # Places agree to some 1e-5 px, numbers of a background to what medians of its blocks do. Two faint stars
+    # of JPEG, whose fit has not settled, have other sigmas on another processor: 6e-4 of the mean.
     assert_recorded(f"stars_{kind.replace(' ', '_')}", numbers_of(stars, len(image)), relative=1e-3)
