@@ -119,7 +119,15 @@ def test_order_of_time_and_gaps():
 
 
 @pytest.mark.parametrize(
-    ("factor", "text"), [(1.0004, "a factor: 1.0004"), (1e-3, "a factor: 0.001 (units?)")]
+    ("factor", "text"),
+    [
+        (1.0004, "a factor: 1.0004"),
+        (0.94, "a factor: 0.94"),
+        (1.07, "a factor: 1.07"),
+        (1e-3, "a factor: 0.001 (units?)"),
+        (0.83, "a factor: 0.83 (units?)"),
+        (1.83, "a factor: 1.83 (units?)"),
+    ],
 )
 def test_factor_of_the_velocities_is_told_with_the_digits_that_matter(factor, text):
     t, p, v = ephemeris(n=300)

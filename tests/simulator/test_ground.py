@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from pyproj import Proj
 
 from boresight.simulator.ground import BlurredGround, GroundImage, ImageGround, ProceduralGround
 from boresight.simulator.lattice_noise import fractal, smooth_noise, white, white_at
@@ -149,6 +150,19 @@ def test_a_user_s_image_is_mirrored_beyond_its_borders():
     assert np.abs(mirrored[:, ::-1] - inside).max() < 0.01
     far = ortho.patch(900_000, -4_400_000, 50, 40)
     assert np.all((far >= 0.0) & (far <= 0.9))
+
+
+def test_an_image_out_of_reach_is_told_with_the_place_of_its_middle():
+    image = np.arange(30.0 * 70.0).reshape(
+        30, 70
+    )  # 30 rows of 70 columns, turned: rows run east, columns south
+    affine = (11.0, 5000.0, 40_000.0, -3000.0, 700.0, -90_000.0)
+    crs = "+proj=ortho +lat_0=-33 +lon_0=-70 +a=6371000"  # half of the Earth has no place in its plane
+    ortho = ImageGround(GroundImage(image, affine, crs), 1.0, 32648)
+    east, north = 40_000.0 + 35 * 11.0 + 15 * 5000.0, -90_000.0 - 35 * 3000.0 + 15 * 700.0
+    lon, lat = Proj(crs)(east, north, inverse=True)
+    with pytest.raises(ValueError, match=rf"middle is at {lat:.2f} deg north, {lon:.2f} deg east: set orbit"):
+        ortho.patch(500_000, -4_000_000, 50, 40)
 
 
 def test_relief_has_its_mean_and_size_and_is_known_in_its_boxes_alone():

@@ -17,6 +17,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import (
     FieldSolution,
+    _fields_to_try,
     _nominal_field,
     nominal_camera,
     ra_dec_roll,
@@ -251,3 +252,17 @@ def test_a_nominal_camera_looks_through_the_middle_of_its_image_and_is_less_sure
         share = {10.0: 0.3 + 0.25, 60.0: 1.0}[fov_deg]  # of the largest error, from 28 degrees on
         assert field.shape_error == pytest.approx(share * StarSettings().uncalibrated_error)
         assert field.scale_error == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("given_deg", [None, 11.0, 43.0])
+def test_fields_that_are_tried_cover_every_field_once(given_deg):
+    settings = StarSettings(fov_tolerance=0.3)
+    fields = _fields_to_try(None if given_deg is None else np.radians(given_deg), settings)
+    low, high = (5.0, 60.0) if given_deg is None else (0.7 * given_deg, 1.3 * given_deg)
+    nominal, error = np.array(fields).T
+    smallest, largest = np.degrees(nominal / (1.0 + error)), np.degrees(nominal * (1.0 + error))
+    assert high < largest[0] < 1.01 * high and smallest[-1] <= low  # both ends with some rounding
+    assert np.allclose(largest[1:-1], smallest[:-2], rtol=1e-12)  # one begins where the one before ends
+    assert len(fields) == 1 or smallest[-2] > low  # none is tried in vain
+    # A field of 2 phi is wider than its tangents say by phi²/3: half of that, and 0.1 at most, is covered.
+    assert np.all(error <= 0.1) and np.all(error[largest < 20.0] == 0.1)

@@ -97,3 +97,10 @@ def test_half_sides_are_those_of_the_farthest_corner():
     camera = StarCamera(focal_m=focal_m, pixel_m=pixel_m, width_px=1100, height_px=900, principal_px=middle)
     far_px = max(middle[0] + 0.5, 1099.5 - middle[0]), max(middle[1] + 0.5, 899.5 - middle[1])
     np.testing.assert_allclose(_half_sides(camera), np.array(far_px) * pixel_m / focal_m, rtol=1e-12)
+
+
+def test_the_equivalent_field_of_a_4_by_3_image_is_its_own_and_of_others_that_of_their_area():
+    width, focal_px = 1600, 1234.5
+    whole = np.degrees(2.0 * np.arctan2(0.5 * width, focal_px))
+    assert np.degrees(equivalent_fov(width, 1200, focal_px)) == pytest.approx(whole, rel=1e-12)
+    assert np.degrees(equivalent_fov(600, 3200, focal_px)) == pytest.approx(whole, rel=1e-12)

@@ -18,6 +18,7 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
+from matplotlib.quiver import QuiverKey
 from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -215,6 +216,11 @@ def assert_map_is_drawn(axes, cells):
     side = min(CAMERA.width_px / columns, CAMERA.height_px / rows)
     longest = np.hypot(*mean.reshape(-1, 2).T).max()
     assert longest / arrows.scale == pytest.approx(0.9 * side)  # px of the picture
+    (key,) = (artist for artist in axes.artists if isinstance(artist, QuiverKey))
+    decade = float(
+        f"1e{f'{longest:e}'.partition('e')[2]}"
+    )  # the largest power of ten below the longest arrow
+    assert key.U == pytest.approx(decade) and float(key.label.removesuffix(" px")) == pytest.approx(decade)
     assert np.allclose(circles.get_offsets(), np.array(middles)[seen])
     assert np.allclose(circles.get_widths(), 2.0 * error.ravel()[seen] / arrows.scale)
     assert axes.get_ylim()[0] > CAMERA.height_px > 0.0 > axes.get_ylim()[1]  # row 0 on top

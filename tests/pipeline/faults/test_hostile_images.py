@@ -300,6 +300,12 @@ def test_tiff_that_states_black_or_white_not_once_is_refused(tmp_path: Path) -> 
             path.write_bytes(raw)
             with pytest.raises(RawDataError, match="PhotometricInterpretation: found 33 values"):
                 read_star_image(path, "e")
+            raw[at + 4 : at + 4 + number] = struct.pack(order + count, 1)
+            after = at + (20 if big else 12)  # in the place of the next tag once more
+            raw[after : after + 4 + number] = raw[at : at + 4 + number]
+            path.write_bytes(raw)
+            with pytest.raises(RawDataError, match="PhotometricInterpretation: found 2 values"):
+                read_star_image(path, "e")
 
 
 @pytest.mark.filterwarnings("error")

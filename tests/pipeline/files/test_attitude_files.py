@@ -201,6 +201,25 @@ def test_messages_of_every_form_give_the_attitude(
     assert np.allclose(found.t_s, [10.0, 10.1, 10.2], atol=1e-9)  # s: the time library's two-part dates
 
 
+@pytest.mark.parametrize(("segments", "where"), [(1, "state 2, Q3"), (2, "segment 2, state 2, Q3")])
+def test_wrong_number_in_xml_is_told_with_its_state_and_of_several_segments_with_its_own(
+    segments: int, where: str, tmp_path: Path
+) -> None:
+    state = (
+        "<attitudeState><quaternionState><EPOCH>{}</EPOCH><quaternion><Q1>0.6</Q1><Q2>0</Q2><Q3>{}</Q3>"
+        "<QC>0.8</QC></quaternion></quaternionState></attitudeState>"
+    )
+    head = "".join(f"<{k}>{v}</{k}>" for k, v in (META | OK).items())
+    parts = []
+    for n in range(segments):
+        wrong = "O" if n == segments - 1 else "0"
+        states = state.format(f"2024-11-20T03:4{n}:00Z", "0") + state.format(f"2024-11-20T03:4{n}:01Z", wrong)
+        parts.append(f"<segment><metadata>{head}</metadata><data>{states}</data></segment>")
+    text = f'<aem id="CCSDS_AEM_VERS" version="1.0"><header/><body>{"".join(parts)}</body></aem>'
+    with pytest.raises(RawDataError, match=f"^attitudes: {where}: found O"):
+        read(tmp_path, text, None, None)
+
+
 @pytest.mark.parametrize("scale", ["UTC", "TAI"])
 def test_times_of_a_message_may_be_days_of_the_year(scale: str, tmp_path: Path) -> None:
     meta = OK | {"TIME_SYSTEM": scale}
