@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
-from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
@@ -47,14 +47,24 @@ def write_report(result: Path, *, executor: Executor | None = None) -> Path:
     `executor` draws the figures; default: this process. Raises `RawDataError` naming a file of the result
     that is missing or damaged.
     """
-    text = report_html(read_saved(result), executor=executor)
+    parts = _parts(read_saved(result), MOST_MATCHES, executor)
     path = result / "report.html"
-    write_text(path, text)
+
+    def write(target: Path) -> None:
+        with target.open("w", encoding="utf-8") as file:
+            file.writelines(parts)
+
+    write_whole(path, write)
     return path
 
 
 def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> str:
     """The report as HTML text; of used targets `most_matches` are pictured, the largest residuals first."""
+    return "".join(_parts(saved, most_matches, executor))
+
+
+def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterator[str]:
+    """The text of the report, part by part: of 10 000 targets it is 70 MB, as one text twice that."""
     from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
 
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
@@ -66,7 +76,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
     more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}
     more_cards |= {row.link: str(cards.star_card(row)) for row in strip_stars if not row.printed}
-    return template("page.html.j2").render(
+    return template("page.html.j2").generate(
         saved=saved,
         summary=_summary(saved),
         verdict=verdict_view(saved.installation),

@@ -233,7 +233,7 @@ def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allow
     assert template.shape == found.shape
     assert template.shape == pytest.approx([min(96.0, side_px)] * 2, rel=0.08)
     assert np.corrcoef(template.ravel(), found.ravel())[0, 1] > 0.9  # it was matched there
-    # What a straight line through the grey values leaves has no mean: grey, and no more than a tenth is at an end.
+    # What a straight line through the grey values leaves has no mean: grey, and at most a tenth is at an end.
     difference = cv2.imdecode(np.frombuffer(pictures.difference_png, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert difference.mean() == pytest.approx(127.5, abs=4.0)
     assert np.mean((difference == 0) | (difference == 255)) < 0.1
