@@ -6,8 +6,8 @@ projection from direction to pixel is explicit and its inverse is solved by Newt
 turning point of the distortion polynomial the projection is undefined: NaN.
 
 The paper's lens images an angle t from the axis at f tan t. For other lenses there are a third radial term
-(Brown to r^6), the projection f t (with its radial terms the model of Kannala & Brandt 2006), and a smooth
-distortion of the image for what these leave.
+(Brown to r^6), the projections f t (with its radial terms the model of Kannala & Brandt 2006) and
+2 f tan(t/2), and a smooth distortion of the image for what these leave.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from boresight.geometry.smooth_distortion import SmoothDistortion
 
 __all__ = ["OpenCVParameters", "Projection", "StarCamera"]
 
-Projection = Literal["tangent", "equidistant"]
+Projection = Literal["tangent", "equidistant", "stereographic"]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,6 +36,8 @@ _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in
 _NEWTON_STEPS = 25
 # Error of the inverse, mm, that counts as exact: the rounding of doubles at 1 m, 2e-16 of it.
 _EXACT_MM = 2e-13
+# Cosine of the angle from the axis, 89 degrees, up to which a fisheye's middle row counts.
+_LEAST_FORWARD = math.cos(math.radians(89.0))
 # Error, px, of the directions at which pixels are derived.
 _SLOPES_ERROR_PX = 1e-5
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
@@ -70,7 +72,9 @@ class StarCamera:
     q1: float = scalar("radial distortion, 1/mm²", default=0.0)
     q2: float = scalar("radial distortion, 1/mm⁴", default=0.0)
     q3: float = scalar("radial distortion, 1/mm⁶", default=0.0)
-    projection: Projection = scalar('"tangent": r = f tan t; "equidistant": r = f t', default="tangent")
+    projection: Projection = scalar(
+        '"tangent": r = f tan t; "equidistant": r = f t; "stereographic": r = 2 f tan(t/2)', default="tangent"
+    )
     smooth: SmoothDistortion | None = scalar("of the image, after all others", default=None)
 
     def __post_init__(self) -> None:
@@ -92,8 +96,13 @@ class StarCamera:
 
     @property
     def fov_x_rad(self) -> float:
-        """Angle between the middles of the detector's left and right edges."""
+        """Angle between the ends of the detector's middle row (`row_ends_px`)."""
         return _fov_x(self)
+
+    def row_ends_px(self) -> Array:
+        """The ends (2, 2), px, of the middle row: the middles of the detector's left and right edges or, of a
+        fisheye with an edge behind the camera, the last pixels within 89 degrees of its axis."""
+        return _row_ends(self).copy()
 
     def middle_axes(self) -> Array:
         """Rotation matrix (3, 3) whose columns, in frame s, are right, down and the direction of the image's
@@ -141,8 +150,8 @@ class StarCamera:
         """Tangent-plane points (N, 2), `(u_x, u_y) / u_z`, of image points (N, 2), px; NaN as in
         `directions_from_pixels`. An allowed error `error_px` saves iterations."""
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
-        if self.projection == "equidistant":
-            ideal = _radially(ideal, self.focal_m * _MM, _tangent_over_angle)
+        if self.projection != "tangent":
+            ideal = _radially(ideal, self.focal_m * _MM, _TANGENT_OVER_RADIUS[self.projection])
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
@@ -169,8 +178,8 @@ class StarCamera:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
-        if self.projection == "equidistant":
-            ideal = _radially(ideal, self.focal_m * _MM, _angle_over_tangent)
+        if self.projection != "tangent":
+            ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
         if self._is_distorted:
             actual, own, other = self._distorted(ideal)
             actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
@@ -229,7 +238,7 @@ class StarCamera:
         with f in mm. `ValueError` for a projection or a smooth distortion that it does not know.
         """
         if self.smooth is not None or self.projection != "tangent":
-            raise ValueError("OpenCV has no such lens: equidistant, or with a smooth distortion")
+            raise ValueError(f"OpenCV has no such lens: {self.projection}, or with a smooth distortion")
         f = self.focal_m * _MM
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
@@ -324,9 +333,19 @@ def _middle_axes(camera: StarCamera) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _fov_x(camera: StarCamera) -> float:
+def _row_ends(camera: StarCamera) -> Array:
     row = 0.5 * (camera.height_px - 1)
-    left, right = camera.directions_from_pixels([[-0.5, row], [camera.width_px - 0.5, row]])
+    edges = np.array([[-0.5, row], [camera.width_px - 0.5, row]])
+    if camera.projection == "tangent" or np.isfinite(camera.directions_from_pixels(edges)).all():
+        return edges
+    pixels = np.array([[column, row] for column in range(camera.width_px)])
+    seen = pixels[camera.directions_from_pixels(pixels)[:, 2] > _LEAST_FORWARD]
+    return seen[[0, -1]] if len(seen) else edges
+
+
+@lru_cache(maxsize=4)
+def _fov_x(camera: StarCamera) -> float:
+    left, right = camera.directions_from_pixels(_row_ends(camera))
     return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
 
 
@@ -341,6 +360,21 @@ def _angle_over_tangent(tangent: Array) -> Array:
 
 def _tangent_over_angle(angle: Array) -> Array:
     return np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan)
+
+
+def _half_angle_over_tangent(tangent: Array) -> Array:
+    """2 tan(t/2) / tan t, of the tangents of angles t."""
+    return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)))
+
+
+def _tangent_over_half_angle(radius: Array) -> Array:
+    """tan t / r of r = 2 tan(t/2); NaN from t = 90 deg."""
+    return np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan)
+
+
+# Radius r over f against the tangent of the angle: r / tan t of tangents, and tan t / r of radii.
+_RADIUS_OVER_TANGENT = {"equidistant": _angle_over_tangent, "stereographic": _half_angle_over_tangent}
+_TANGENT_OVER_RADIUS = {"equidistant": _tangent_over_angle, "stereographic": _tangent_over_half_angle}
 
 
 def _complex(points: Array) -> Complex:

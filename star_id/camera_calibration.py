@@ -237,6 +237,8 @@ def _identify_frames(
             )
         if isinstance(solution, NotIdentified):
             refused.append((frame.frame_id, solution.reason))
+        elif solution.mirrored:
+            refused.append((frame.frame_id, "a mirror image: reverse the order of its columns"))
         else:
             identified.append((k, solution))
     return identified, refused

@@ -51,6 +51,8 @@ _NOTHING: Mapping[str, float] = MappingProxyType({})
 _OUTLIER_CHI2 = 16.0
 # Most Gauss-Newton steps of a fit (set by hand).
 _STEPS = 12
+# Change of the logarithm of the focal length at which a fit has diverged: 20 times (set by hand).
+_LARGEST_LOG_SCALE = 3.0
 # Steps before outliers are rejected: from a nominal camera all stars look like outliers.
 _FIRST_STEPS = 2
 # Step, in standard errors of the parameters, at which a fit has converged.
@@ -111,10 +113,10 @@ def fit_camera(
         pull = prior_weight * (first - theta[columns])
         with np.errstate(over="ignore", invalid="ignore"):  # of a fit that diverges
             step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
-        if not np.isfinite(step.d_camera).all():
-            raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         theta = theta.copy()
         theta[columns] += step.d_camera
+        if not np.isfinite(theta).all() or abs(theta[0]) > _LARGEST_LOG_SCALE:
+            raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.d_rotation) * R
         chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance
         if k < _FIRST_STEPS:
@@ -287,8 +289,13 @@ def _projected_tangents(camera: StarCamera, tangent: Floats) -> tuple[Floats, Fl
     if camera.projection == "tangent":
         return tangent, unit
     r2 = np.maximum((tangent**2).sum(axis=0), 1e-18)
-    ratio = np.arctan(np.sqrt(r2)) / np.sqrt(r2)
-    slope = (1.0 / (1.0 + r2) - ratio) / r2
+    if camera.projection == "stereographic":
+        secant = np.sqrt(1.0 + r2)
+        ratio = 2.0 / (1.0 + secant)
+        slope = -0.5 * ratio * ratio / secant
+    else:
+        ratio = np.arctan(np.sqrt(r2)) / np.sqrt(r2)
+        slope = (1.0 / (1.0 + r2) - ratio) / r2
     return tangent * ratio, unit * ratio + slope * tangent[:, None] * tangent
 
 

@@ -341,9 +341,11 @@ def _of_fisheye(
     observer: Observer | None,
 ) -> FieldSolution | NotIdentified:
     """Solution by the middle of the image, and from there outwards with each kind of lens (`fisheye`)."""
-    if fov_x_rad > WIDEST_RAD:
+    if fov_x_rad > (1.0 + 1e-9) * WIDEST_RAD:  # that of a nominal camera is rounded
         widest = f"fields of view are at most {np.degrees(WIDEST_RAD):.0f} deg along columns"
-        reason = f"{widest}: a camera here has no directions 90 deg from its axis; crop the image"
+        reason = (
+            f"{widest}: a camera here has no directions 90 deg from its axis; state that, or crop the image"
+        )
         return NotIdentified(reason, len(stars.snr))
     wide, tried, reasons = replace(settings, fov_tolerance=MIDDLE_TOLERANCE), 0, []
     for mirrored in (False, True):

@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
@@ -37,8 +36,8 @@ __all__ = [
 FISHEYE_RAD = math.radians(70.0)
 # Angle from the axis to the corners, rad, from which the same is done with a known camera.
 _CORNER_RAD = math.radians(55.0)
-# Largest field of view, rad, along columns: at 90 degrees from the axis a direction has no place in the
-# camera's tangent plane.
+# Largest field of view, rad, along columns that can be stated: at 90 degrees from the axis a direction has no
+# place in the camera's tangent plane. Wider lenses are fitted to there.
 WIDEST_RAD = math.radians(175.0)
 # Half of the width, rad, of the middle that is identified: bright stars are enough there, and an equidistant
 # lens differs by less than 1 % from any other (set by hand).
@@ -48,8 +47,6 @@ _MIDDLE_RAD = math.radians(20.0)
 MIDDLE_TOLERANCE = 0.3
 # Nominal field of view, rad, below which a lens may be a tangent one: they image 110 deg at most.
 _TANGENT_RAD = math.radians(125.0)
-# Angle from the axis, rad, to which a polynomial stands for a projection.
-_POLYNOMIAL_RAD = math.radians(88.0)
 
 
 @record
@@ -100,19 +97,15 @@ def wide_lenses(nominal: StarCamera) -> tuple[StarCamera, ...]:
     """Lenses with the focal length, detector and principal point of `nominal`: equidistant, equisolid,
     stereographic and, of a field that such lenses have, tangent.
 
-    The second and third are equidistant ones with q1, q2 and q3, good to 0.1 px of 1000.
+    The second is an equidistant one with q1, q2 and q3, those of the series of 2 sin(t/2).
     """
     f_mm = 1e3 * nominal.focal_m
-    angle = np.linspace(0.0, _POLYNOMIAL_RAD, 200)[1:]
-
-    def of(radius: NDArray[np.float64]) -> StarCamera:
-        powers = angle[:, None] ** [3, 5, 7]
-        q1, q2, q3 = np.linalg.lstsq(powers, radius - angle, rcond=None)[0].tolist()
-        return replace(equidistant, q1=q1 / f_mm**2, q2=q2 / f_mm**4, q3=q3 / f_mm**6)
-
     equidistant = replace(
         nominal, projection="equidistant", p1=0.0, p2=0.0, q1=0.0, q2=0.0, q3=0.0, smooth=None
     )
-    tangent = replace(equidistant, projection="tangent")
-    fisheyes = equidistant, of(2.0 * np.sin(0.5 * angle)), of(2.0 * np.tan(0.5 * angle))
+    equisolid = replace(
+        equidistant, q1=-1.0 / 24.0 / f_mm**2, q2=1.0 / 1920.0 / f_mm**4, q3=-1.0 / 322560.0 / f_mm**6
+    )
+    stereographic, tangent = (replace(equidistant, projection=kind) for kind in ("stereographic", "tangent"))
+    fisheyes = equidistant, equisolid, stereographic
     return (*fisheyes, tangent) if equidistant.fov_x_rad < _TANGENT_RAD else fisheyes

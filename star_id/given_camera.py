@@ -104,11 +104,13 @@ def focal_derivatives(camera: StarCamera, slopes: Floats, u_s: Floats) -> Floats
     from those by direction, `slopes` (N, 2, 3).
 
     An image point at r(t) from the axis, t its angle, has the derivatives r by the former and -sin(t) r'(t)
-    by the z of the direction: r = f tan t or f t.
+    by the z of the direction: r = f tan t, f t or 2 f tan(t/2).
     """
     z = u_s[:, 2]
     if camera.projection == "tangent":
         factor = z
+    elif camera.projection == "stereographic":
+        factor = np.ones_like(z)
     else:
         angle = np.maximum(np.arccos(np.minimum(z, 1.0)), 1e-9)
         factor = angle / np.sin(angle)

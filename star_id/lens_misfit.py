@@ -458,9 +458,9 @@ def _stretch_derivatives(camera: StarCamera, xy_px: Floats) -> Floats:
 
 
 def _slope_points(camera: StarCamera) -> Floats:
-    """(4, 2) the image's centre, the pixel above it, and the middles of the left and right edges, px."""
+    """(4, 2) the image's centre, the pixel above it, and the ends of the middle row, px."""
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
-    return np.array([[x, y], [x, y - 1.0], [-0.5, y], [camera.width_px - 0.5, y]])
+    return np.vstack([[x, y], [x, y - 1.0], camera.row_ends_px()])
 
 
 def _slopes_of(camera: StarCamera, points: Floats, moved: Floats) -> Floats:

@@ -1,12 +1,14 @@
-"""The lens model that the stars of many images show: Brown's, Kannala and Brandt's, or either with a smooth
-distortion, chosen by evidence.
+"""The lens model that the stars of many images show: Brown's, Kannala and Brandt's or a stereographic lens's,
+or one of these with a smooth distortion, chosen by evidence.
 
 Brown's model to q2 is kept unless a smooth distortion (`geometry.smooth_distortion`) explains more than
-chance, or the other projection, or q3. A coefficient of degree n has a Gaussian prior of variance t^2 / 2^n,
-so terms of rising degree count as far as the stars determine them. The size t is that of the largest
-evidence, noise of unknown scale and all rotations and camera parameters marginalised. It stays in the stated
-errors: where there are no stars, the distortion is known no better than that. Models of like evidence differ
-by more than the errors of each: the covariance is the mean of theirs, with their differences.
+chance, or another projection, or q3. Fisheyes are tried with the stereographic projection, too, which a
+polynomial about the equidistant one does not follow near 90 degrees; the widest are not tried with Brown's. A
+coefficient of degree n has a Gaussian prior of variance t^2 / 2^n, so terms of rising degree count as far as
+the stars determine them. The size t is that of the largest evidence, noise of unknown scale and all rotations
+and camera parameters marginalised. It stays in the stated errors: where there are no stars, the distortion is
+known no better than that. Models of like evidence differ by more than the errors of each: the covariance is
+the mean of theirs, with their differences.
 
 What even this leaves is seen in neighbouring stars of different images: the mean product of their residuals
 is the variance of the unmodelled map, free of noise. A step where a detector is stitched displaces few near
@@ -50,7 +52,13 @@ _SEEN = 4.0
 # Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
 # all: exceeded by one good star in 3000, exp(-16 / 2).
 _OUTLIER_CHI2 = 16.0
-# Ratio of stars without gross errors from which they are those of the other projection: Brown's loses the
+# Angle of a star from the axis, rad, beyond which a lens may be stereographic: to there q1 to q3 follow
+# tan(t/2) to 1e-7 of the radius.
+_STEREOGRAPHIC_RAD = np.radians(45.0)
+# Angle of a star from the axis, rad, beyond which a lens has no tangent projection: lenses with one image
+# 110 deg at most, their corners 65 deg from the axis.
+_TANGENT_RAD = np.radians(70.0)
+# Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
 _CLEARLY_MORE = 1.1
 # Most rounds of rejecting outliers and fitting again (set by hand).
@@ -93,16 +101,12 @@ class LensModel:
 def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> LensModel:
     """Lens model of identified stars (N) of K images; `camera` and `rotations` (K,) are approximate.
 
-    A projection whose fit fails, as Brown's does for the widest fields, is not chosen;
-    `numpy.linalg.LinAlgError` where both fail.
+    A projection whose fit fails is not chosen; `numpy.linalg.LinAlgError` where all fail.
     """
-    brown = replace(camera, smooth=None, q3=0.0, projection="tangent")
-    if camera.projection != "tangent":
-        brown = replace(brown, q1=0.0, q2=0.0)
-    fisheye = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
-    fits = [*_each(lambda base: _good_stars(stars, base, rotations), (brown, fisheye))]
+    bases = _projections(stars, camera, rotations)
+    fits = [*_each(lambda base: _good_stars(stars, base, rotations), bases)]
     if not fits:
-        raise np.linalg.LinAlgError("neither projection can be fitted")
+        raise np.linalg.LinAlgError("no projection can be fitted")
     plain, good = max(fits, key=lambda fit: fit[1].sum())
     if good.sum() < _CLEARLY_MORE * fits[0][1].sum():
         plain, good = fits[0]
@@ -113,10 +117,10 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
         u_i=stars.u_i[good],
         frame=stars.frame[good],
     )
-    cases = [(base, free) for free in (PARAMETERS, (*PARAMETERS, Q3)) for base in (brown, fisheye)]
+    cases = [(base, free) for free in (PARAMETERS, (*PARAMETERS, Q3)) for base in bases]
     trials = [*_each(lambda case: _Trial.of(inner, case[0], rotations, case[1]), cases)]
     if not trials:
-        raise np.linalg.LinAlgError("neither projection can be fitted to the stars without gross errors")
+        raise np.linalg.LinAlgError("no projection can be fitted to the stars without gross errors")
     first = trials[0]
     best = max(trials, key=lambda trial: trial.log_evidence)
     is_plain = not first.size_px and first.camera.projection == plain.camera.projection
@@ -125,6 +129,20 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
     else:
         chosen = _model(plain, PARAMETERS) if is_plain else first.model(stars)
     return chosen if chosen.size_px else replace(chosen, covariance=_covariance(chosen.camera, trials))
+
+
+def _projections(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> tuple[StarCamera, ...]:
+    """The start of each projection that a lens with these stars may have."""
+    brown = replace(camera, smooth=None, q3=0.0, projection="tangent")
+    if camera.projection != "tangent":
+        brown = replace(brown, q1=0.0, q2=0.0)
+    equidistant = replace(brown, projection="equidistant", q1=0.0, q2=0.0)
+    stereographic = replace(equidistant, projection="stereographic")
+    along_axis = np.einsum("nj,nj->n", rotations.as_matrix()[stars.frame, 2], stars.u_i)
+    widest = np.arccos(np.clip(along_axis.min(), -1.0, 1.0))
+    if widest > _TANGENT_RAD:
+        return equidistant, stereographic
+    return (brown, equidistant, stereographic) if widest > _STEREOGRAPHIC_RAD else (brown, equidistant)
 
 
 def _each(fit: Callable[[_Case], _Fitted], cases: Iterable[_Case]) -> Iterator[_Fitted]:

@@ -271,7 +271,10 @@ def _facts(record: dict[str, Any], found: FieldSolution) -> str:
 def check_field(fov_deg: float | None) -> None:
     """`RawDataError` for a stated field of view that no camera here has."""
     if fov_deg is not None and not 0.5 < fov_deg <= np.degrees(WIDEST_RAD):
-        expected = "between 0.5 and 175 degrees: 90 from the axis a camera has no directions; crop the image"
+        expected = (
+            "between 0.5 and 175 degrees: 90 from the axis a camera has no directions;"
+            " state 175, or crop the image"
+        )
         raise RawDataError("--fov", "value", f"{fov_deg}", expected)
 
 

@@ -45,6 +45,12 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["CameraRequest", "calibrate_from_images"]
 
+# What the console says of a projection other than f tan t.
+_OTHER_PROJECTIONS = {
+    "equidistant": " (Kannala and Brandt): angles from the axis, not their tangents",
+    "stereographic": ": tangents of half the angles from the axis, twice, not of the angles",
+}
+
 
 @record(kw_only=True)
 class CameraRequest:
@@ -211,7 +217,7 @@ def _foreign(result: CameraCalibration) -> list[str]:
     """What the lens has beyond Brown's model to q2."""
     camera, lines = result.camera, []
     if camera.projection != "tangent":
-        lines.append("projection  equidistant (Kannala and Brandt): angles from the axis, not their tangents")
+        lines.append(f"projection  {camera.projection}{_OTHER_PROJECTIONS[camera.projection]}")
     if camera.smooth is not None:
         size, degree = result.smooth_size_px, camera.smooth.degree
         lines.append(f"smooth distortion  degree {degree}, 1-sigma size {size:.3f} px before the fit")

@@ -375,8 +375,11 @@ class StarCameraFile(_Strict):
     ]
     bit_depth: BitDepth
     projection: Annotated[
-        Literal["tangent", "equidistant"],
-        Field(description='distance from the axis at an angle t: "tangent": f tan t, "equidistant": f t'),
+        Literal["tangent", "equidistant", "stereographic"],
+        Field(
+            description="distance from the axis at an angle t:"
+            ' "tangent": f tan t, "equidistant": f t, "stereographic": 2 f tan(t/2)'
+        ),
     ] = "tangent"
     distortion: StarDistortion
 

@@ -331,13 +331,11 @@ def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
 
 
 def single_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
-    """The camera of a star_camera.toml for single images: as `star_camera_of`, but corners of a fisheye's
-    detector may lie behind the camera."""
+    """The camera of a star_camera.toml for single images: as `star_camera_of`, but of a fisheye all but the
+    middle of the detector may lie behind the camera."""
     if file.projection == "tangent":
         return star_camera_of(file, name)
-    right, low = file.width_px - 0.5, file.height_px - 0.5
-    x, y = 0.5 * (file.width_px - 1), 0.5 * (file.height_px - 1)
-    return _invertible(file, name, np.array([[-0.5, y], [right, y], [x, -0.5], [x, low]]))
+    return _invertible(file, name, np.array([[0.5 * (file.width_px - 1), 0.5 * (file.height_px - 1)]]))
 
 
 def _invertible(file: schema.StarCameraFile, name: str, places: Floats) -> StarCamera:

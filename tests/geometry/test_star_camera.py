@@ -39,6 +39,7 @@ SIXTH = replace(BOLD, q3=-3e-8)  # Brown to r^6
 CAMERAS = [PAPER, BOLD, SIXTH]
 # Kannala and Brandt's lens, 60 deg wide, and a detector that is not flat
 FISHEYE = replace(BOLD, focal_m=0.009, p1=0.0, p2=0.0, q1=-6e-4, q2=2e-6, q3=-4e-8, projection="equidistant")
+STEREOGRAPHIC = replace(FISHEYE, projection="stereographic")
 WAVY = replace(
     BOLD,
     smooth=SmoothDistortion(
@@ -94,7 +95,19 @@ def test_a_fisheye_projects_as_opencv_does():
     assert np.abs(FISHEYE.pixels_from_directions(u_s) - opencv[:, 0]).max() < 1e-6
 
 
-@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
+def test_a_stereographic_lens_projects_from_the_opposite_point_of_the_sphere():
+    """To 89 deg from the axis: Snyder 1987, eqs. 21-2 to 21-4, a sphere seen from its far end."""
+    lens = replace(STEREOGRAPHIC, q1=0.0, q2=0.0, q3=0.0)
+    angle, about = np.radians(np.linspace(0.5, 89.0, 60)), np.linspace(0.0, 9.0, 60)
+    u_s = np.column_stack([np.sin(angle) * np.cos(about), np.sin(angle) * np.sin(about), np.cos(angle)])
+    k = 2.0 / (1.0 + u_s[:, 2])
+    expected = lens.principal_px - lens.focal_m / lens.pixel_m * k[:, None] * u_s[:, :2]
+    np.testing.assert_allclose(lens.pixels_from_directions(u_s), expected, atol=1e-9)  # px
+    np.testing.assert_allclose(lens.directions_from_pixels(expected), u_s, atol=1e-12)  # rad
+    assert np.isnan(lens.directions_from_pixels([[lens.principal_px[0] + 3601.0, 912.8]])).all()  # 90.02 deg
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, STEREOGRAPHIC, WAVY])
 def test_pixels_come_back_from_their_directions(camera):
     # 1e-9 px over the whole detector, as asked.
     xy_px = detector_points(camera)
@@ -151,7 +164,7 @@ def test_the_corner_of_table_2_moves_by_a_few_pixels():
     assert 3.0 < np.linalg.norm(moved) < 12.0
 
 
-@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, STEREOGRAPHIC, WAVY])
 def test_jacobian_is_the_derivative(camera):
     # Central differences over 2e-3 px: error 1e-16 / 1e-3 of rounding against 2e-4 rad/px.
     xy_px = detector_points(camera, 200)
@@ -220,7 +233,7 @@ def test_any_moderate_lens_is_inverted(x, y, p, q):
     assert np.abs(back - [[x, y]]).max() < 1e-9  # px
 
 
-@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, WAVY])
+@pytest.mark.parametrize("camera", [*CAMERAS, FISHEYE, STEREOGRAPHIC, WAVY])
 def test_slopes_of_pixels_are_the_pseudo_inverse_of_the_jacobian_everywhere(camera):
     xy = np.random.default_rng(3).uniform(0, [camera.width_px - 1, camera.height_px - 1], (200, 2))
     found, expected = camera.pixel_slopes(xy), np.linalg.pinv(camera.pixel_jacobian(xy))
@@ -234,3 +247,19 @@ def test_the_radius_of_the_field_is_the_angle_to_the_outer_edge_of_the_corner_pi
     # f = 1 pixel; corners are (-0.5 or 2.5, -0.5 or 1.5): the farthest is another one each time
     far = [max(at + 0.5, size - 0.5 - at) for at, size in zip(principal_px, (3, 2))]
     assert tiny.field_radius_rad == pytest.approx(np.arctan(np.hypot(*far)), abs=1e-12)
+
+
+def test_the_field_of_view_of_a_fisheye_with_edges_behind_the_camera_ends_89_degrees_from_its_axis():
+    lens = StarCamera(
+        focal_m=1e-3,
+        pixel_m=1e-5,
+        width_px=401,
+        height_px=101,
+        principal_px=(170.0, 50.0),
+        projection="equidistant",
+    )
+    # 100 px a radian: the left edge is 97.7 deg from the axis, the right one farther; 89 deg are 155.3 px
+    assert lens.row_ends_px().tolist() == [[15.0, 50.0], [325.0, 50.0]]
+    assert lens.fov_x_rad == pytest.approx(3.10, abs=1e-6)
+    narrow = replace(lens, focal_m=2e-3)  # its edges are seen
+    assert narrow.row_ends_px().tolist() == [[-0.5, 50.0], [400.5, 50.0]]

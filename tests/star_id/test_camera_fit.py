@@ -29,6 +29,7 @@ CAMERA = replace(
 )
 
 FISHEYE = replace(CAMERA, q1=3e-6, q3=2e-12, projection="equidistant")
+STEREOGRAPHIC = replace(FISHEYE, projection="stereographic")
 
 
 def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
@@ -39,7 +40,7 @@ def perturbed(camera: StarCamera, name: str, step: float) -> StarCamera:
     return replace(camera, **{name: getattr(camera, name) + step})
 
 
-@pytest.mark.parametrize("camera", [CAMERA, FISHEYE])
+@pytest.mark.parametrize("camera", [CAMERA, FISHEYE, STEREOGRAPHIC])
 def test_derivatives_are_those_of_the_camera(camera):
     xy = detector_grid(camera)
     u_s = camera.directions_from_pixels(xy)

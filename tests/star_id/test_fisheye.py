@@ -61,7 +61,7 @@ def test_a_fisheye_is_identified_to_its_edges(kind, fov_deg, index):
     assert found.matches > 0.93 * inside
     xy, known = directions(found.camera)
     off = lens.pixels_from_directions(R_si.apply(found.R_si.inv().apply(known))) - xy
-    # two hundred stars of 0.02 to 0.2 px; the stereographic lens's polynomial is good to 0.2 px near the rim
+    # two hundred stars of 0.02 to 0.2 px
     assert np.hypot(*off.T).max() < 0.6
 
 
@@ -92,6 +92,9 @@ def test_a_mirrored_fisheye_is_said_to_be_one(index):
     stars = seen(lens, R_si, 2).mirrored(WIDTH)
     found = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=np.radians(150.0))
     assert isinstance(found, FieldSolution) and found.mirrored
+    nominal = nominal_camera(SIZE, np.radians(150.0))
+    refused = calibrate_camera([SkyFrame("one", stars)], nominal, index, SETTINGS)
+    assert isinstance(refused, NotIdentified) and "reverse the order of its columns" in refused.reason
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,8 @@ def test_a_mirrored_fisheye_is_said_to_be_one(index):
         ("equisolid", 80, 0.1),
         ("stereographic", 120, 0.1),
         ("equisolid", 165, 0.1),
-        ("stereographic", 165, 0.4),
+        ("stereographic", 165, 0.1),
+        ("equisolid", 180, 0.1),  # its edges lie behind the camera
     ],
 )
 def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, most_px, index):
@@ -108,7 +112,8 @@ def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, most_px, index):
     lens = ForeignLens(fov_deg, KINDS[kind])
     rotations = [Rotation.random(random_state=10 * fov_deg + k) for k in range(4)]
     frames = [SkyFrame(f"{k}", seen(lens, R_si, k)) for k, R_si in enumerate(rotations)]
-    found = calibrate_camera(frames, nominal_camera(SIZE, np.radians(0.97 * fov_deg)), index, SETTINGS)
+    nominal = nominal_camera(SIZE, np.radians(min(0.97 * fov_deg, 175.0)))
+    found = calibrate_camera(frames, nominal, index, SETTINGS)
     assert not isinstance(found, NotIdentified), found.reason
     assert len(found.frames_used) == 4
     xy, _ = directions(found.camera)
@@ -118,7 +123,8 @@ def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, most_px, index):
     again = seen(lens, rotations[0], 7)
     known = solve_list(again, SIZE, index, SETTINGS, camera=found.camera)
     assert isinstance(known, FieldSolution)
-    assert known.matches > 0.9 * len(again.snr)
+    ahead = np.isfinite(found.camera.directions_from_pixels(again.xy_px)[:, 2])  # others have no name
+    assert known.matches > 0.9 * ahead.sum()
     error = (rotations[0] * known.R_si.inv()).magnitude()
     assert error < 0.2 / lens.focal_px  # rad of 0.2 px
 
@@ -129,7 +135,7 @@ def test_a_field_that_no_camera_here_has_is_refused_with_its_reason(index):
     assert isinstance(found, NotIdentified) and "at most 175 deg" in found.reason
 
 
-def test_polynomials_stand_for_the_projections():
+def test_lenses_from_which_fits_start_are_those_of_their_names():
     nominal = nominal_camera(SIZE, np.radians(100.0), "equidistant")
     angle = np.radians(np.linspace(0.5, 86.0, 100))
     u_s = np.column_stack([-np.sin(angle), 0.0 * angle, np.cos(angle)])
@@ -138,4 +144,4 @@ def test_polynomials_stand_for_the_projections():
         if radius is np.tan:
             u_s, angle = u_s[:70], angle[:70]
         x = camera.pixels_from_directions(u_s)[:, 0] - camera.principal_px[0]
-        np.testing.assert_allclose(x / focal_px, radius(angle), atol=2e-4)  # 0.2 px of 1000
+        np.testing.assert_allclose(x / focal_px, radius(angle), atol=3e-7)  # the series' next term

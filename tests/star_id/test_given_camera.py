@@ -10,7 +10,7 @@ from frames import PLACES, SMALL_CAMERA, directions_of, listed_stars, stars_in_v
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
-from boresight.star_id.given_camera import fit_known_camera
+from boresight.star_id.given_camera import fit_known_camera, focal_derivatives
 
 SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
 MIDDLE = 0.5 * (SIZE - 1.0)
@@ -124,7 +124,20 @@ def test_attitudes_of_the_camera_that_was_given_are_those_of_its_stars():
     assert (fit.R_si * plain.R_si.inv()).magnitude() < 1e-6 * np.sqrt(np.trace(plain.cov_s))
 
 
-@pytest.mark.parametrize("projection", ["tangent", "equidistant"])
+@pytest.mark.parametrize("projection", ["tangent", "equidistant", "stereographic"])
+def test_pixels_move_with_the_focal_length_as_derived(projection):
+    camera = replace(SMALL_CAMERA, focal_m=0.02, projection=projection, q1=3e-4, q2=-1e-6)
+    xy = np.random.default_rng(3).uniform(0.0, SIZE - 1.0, (50, 2))
+    u_s, step = camera.directions_from_pixels(xy), 1e-5
+    more, less = (
+        replace(camera, focal_m=0.02 * np.exp(h)).pixels_from_directions(u_s) for h in (step, -step)
+    )
+    found = focal_derivatives(camera, camera.pixel_slopes(xy), u_s)
+    # px, of 600 at most: the slopes are differences; the factor of another projection is off by 5 px
+    np.testing.assert_allclose(found, (more - less) / (2.0 * step), atol=0.01)
+
+
+@pytest.mark.parametrize("projection", ["tangent", "equidistant", "stereographic"])
 def test_directions_with_their_derivatives_are_those_without(projection):
     camera = replace(SMALL_CAMERA, projection=projection, q1=SMALL_CAMERA.q1 + 1e-6)
     xy = np.random.default_rng(2).uniform(0.0, SIZE - 1.0, (50, 2))

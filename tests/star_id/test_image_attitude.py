@@ -63,7 +63,7 @@ def test_stars_at_one_place_fix_no_attitude():
         fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy[one]), cov[one], u_i[one], R_si, FALSE_ALARM)
 
 
-@pytest.mark.parametrize("projection", ["tangent", "equidistant"])
+@pytest.mark.parametrize("projection", ["tangent", "equidistant", "stereographic"])
 def test_slopes_of_pixels_are_the_inverse_of_those_of_directions(projection):
     camera = replace(SMALL_CAMERA, projection=projection, q1=SMALL_CAMERA.q1 + 1e-6)
     xy = np.random.default_rng(2).uniform(0.0, SIZE - 1.0, (50, 2))
