@@ -58,6 +58,21 @@ def test_a_place_outside_a_regional_grid_is_an_error():
             geoid.undulation_m(np.radians(lat), np.radians(lon))
 
 
+@pytest.mark.parametrize("step_deg", [-0.2, 0.2])
+def test_a_millionth_of_a_step_beyond_the_first_and_last_parallel_belongs_to_the_grid(step_deg):
+    # 6 rows of 11 values; on the outermost parallels the undulation is that of their row, whichever is north
+    grid = np.arange(66, dtype=np.float32).reshape(6, 11)
+    lat, lon, step = np.radians(45.0), np.radians(10.0), np.radians(step_deg)
+    geoid = Geoid(grid, lat, lon, step, np.radians(0.1))
+    at = lon + np.radians(0.3)
+    # 1e-4 m: the parallel is 11 m from the next, and single precision holds 66 m to 1e-5 m
+    assert geoid.undulation_m(lat - 0.9e-6 * step, at) == pytest.approx(3.0, abs=1e-4)
+    assert geoid.undulation_m(lat + (5.0 + 0.9e-6) * step, at) == pytest.approx(58.0, abs=1e-4)
+    for row in (-1.1e-6, 5.0 + 1.1e-6):
+        with pytest.raises(ValueError, match="outside the geoid grid"):
+            geoid.undulation_m(lat + row * step, at)
+
+
 def test_a_grid_with_holes_is_refused():
     grid = np.zeros((3, 3), np.float32)
     grid[1, 1] = np.nan

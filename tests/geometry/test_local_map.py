@@ -37,6 +37,32 @@ def test_there_is_none_where_no_polynomial_will_do():
     assert fit_local_map(lambda u, v: (u * np.nan, v), (0.0, 1.0), (0.0, 1.0), 1e-7) is None
 
 
+def test_a_map_of_third_degree_is_found_with_all_of_its_coefficients():
+    # every power up to a total of three has a coefficient of its own; 1e-10: rounding of sums near 300
+    given = np.arange(1.0, 33.0).reshape(2, 4, 4)
+    given[:, np.add.outer(np.arange(4), np.arange(4)) > 3] = 0.0
+
+    def cubic(u, v):
+        x, y = (u - 0.3) / 0.2, (v + 1.1) / 0.05
+        return tuple(np.polynomial.polynomial.polyval2d(x, y, each) for each in given)
+
+    found = fit_local_map(cubic, (0.1, 0.5), (-1.15, -1.05), 1e-9)
+    assert found is not None
+    assert found.coefficients.shape == given.shape
+    np.testing.assert_allclose(found.coefficients, given, rtol=0, atol=1e-10)
+
+
+def test_a_deviation_between_the_nodes_of_the_fit_is_found():
+    # a fiftieth of the region wide, halfway from its middle to two of its edges, where no degree has a node
+    def bumpy(u, v, height):
+        bump = np.exp(-(((u - 0.5) / 0.01) ** 2) - ((v + 0.5) / 0.01) ** 2)
+        return u + 0.3 * v**2 + height * bump, v
+
+    region = (-1.0, 1.0), (-1.0, 1.0)
+    assert fit_local_map(lambda u, v: bumpy(u, v, 0.0), *region, 1e-7) is not None
+    assert fit_local_map(lambda u, v: bumpy(u, v, 1e-3), *region, 1e-7) is None
+
+
 def test_a_terrain_answers_alike_inside_and_outside_the_region_of_its_polynomial():
     grid = TerrainGrid.from_raster(
         np.random.default_rng(2).uniform(0.0, 500.0, (300, 400)),

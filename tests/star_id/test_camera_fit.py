@@ -100,3 +100,23 @@ def test_a_prior_as_strong_as_the_data_meets_them_halfway():
     assert by_data.camera.q1 == approx(CAMERA.q1, rel=1e-9)
     # the model is not quite linear over 1 % of q1
     assert both.camera.q1 == approx(0.5 * (start.q1 + CAMERA.q1), rel=1e-5)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (-0.6, 0.8)])
+@pytest.mark.parametrize(("chi2", "kept"), [(14.5, True), (17.5, False)])
+def test_a_star_is_an_outlier_where_half_its_squared_residual_exceeds_16_mean_variances(
+    direction, chi2, kept
+):
+    """One star of 200 without noise is displaced; the fit follows it by its leverage, about 1 %."""
+    rng = np.random.default_rng(9)
+    xy = rng.uniform([0, 0], [5119, 3839], (200, 2))
+    xy[17] = 3400.0, 1200.0
+    R = Rotation.random(1, random_state=rng)
+    u_i = R[0].inv().apply(CAMERA.directions_from_pixels(xy))
+    var_x, var_y = 4e-2, 1e-2
+    xy[17] += np.sqrt(2.0 * chi2 * 0.5 * (var_x + var_y)) * np.array(direction)
+    covariances = np.tile(np.diag([var_x, var_y]), (200, 1, 1))
+    stars = IdentifiedStars(xy, covariances, u_i, np.zeros(200, dtype=np.int64), np.zeros(1))
+    found = fit_camera(stars, CAMERA, R, ("q1",))
+    assert found.keep[17] == kept
+    assert np.delete(found.keep, 17).all()

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, spline_filter
 
 from boresight.star_id.finding.background import estimate_background
 from boresight.star_id.finding.psf import FINE
-from boresight.star_id.finding.shape import detect_shape, estimate_shape, flat_image
+from boresight.star_id.finding.shape import _blobs, detect_shape, estimate_shape, flat_image
 
 
 def field(height: int, width: int) -> np.ndarray:
@@ -56,3 +56,17 @@ def test_memory_is_some_pictures_in_single_precision() -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 3.6 * 4 * image.size  # three pictures at once, and bands of some more
+
+
+def test_stars_with_a_saturated_pixel_at_most_two_from_their_middle_give_no_shape() -> None:
+    # 7 x 7 stars, each with one saturated pixel, from three to the left and above to three right and below
+    offset = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), axis=-1).reshape(-1, 2)
+    middle = np.array([230, 160]) + [60, 40] * offset
+    impulse = np.zeros((320, 460))
+    impulse[middle[:, 1], middle[:, 0]] = 1.0
+    flat = 2000.0 * gaussian_filter(impulse, 1.5).astype(np.float32)
+    image = np.zeros(flat.shape)
+    image[middle[:, 1] + offset[:, 1], middle[:, 0] + offset[:, 0]] = 255.0
+    found, _ = _blobs(image, flat, 255.0)
+    expected = middle[np.abs(offset).max(axis=1) == 3]
+    assert set(map(tuple, found.tolist())) == set(map(tuple, expected.tolist()))

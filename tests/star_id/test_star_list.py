@@ -19,6 +19,7 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.detect import detection_threshold
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import _subtract_dark, list_stars
+from boresight.star_id.finding.star_shape import _width_over_field
 from boresight.star_id.finding.windows import star_windows
 from boresight.star_id.score import cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
@@ -197,6 +198,15 @@ def test_a_field_dependent_width_is_found():
     psf = list_stars(image, TOLD_GAIN).psf
     assert psf.sigma_px == pytest.approx(1.0, abs=0.06)
     assert psf.sigma_corner_px == pytest.approx(1.5, abs=0.15)
+
+
+def test_the_width_grows_with_the_square_of_the_distance_from_the_middle_of_a_wide_image():
+    # 640 x 240 px, stars above the lower third only; 1 in the corners. 1e-9 px: no noise, only rounding
+    xy = np.random.default_rng(12).uniform(0.0, [639.0, 160.0], (200, 2))
+    corner2 = 0.5 * (((xy[:, 0] - 319.5) / 320.0) ** 2 + ((xy[:, 1] - 119.5) / 120.0) ** 2)
+    psf = Psf(sigma_px=1.0, sigma_corner_px=1.0, smear_px=(0.0, 0.0), width_px=640, height_px=240)
+    widths = _width_over_field(psf, xy, 1.3 + 0.6 * corner2, np.full(200, 0.02))
+    assert widths == pytest.approx((1.3, 1.9), abs=1e-9)
 
 
 def test_saturated_and_blended_stars_are_flagged():

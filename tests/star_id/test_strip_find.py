@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from strip_frames import Strip, noise_strip, trace
 
+from boresight.star_id.strip_stars.column_blocks import column_levels
 from boresight.star_id.strip_stars.find import StripMotion, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
@@ -88,3 +89,16 @@ def test_a_star_whose_middle_is_beside_the_detector_is_not_listed():
     found = found_in(seen, psf_sigma_px=0.55, gain_e_per_dn=60.0, false_alarms_per_strip=0.01)
     assert [round(float(y)) for y in found.xy_px[:, 1]] == [700]
     assert abs(found.xy_px[0, 0] - 0.3) < 4.0 * np.sqrt(found.cov_px[0, 0, 0])
+
+
+def test_light_of_six_sigmas_is_not_of_a_column_s_level_and_that_of_two_and_a_half_is():
+    # 8000 rows: 0.05 sigma and 5 % are more than four standard errors of a mean and of a standard deviation
+    level, sigma = np.linspace(90.0, 250.0, 9), np.linspace(6.0, 14.0, 9)
+    block = np.random.default_rng(14).normal(level, sigma, (8000, 9))
+    block[7::20, 1] = level[1] + 6.5 * sigma[1]
+    block[7::20, 6] = level[6] + 2.5 * sigma[6]
+    found = column_levels(np.rint(block).astype(np.uint16))
+    expected = level.copy()
+    expected[6] += 2.5 * sigma[6] / 20.0
+    assert (np.abs(found.level_dn - expected) / sigma).max() < 0.05
+    assert np.delete(found.noise_dn / sigma, 6) == pytest.approx(1.0, abs=0.05)
