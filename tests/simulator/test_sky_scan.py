@@ -1,16 +1,18 @@
 """Scans of the sky: where stars cross the detectors, and the charge that they leave."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pytest import approx
-from scipy.spatial.transform import Slerp
+from scipy.spatial.transform import Rotation, Slerp
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.starlight import apparent_star_directions
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_star_directions
 from boresight.pipeline.files.scenario_file import fly
 from boresight.simulator import mission
 from boresight.simulator.scenario import (
@@ -22,6 +24,7 @@ from boresight.simulator.scenario import (
     scenario_from_dict,
     scenario_to_dict,
 )
+from boresight.simulator.sky_scan import sky_around
 from boresight.star_id.whole_catalogue import all_hipparcos
 
 PLEIADES = SkyScan(56.75, 24.12, 2380.0, 20.0)
@@ -89,6 +92,44 @@ def test_a_star_crosses_where_the_pixel_looks_at_it(rate):
     assert len(hip) > 12
     # a catalogue's error of 0.03" per axis, and 4 s of the satellite's motion: 0.02"
     assert np.median(np.linalg.norm(u_i - looked_i, axis=1)) < 0.06 * ARCSEC
+
+
+def test_true_places_differ_from_the_catalogue_by_its_error_in_right_ascension_and_declination():
+    """4000 stars at 70° north, with unlike errors in 1991.25 that their proper motions enlarge until 2024."""
+    n, rng, zero = 4000, np.random.default_rng(6), np.zeros(4000)
+    middle_rad = np.radians([35.0, 70.0])  # right ascension and declination
+    place = np.column_stack([rng.uniform(-0.05, 0.05, n), rng.uniform(-0.02, 0.02, n)]) + middle_rad
+    fixed = dict.fromkeys(("pm_ra_rad_yr", "pm_dec_rad_yr", "parallax_arcsec", "radial_velocity_km_s"), zero)
+    places = StarPlaces(
+        hip=np.arange(n) + 1,
+        ra_rad=place[:, 0],
+        dec_rad=place[:, 1],
+        **fixed,
+        v_mag=zero,
+        b_v=zero,
+        epoch_jyear=1991.25,
+    )
+    sigma, sigma_pm = np.array([0.02, 0.7]) * ARCSEC, np.array([0.003, 0.001]) * ARCSEC  # every other star
+    each = np.arange(n) % 2
+    survey = SurveyedStars(
+        name="HIP", places=places, sigma_rad=sigma[each], sigma_pm_rad_yr=sigma_pm[each], single=zero == 0.0
+    )
+    R_oi = Rotation.from_euler("ZY", [middle_rad[0], np.pi / 2.0 - middle_rad[1]]).inv()
+    orbit = SimpleNamespace(
+        epoch=Epoch.from_utc("2024-01-01T12:00:00Z"),
+        states_i=lambda t_s: (np.array([[7e6, 0.0, 0.0]]), np.array([[0.0, 0.0, 7.5e3]])),
+    )
+    attitude = SimpleNamespace(scan=SimpleNamespace(t_s=0.0, R_oi_reference=R_oi))
+    settings = SkyStripSettings(uncatalogued_per_deg2=0.0)
+    found = sky_around(survey, attitude, 0.1, settings, orbit, np.random.default_rng(7))
+    assert len(found.hip) == n
+    moved = np.column_stack([found.ra_rad - place[:, 0], found.dec_rad - place[:, 1]])
+    moved[:, 0] *= np.cos(place[:, 1])
+    expected = np.sqrt(sigma**2 + (32.75 * sigma_pm) ** 2)[each]
+    normal = moved / expected[:, None]
+    # 5 sigma of a covariance of 2000 normal numbers of unit variance: 5 sqrt(2 / 2000)
+    for half in (normal[0::2], normal[1::2]):
+        assert np.cov(half.T) == approx(np.eye(2), abs=0.16)
 
 
 @pytest.mark.parametrize(

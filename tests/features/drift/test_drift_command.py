@@ -159,7 +159,7 @@ def test_numbers_of_a_walk_that_is_given_have_the_units_of_their_columns(tmp_pat
     sigma = np.array([[0.15, 0.4, 0.6], [0.9, 0.2, 0.35], [0.5, 0.7, 0.25]])  # arcsec
     for k in range(3):
         folder, of_one = tmp_path / f"m{k}", theta[k] * ARCSEC
-        write_result(folder, 30 * DAY_S * k, of_one, sigma=sigma[k] * ARCSEC, phase=0.5 + k)
+        write_result(folder, 30 * DAY_S * k, of_one, sigma=sigma[k] * ARCSEC, phase=0.5 + 2 * k)
     folders = [str(tmp_path / f"m{k}") for k in range(3)]
     ran = runner.invoke(app, ["drift", *folders, "--out", str(tmp_path / "out"), "--density", "0.7"])
     assert ran.exit_code == 0, ran.output
@@ -186,7 +186,9 @@ def test_numbers_of_a_walk_that_is_given_have_the_units_of_their_columns(tmp_pat
         own, walk = (values[k, a] - merged_variance[a] for values in (sigma**2, smooth_variance))
         assert float(row["sigma_arcsec"]) == pytest.approx(np.sqrt(own), abs=1e-4)
         assert float(row["smoothed_sigma_arcsec"]) == pytest.approx(np.sqrt(max(walk, 0.0)), abs=1e-4)
-        assert float(row["argument_of_latitude_deg"]) == pytest.approx(np.degrees(0.5 + k + 0.01), abs=1e-3)
+        assert float(row["argument_of_latitude_deg"]) == pytest.approx(
+            np.degrees(0.5 + 2 * k + 0.01), abs=1e-3
+        )
 
 
 def test_a_results_own_targets_are_eliminated_and_its_distortion_is_kept(tmp_path):

@@ -288,11 +288,11 @@ def test_figure_of_the_alignment_has_means_of_blocks_with_their_errors(dump, hea
     variance = of_axes(told["noise"], R_sh, lambda *noise: covariance(*noise, n_rows).mean())
     constant = [np.array(head["constant_arcsec"]) ** 2 for head in told["noise"]["heads"]]
     variance = variance + constant[0] + R_sh.as_matrix() ** 2 @ constant[1]
+    begin = open_dump(dump).heads[0].source.rows.t_s[0]
     for n, container in enumerate(figure.axes[0].containers):
         x, y = container.lines[0].get_data()
         assert np.allclose(y, [off[blocks == k, n].mean() for k in range(5)], atol=0.02)  # arcsec
         late = (n - 1) * 0.004 * (x[-1] - x[0])  # the three axes beside one another
-        begin = x[0] - late - np.mean(t[blocks == 0])
         assert np.allclose(x - late, [begin + t[blocks == k].mean() for k in range(5)], atol=1e-3)
         heights = [np.ptp(segment[:, 1]) / 2.0 for segment in container.lines[2][0].get_segments()]
         # The error of a mean over many correlation times: 1 + 2 τ / T at most above the exact one.

@@ -12,8 +12,9 @@ import pytest
 
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.dumps_page import _angles
-from boresight.pipeline.report.map_view import WIDTH, _check, _layout, map_view
+from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.star_image import star_detection
 from boresight.pipeline.report.strip_stars import strip_star_rows
 
 
@@ -126,6 +127,38 @@ def test_scenes_stand_beside_one_another_each_in_a_cell_of_its_own() -> None:
     for n in range(3):
         assert n % columns * WIDTH / columns < places[n][0] < (n % columns + 1) * WIDTH / columns
     assert all(0.0 < y < view.height for _, y in places.values())
+
+
+def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> None:
+    boxes = [[-1e3, -5e2, 11e3, 85e2], [3e3, 4e3, 7e3, 5e3], [-9e3, 2e2, 1e3, 5e3], [0.0, 0.0, 5e2, 3e3]]
+    scenes = [
+        {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": f"s{n}", "outlines_m": []}]}
+        for n, box in enumerate(boxes)
+    ]
+    west, south, east, north = np.array(boxes).T
+    residual = dict.fromkeys(("residual_east_m", "residual_north_m", "residual_m"), [1.0] * 4)
+    ground = {"scene": [0, 1, 2, 3], "east_m": (west + east) / 2, "north_m": (south + north) / 2} | residual
+    saved = SimpleNamespace(
+        context={"scenes": scenes}, ground=pa.table(ground), map=pa.table({}), validation={}
+    )
+    view = map_view(saved, [card(n) for n in range(4)])  # type: ignore[arg-type]
+    assert view is not None
+    places = {spot.row.row: (spot.x, spot.y) for spot in view.spots}
+    columns, _ = _layout(4, np.array([12e3, 9e3]))  # of the largest scene
+    assert 1 < columns < 4
+    tall = 9e3 / view.metres
+    for n in range(4):
+        row, column = divmod(n, columns)
+        middle = (column + 0.5) * WIDTH / columns, row * (tall + CAPTION + GAP) + CAPTION + 0.5 * tall
+        assert places[n] == pytest.approx(middle, abs=0.01)  # rounded
+
+
+@pytest.mark.parametrize(("snr", "r"), [(0.3, 0.6), (10.0, 0.9), (251.19, 1.32), (1000.0, 1.5), (1e7, 1.5)])
+def test_the_mark_of_a_star_grows_by_0_3_for_ten_times_the_signal_to_noise_ratio(
+    snr: float, r: float
+) -> None:
+    mark = star_detection(12.0, 7.0, snr, "used", {"used": "identified"}, "HIP 5")
+    assert mark.r == pytest.approx(r, abs=1e-9)
 
 
 def test_the_arrow_of_a_check_point_is_its_error_to_scale_and_points_the_right_way() -> None:

@@ -16,7 +16,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.geodesy import local_axes_e
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.report.ground_map import NODES, _lattice_map
+from boresight.pipeline.report.ground_map import NODES, _joined, _lattice_map
 from boresight.pipeline.report.strip_overview import BAND_LINES, overview
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
@@ -79,3 +79,15 @@ def test_a_picture_on_the_lattice_has_its_pixels_at_their_centres():
     # OpenCV interpolates at 1/32 of a lattice step, of 2 px.
     np.testing.assert_allclose(x, np.broadcast_to(np.arange(columns), x.shape), atol=2.0 / 32.0)
     np.testing.assert_allclose(y, np.broadcast_to(np.arange(rows)[:, None], y.shape), atol=2.0 / 32.0)
+
+
+def test_a_quicklook_of_two_ccds_is_grey_from_its_first_to_its_last_hundredth():
+    left, right = (np.full((3, 200), np.nan, dtype=np.float32) for _ in range(2))
+    left[0], left[1, :51] = 2000.0 + np.arange(200), 7.0  # 7: beneath the other CCD
+    right[1] = 2200.0 + np.arange(200)
+    seen = np.arange(400).reshape(2, 200)  # above the darkest grey value of 2000
+    # percentiles 1 and 99 of 0 ... 399
+    expected = np.clip(255.0 * (seen - 3.99) / (395.01 - 3.99), 0.0, 255.0)
+    found = _joined([left, right])
+    np.testing.assert_allclose(found[:2], expected, atol=0.51)  # rounded
+    np.testing.assert_array_equal(found[2], 0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from boresight.calib.calibration import calibrate_strips
+from boresight.calib.forecast import Forecast
 from boresight.features.paper.vector_experiments import TABLE_1
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.stages.plan_forecast import forecast_of_plan, settings_of_plan
@@ -32,6 +33,15 @@ def test_strips_needed_is_the_least_number_that_reaches_the_target():
     assert n is not None
     assert np.all(found.sigma(n) <= target) and not np.all(found.sigma(n - 1) <= target)
     np.testing.assert_array_equal(found.floor(), 0.0)
+
+
+@pytest.mark.parametrize("needed", range(1, 41))
+def test_strips_needed_for_independent_axes_are_the_largest_ratio_of_variances(needed):
+    sigma_one = np.array([0.4, 1.7, 0.9]) * ARCSEC
+    found = Forecast(np.diag(sigma_one**-2.0), np.zeros((0, 0)), sigma_observable_rad=1.0)
+    # Between the 1-sigmas after `needed` and one strip fewer, sigma_one / sqrt(n), of the worst axis.
+    assert found.strips_for(sigma_one[1] / np.sqrt(needed - 0.5)) == needed
+    assert found.strips_for(sigma_one[1] / np.sqrt(needed - 0.01)) == needed
 
 
 def test_what_the_strips_share_sets_a_floor_that_no_number_of_strips_breaks():
