@@ -56,3 +56,15 @@ def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int,
     assert np.abs(across).max() < 0.005 * ARCSEC
     turned = (reported * ATTITUDES[k].inv()).magnitude()
     assert removed == "annual and orbital" or turned > 0.8 * ARCSEC
+
+
+def test_apparent_line_of_sight_takes_the_place_of_the_reported_one_by_the_smallest_rotation() -> None:
+    """Three attitudes at unlike velocities of 0.1 c and more, at which an arc differs from its sine."""
+    velocities = SPEED_OF_LIGHT * np.array([[0.3, -0.1, 0.05], [-0.02, 0.11, 0.06], [0.1, 0.2, -0.35]])
+    R_si, axis_s = BOLD * ATTITUDES[:3], np.array([0.48, -0.6, 0.64])
+    got = with_all_aberration(R_si, "annual", EPOCH, TIMES_S[:3], velocities, line_of_sight_s=axis_s)
+    b = R_si.inv().apply(axis_s)
+    a = np.vstack([seen_by(one[None], v) for one, v in zip(b, velocities)])
+    np.testing.assert_allclose(got.apply(a), np.tile(axis_s, (3, 1)), atol=1e-13)  # rounding
+    turned = (R_si.inv() * got).magnitude()
+    np.testing.assert_allclose(turned, np.arccos(np.einsum("ni,ni->n", a, b)), atol=1e-13)
