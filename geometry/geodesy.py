@@ -17,7 +17,6 @@ __all__ = [
     "distances_to_shell",
     "ecef_from_geodetic",
     "ellipsoid_normals",
-    "geodetic_along_paths",
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
@@ -54,62 +53,6 @@ def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Arr
             ellipsoid.semi_major_m, ellipsoid.flattening, np.asarray(p_e, dtype=float)
         )
     return lat, lon, height
-
-
-def geodetic_along_paths(middle_e: Array, half_e: Array, ellipsoid: Ellipsoid) -> Array:
-    """Geodetic coordinates of the points `middle_e + s half_e`, -1 <= s <= 1, of short straight paths.
-
-    Cubic in s about the exact coordinates of the middle: the distance r + ds from the Earth's axis gives the
-    longitude and the place in the meridian plane, whose radius of curvature gives latitude and height. Of the
-    flattening only the second order is kept. Within 1e-6 m for paths of 2 km of ground and 4 km of height
-    below 80 deg of latitude, up to 10 km above the ellipsoid; at the poles longitude is no such series.
-
-    Parameters
-    ----------
-    middle_e, half_e : (N, 3) arrays
-        Middles of the paths and halves of their lengths, frame e, m.
-    ellipsoid : Ellipsoid
-        Reference ellipsoid, usually `WGS84`.
-
-    Returns
-    -------
-    coefficients : (4, 3, N) array
-        Of s^0 to s^3 in latitude and longitude, rad, and height above the ellipsoid, m.
-    """
-    x, y, z = np.ascontiguousarray(half_e.T)
-    x0, y0, z0 = np.ascontiguousarray(middle_e.T)
-    a, b, e2 = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, ellipsoid.eccentricity_squared
-    r2 = x0 * x0 + y0 * y0
-    r = np.sqrt(r2)
-    # latitude by one step of Bowring's (1976, Survey Review 23, 323), then from the height at that latitude
-    stretched = z0 * (a / b)
-    scale = 1.0 / np.sqrt(r2 + stretched * stretched)
-    sin, cos = stretched * scale, r * scale
-    rise, run = z0 + (e2 * a * a / b) * sin * sin * sin, r - (e2 * a) * cos * cos * cos
-    scale = 1.0 / np.sqrt(rise * rise + run * run)
-    sin, cos = rise * scale, run * scale
-    square = 1.0 - e2 * sin * sin
-    root = np.sqrt(square)
-    normal, square, height = a / root, 1.0 / square, r * cos + z0 * sin - a * root
-    lat = np.arctan(z0 * (normal + height) / (r * ((1.0 - e2) * normal + height)))
-    lon = np.arctan2(y0, x0)
-    radius = (1.0 - e2) * normal * square + height
-    east, outward = (x0 * y - y0 * x) / r, (x0 * x + y0 * y) / r
-    north, up = z * cos - outward * sin, z * sin + outward * cos
-    turn, c, d, q, k = east / r, outward / r, 0.5 * east * east / r, north / radius, up / radius
-    lift, sink = d * cos, d * sin / radius  # of the distance from the axis, in s^2 (1 - c s)
-    second = sink + q * k
-    evolute = 1.5 * e2 * sin * cos * square * q  # the radius of curvature changes with latitude
-    coefficients = np.empty((4, 3, len(lat)))
-    coefficients[0, 0], coefficients[0, 1], coefficients[0, 2] = lat, lon, height
-    coefficients[1, 0], coefficients[1, 1], coefficients[1, 2] = q, turn, up
-    coefficients[2, 0] = -second - evolute * q
-    coefficients[2, 1] = -turn * c
-    coefficients[2, 2] = lift + 0.5 * north * q
-    coefficients[3, 0] = sink * (c + k) + q * (k * k - q * q / 3.0 - lift / radius) + 2.0 * evolute * second
-    coefficients[3, 1] = turn * (c * c - turn * turn / 3.0)
-    coefficients[3, 2] = -lift * c - north * (sink + 0.5 * q * k)
-    return coefficients
 
 
 def ecef_from_geodetic(

@@ -18,7 +18,6 @@ from pyproj import CRS, Transformer
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import (
     distances_to_shell,
-    geodetic_along_paths,
     geodetic_from_ecef,
     ray_ellipsoid_intersection,
 )
@@ -43,7 +42,6 @@ _MARGIN_M = 0.1  # deviation of a shell from equal height, at most
 _LOCAL_MAP_PX = 1e-7  # error of a polynomial in place of a map projection
 _ON_GROUND_M = 1e-4  # an intersection is accurate to 1e-6 m
 _STEPS = 64  # between the highest and the lowest height of a surface that is not a grid
-_POLAR_M = 1.1e6  # from the Earth's axis: closer to it, above 80 deg, longitude is no short series
 _LONGEST_PATH_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for degree 2, 3, ...: error L^(n+1) / R^n
 
 
@@ -148,41 +146,18 @@ class TerrainGrid:
         x = np.degrees(lon)
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
-    def pixels_along_paths(self, coefficients: Array, degree: int) -> Array:
-        """Column, row and height of short paths as polynomials of their parameter, from -1 to 1.
+    def pixels_along_tracks(self, tracks: Array) -> Array:
+        """Short paths in the raster as polynomials of a parameter from -1 to 1.
 
         Parameters
         ----------
-        coefficients : (K, 3, N) array
-            Of the powers of the parameter, from 0 on, in latitude, longitude, rad, and height, m.
-        degree : int
-            Degree of the result, where the map is not linear in latitude and longitude.
+        tracks : (K, 3, N) array
+            Latitude and longitude, rad, and height, m, at K evenly spaced parameters; overwritten.
 
         Returns
         -------
-        coefficients : (degree + 1 or K, 3, N) array
-            Of the powers of the parameter in column, row, px, and height, m.
-        """
-        if self.local_map is None and _to_map(self.crs) is None:
-            a, b, _, d, e, _ = self.transform
-            per_rad = np.degrees(1.0) / (a * e - b * d)
-            lat, lon = coefficients[1:, 0], coefficients[1:, 1]
-            pixels = np.empty_like(coefficients)
-            pixels[0, 0], pixels[0, 1] = self.pixels_from_geodetic(coefficients[0, 0], coefficients[0, 1])
-            np.multiply(lon, e * per_rad, out=pixels[1:, 0])
-            np.multiply(lat, a * per_rad, out=pixels[1:, 1])
-            if b or d:
-                pixels[1:, 0] -= (b * per_rad) * lat
-                pixels[1:, 1] -= (d * per_rad) * lon
-            pixels[:, 2] = coefficients[:, 2]
-            return pixels
-        nodes = np.vander(_nodes(degree), len(coefficients), increasing=True)
-        tracks = (nodes @ coefficients.reshape(len(coefficients), -1)).reshape(degree + 1, 3, -1)
-        return self.pixels_along_tracks(tracks)
-
-    def pixels_along_tracks(self, tracks: Array) -> Array:
-        """Result of `pixels_along_paths` from latitude, longitude and height (K, 3, N), overwritten, at K
-        evenly spaced parameters from -1 to 1.
+        coefficients : (K, 3, N) array
+            Of the powers of the parameter, from 0 on, in column, row, px, and height, m.
         """
         for track in tracks:
             track[:2] = self.pixels_from_geodetic(track[0], track[1])
@@ -288,16 +263,10 @@ def _shares_on_grid(middle: Array, half: Array, grid: TerrainGrid) -> Array:
     horizontal2 = 4.0 * np.einsum("in,in->n", half, half) - (high - low) ** 2
     longest = float(np.nanmax(horizontal2, initial=0.0)) ** 0.5
     degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
-    from_axis2 = float(np.nanmin(middle[0] * middle[0] + middle[1] * middle[1], initial=np.inf))
-    if degree <= 3 and from_axis2 > _POLAR_M**2:
-        along = geodetic_along_paths(middle.T, half.T, WGS84)
-        curves = grid.pixels_along_paths(along, degree)
-    else:
-        tracks = np.empty((degree + 1, 3, middle.shape[1]))
-        for s, track in zip(_nodes(degree), tracks):
-            track[:] = geodetic_from_ecef((middle + s * half).T, WGS84)
-        curves = grid.pixels_along_tracks(tracks)
-    return first_crossings(grid.heights_m, grid.bounds, curves)
+    tracks = np.empty((degree + 1, 3, middle.shape[1]))
+    for s, track in zip(_nodes(degree), tracks):
+        track[:] = geodetic_from_ecef((middle + s * half).T, WGS84)
+    return first_crossings(grid.heights_m, grid.bounds, grid.pixels_along_tracks(tracks))
 
 
 def _nodes(degree: int) -> Array:

@@ -7,7 +7,6 @@ from pyproj import Transformer
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import (
     ecef_from_geodetic,
-    geodetic_along_paths,
     geodetic_from_ecef,
     local_axes_e,
     ray_ellipsoid_intersection,
@@ -100,26 +99,3 @@ def test_local_axes_are_right_handed_east_north_up():
     north = ecef_from_geodetic(0.3 + step, -2.0, 0.0, WGS84) - p
     np.testing.assert_allclose(east / np.linalg.norm(east), axes[:, 0], rtol=0, atol=1e-6)
     np.testing.assert_allclose(north / np.linalg.norm(north), axes[:, 1], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize(("ground_m", "limit_m"), [(200.0, 1e-7), (2000.0, 1e-6)])
-def test_coordinates_along_a_path_are_those_of_its_points(ground_m, limit_m):
-    # Against the conversion point by point, whose rounding is 1e-8 m; the terms left out grow as the cube of
-    # the path over the square of the Earth's radius. Up to 4 km of height, below 80 deg of latitude.
-    rng = np.random.default_rng(4)
-    lat, lon, height = places(20_000, rng, 0.0, 5000.0)
-    lat *= 80.0 / 90.0
-    azimuth = rng.uniform(0.0, 2.0 * np.pi, len(lat))
-    half = 0.5 * np.stack([ground_m * np.sin(azimuth), ground_m * np.cos(azimuth), 0 * lat - 4e3], axis=-1)
-    middle = ecef_from_geodetic(lat, lon, height, WGS84)
-    half_e = np.einsum("nij,nj->ni", local_axes_e(lat, lon), half)
-    along = geodetic_along_paths(middle, half_e, WGS84)
-    for s in (-1.0, -0.4, 0.7, 1.0):
-        found, expected = (
-            s ** np.arange(4) @ along.reshape(4, -1),
-            geodetic_from_ecef(middle + s * half_e, WGS84),
-        )
-        in_m = np.array([6.4e6 + 0 * lat, 6.4e6 * np.cos(lat), 1.0 + 0 * lat])
-        apart = np.abs(found.reshape(3, -1) - expected)
-        apart[1] = np.abs((apart[1] + np.pi) % (2.0 * np.pi) - np.pi)  # at 180 deg
-        assert (apart * in_m).max() < limit_m

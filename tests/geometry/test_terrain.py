@@ -193,7 +193,8 @@ def test_paths_in_pixels_are_those_of_their_points(crs):
     coefficients[0] = np.radians(y), np.radians(x), np.full(200, 100.0)
     coefficients[1] = rng.uniform(-8e-5, 8e-5, (3, 200))
     coefficients[2] = rng.uniform(-8e-9, 8e-9, (3, 200))
-    pixels = grid.pixels_along_paths(coefficients, 3)
+    powers = np.vander(np.linspace(-1.0, 1.0, 4), increasing=True)
+    pixels = grid.pixels_along_tracks(np.einsum("sk,kin->sin", powers, coefficients))
     for s in (-1.0, -0.3, 0.6, 1.0):
         (lat, lon, height), found = (
             np.einsum("k,kin->in", s ** np.arange(len(c)), c) for c in (coefficients, pixels)
