@@ -178,8 +178,8 @@ def test_an_inclined_plane_is_met_where_algebra_says():
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", UTM33])
 def test_paths_in_pixels_are_those_of_their_points(crs):
-    # A turned raster; 1e-6 px is 0.03 mm in a pixel of 30 m, the map projection's polynomial is good to 1e-7
-    # px and the path of 1 km, between its points, to L^3 / R^3.
+    # A turned raster; 1e-6 px is 0.03 mm in a pixel of 30 m; the path of 1 km, between its points, is good to
+    # L^3 / R^3.
     degrees = crs == "EPSG:4326"
     step = CELL_DEG if degrees else 30.0
     west, north = (14.0, 50.0) if degrees else (480e3, 5.5e6)
@@ -201,6 +201,28 @@ def test_paths_in_pixels_are_those_of_their_points(crs):
         )
         expected = np.array([*grid.pixels_from_geodetic(lat, lon), height])
         assert np.abs(found - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        (30.0, 0.0, 471_200.0, 0.0, -30.0, 5_310_400.0),
+        (21.0, 17.0, 655_800.0, 15.0, -26.0, 5_150_300.0),  # a raster that is turned on its map
+    ],
+)
+@pytest.mark.parametrize("count", [1, 400])
+def test_pixels_of_a_raster_in_a_projection_are_those_of_the_places_that_proj_gives_them(transform, count):
+    shape = 90, 230  # wide, so that rows and columns cannot stand for one another
+    grid = TerrainGrid.from_raster(np.zeros(shape), transform, UTM33, None)
+    pixels = np.random.default_rng(8).uniform(0.0, 1.0, (count, 2)) * [shape[1], shape[0]] - 0.5
+    a, b, c, d, e, f = transform
+    x, y = (pixels + 0.5).T.tolist()
+    to_degrees = Transformer.from_crs(UTM33, "EPSG:4326", always_xy=True)
+    places = [to_degrees.transform(a * u + b * v + c, d * u + e * v + f) for u, v in zip(x, y)]
+    lon, lat = np.radians(places).T
+    found = np.column_stack(grid.pixels_from_geodetic(lat, lon))
+    assert np.abs(found - pixels).max() < 1e-6  # px of 30 m: PROJ's inverse is good to 1e-9 m
+    assert np.isnan(grid.height_m(lat + 0.5, lon)).all()
 
 
 def test_flat_grids_and_constant_heights_are_met_alike():
