@@ -20,7 +20,7 @@ from boresight.calib.information import solve_total
 from boresight.features.exports.virtual_ccd import virtual_camera
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.features.paper.ten_steps import calibrate_literally, frame_information_literally
-from boresight.geometry.attitude_estimate import fit_attitude
+from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import information_of_directions, isotropic_covariance
@@ -78,8 +78,8 @@ def cameras_and_directions(rng: np.random.Generator) -> None:
     v = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     R_si = Rotation.random(rng=rng)
     u = v @ R_si.as_matrix().T
-    found = fit_attitude(u, v, isotropic_covariance(u, 1e-6)).R_si
-    shown("3", "u = R_si v with the attitude fitted to u and v", largest(u, found.apply(v)), 1e-12)
+    found = fit_attitudes(u, v, isotropic_covariance(u, 1e-6), np.array([0, len(u)])).R_si[0]
+    shown("3", "u = R_si v with the attitude fitted to u and v", largest(u, v @ found.T), 1e-12)
     star_camera_and_distortion(rng)
 
 
@@ -117,7 +117,7 @@ def vectors_and_deviation(rng: np.random.Generator) -> None:
     exact = draw_frames(1, N_S, N_C, 0.06, 0.3, CAMERAS, rng, noise=False)
     U, V, _, W_c, V_c, _ = exact.frame(0)
     C, C0 = CAMERAS.R_cs.as_matrix(), R_CS0.as_matrix()
-    R_si = fit_attitude(U, V, isotropic_covariance(U, 1e-6)).R_si.as_matrix()
+    R_si = fit_attitudes(U, V, isotropic_covariance(U, 1e-6), np.array([0, len(U)])).R_si[0]
     W, R_ci = U @ C.T, C @ R_si
     shown("7", "w = R_cs u = R_cs R_si v", largest(W, V @ R_ci.T), 1e-12)
     cov = isotropic_covariance(W, 1e-6)

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from frames import PAPER_CAMERA, Sensor, as_seen, star_frame
 
-from boresight.geometry.attitude_estimate import fit_attitude
+from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import information_of_directions
@@ -73,10 +73,10 @@ def main() -> None:
         if isinstance(seen, NotIdentified):
             print(seen.reason)
             continue
-        attitude = fit_attitude(seen.u_s, seen.u_i, seen.cov_s)
-        mission.add(attitude.R_si, R_si, CAMERA, attitude.cov_s)
+        attitude = fit_attitudes(seen.u_s, seen.u_i, seen.cov_s, np.array([0, len(seen.u_s)]))
+        mission.add(Rotation.from_matrix(attitude.R_si[0]), R_si, CAMERA, attitude.covariance_s[0])
         bounds.append(np.linalg.inv(_information(seen.u_s, seen.xy_px, truth)))
-        chi2, dof, stars = chi2 + attitude.chi2, dof + attitude.dof, stars + len(seen.u_s)
+        chi2, dof, stars = chi2 + float(attitude.chi2[0]), dof + int(attitude.dof[0]), stars + len(seen.u_s)
         for errors, sky, known in (
             (camera_known, index, {"camera": CAMERA}),
             (lens_unknown, wide, {"fov_x_rad": 1.05 * fov_x}),

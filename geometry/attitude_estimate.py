@@ -5,7 +5,7 @@ true R_si = exp(psi) R_si; the covariance is the inverse of the Fisher informati
 sum -[u x] C^-1 [u x], each star with its own covariance C (Shuster & Oh 1981). Angles in radians. Arrays of
 several exposures are concatenated: exposure k has the rows start[k]:start[k+1].
 
-Every attitude of the project comes from here. A star is rejected when its squared residual over its variance
+A star is rejected when its squared residual over its variance
 (chi-square, two degrees of freedom) exceeds the limit of the stated false-alarm probability.
 """
 
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from scipy.linalg.lapack import dsyev
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import (
     ExposureAttitudes,
     StarSightings,
@@ -33,9 +32,7 @@ from boresight.geometry.sightings import (
 __all__ = [
     "GROSS",
     "AttitudeSettings",
-    "EstimatedAttitude",
     "cross_matrices",
-    "fit_attitude",
     "fit_attitudes",
     "fit_exposures",
     "sums_over",
@@ -60,20 +57,6 @@ class AttitudeSettings:
     probability_false_alarm: float = 1e-3  # of rejecting a star whose stated covariance holds
     fewest_stars: int = 3  # an exposure with fewer kept stars is not usable: nothing checks its attitude
     estimate_noise: bool = False  # scale the stars' sigmas by what the residuals of all exposures show
-    # Raise an exposure's limit where the median residual exceeds the stated covariances (single images whose
-    # camera model is only roughly known); a calibration must state its covariances.
-    limit_from_scatter: bool = False
-
-
-@record
-class EstimatedAttitude:
-    """Attitude of one star camera at one instant."""
-
-    R_si: Rotation = scalar("GCRS to star camera")
-    cov_s: Floats = array("3, 3", "rad², of a small right-handed rotation about the axes of s")
-    chi2: float = scalar("sum of squared residuals over their variances, kept stars")
-    dof: int = scalar("degrees of freedom of chi2")
-    kept: Bools = array("N", "stars that were not rejected")
 
 
 def fit_exposures(
@@ -127,24 +110,6 @@ def with_attitudes(
     return out
 
 
-def fit_attitude(
-    u_s: Floats, u_i: Floats, cov_s: Floats, settings: AttitudeSettings = AttitudeSettings()
-) -> EstimatedAttitude:
-    """Attitude of one exposure from measured `u_s` (N, 3), rad² covariances (N, 3, 3) and true `u_i` (N, 3).
-
-    Where rejection would leave fewer than `fewest_stars`, all stars are kept. Raises `ValueError` for fewer
-    than two stars, or stars that are too close together to fix all three angles.
-    """
-    start = np.array([0, len(u_s)])
-    fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
-    if not fit.usable[0]:
-        fit = fit_attitudes(u_s, u_i, cov_s, start, replace(settings, robust=False, fewest_stars=2))
-    if not fit.usable[0]:
-        raise ValueError(f"{len(u_s)} directions, too few or too close together to fix all three angles")
-    R_si = Rotation.from_matrix(fit.R_si[0])
-    return EstimatedAttitude(R_si, fit.covariance_s[0], float(fit.chi2[0]), int(fit.dof[0]), fit.kept)
-
-
 def fit_attitudes(
     u_s: Floats,
     u_i: Floats,
@@ -178,11 +143,10 @@ def fit_attitudes(
     R_si = _refined(_wahba(u_s, u_i, 1.0 / variance, start), u_s, u_i, information, start, group)
     kept: Bools = np.ones(len(u_s), dtype=bool)
     squared = _squared_mahalanobis(R_si, u_s, u_i, information, group)
-    factor = _scatter(squared, start)[group] if settings.limit_from_scatter else np.ones(len(u_s))
-    limit = factor * float(chdtri(2, settings.probability_false_alarm))
+    limit = float(chdtri(2, settings.probability_false_alarm))
     if settings.robust and np.any(squared > limit):
         gross = np.zeros(len(start) - 1, dtype=bool)
-        gross[group[squared > GROSS * factor]] = True
+        gross[group[squared > GROSS]] = True
         if gross.any():
             rows = gross[group]
             part = np.concatenate([[0], np.cumsum(np.diff(start)[gross])]).astype(np.int64)
@@ -260,12 +224,6 @@ def sums_over(start: Ints, values: NDArray[Any]) -> NDArray[Any]:
 def trimmed_mean(probability: float) -> float:
     """Mean of a chi-square of two degrees of freedom, over 2, without its upper tail of this probability."""
     return float(1.0 + probability * np.log(probability) / (1.0 - probability))
-
-
-def _scatter(squared: Floats, start: Ints) -> Floats:
-    """Variance factor (K,) of each exposure by its median squared residual, at least 1."""
-    parts = [squared[a:b] for a, b in pairwise(start)]
-    return np.array([max(1.0, float(np.median(p) / chdtri(2, 0.5))) if len(p) else 1.0 for p in parts])
 
 
 def _robust_start(u_s: Floats, u_i: Floats, variance: Floats, start: Ints) -> Floats:

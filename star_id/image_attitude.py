@@ -1,6 +1,6 @@
 """Attitude of one image of a calibrated camera, from stars with covariances in pixels.
 
-The estimate is that of `geometry.attitude_estimate.fit_attitude` with the limit of rejection raised to the
+The estimate is that of `geometry.attitude_estimate.fit_attitudes` with the limit of rejection raised to the
 stars' scatter: maximum likelihood with full covariances, outliers rejected. A single image takes a tenth of
 the time here: residuals are whitened once in pixels, and the normal matrix is one product of (3, 2N) arrays.
 """

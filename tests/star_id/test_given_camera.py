@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frames import PLACES, SMALL_CAMERA, directions_of, listed_stars, stars_in_view
+from plain_attitude import attitude_by_scatter
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.star_id.given_camera import fit_known_camera, focal_derivatives
 
 SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
@@ -113,11 +113,11 @@ def test_attitudes_of_the_camera_that_was_given_are_those_of_its_stars():
     u_i = directions_of(PLACES)[rows[nearest]]
     fit = fit_known_camera(SMALL_CAMERA, stars.xy_px, stars.cov_px, u_i, R_si)
     J = SMALL_CAMERA.pixel_jacobian(stars.xy_px)
-    plain = fit_attitude(
+    plain = attitude_by_scatter(
         SMALL_CAMERA.directions_from_pixels(stars.xy_px),
         u_i,
         J @ stars.cov_px @ J.transpose(0, 2, 1),
-        AttitudeSettings(probability_false_alarm=1e-4, limit_from_scatter=True),
+        1e-4,
     )
     assert fit.misfit_px == 0.0
     # rad: a millionth of the error of the attitude

@@ -1,4 +1,4 @@
-"""The attitude of one image beside `fit_attitude`, the plain form of the same estimate."""
+"""The attitude of one image beside the plain form of the same estimate."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frames import SMALL_CAMERA
+from plain_attitude import attitude_by_scatter
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitude
 from boresight.star_id.image_attitude import fit_image_attitude
 
 SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
 FALSE_ALARM = 1e-4
-PLAIN = AttitudeSettings(probability_false_alarm=FALSE_ALARM, limit_from_scatter=True)
 START_RAD = 2e-4  # error of the start: some pixels of `SMALL_CAMERA`
 
 
@@ -37,7 +36,7 @@ def test_attitude_covariance_and_rejected_stars_are_those_of_the_plain_form(outl
     for seed in range(60):
         xy, cov, u_i, R_si = measured(seed, outliers, scatter)
         u_s, J = SMALL_CAMERA.directions_and_jacobian(xy)
-        plain = fit_attitude(u_s, u_i, J @ cov @ J.transpose(0, 2, 1), PLAIN)
+        plain = attitude_by_scatter(u_s, u_i, J @ cov @ J.transpose(0, 2, 1), FALSE_ALARM)
         start = Rotation.from_rotvec(np.random.default_rng(seed).normal(0.0, START_RAD, 3)) * R_si
         found = fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy), cov, u_i, start, FALSE_ALARM)
         assert np.array_equal(found.kept, plain.kept) and found.dof == plain.dof

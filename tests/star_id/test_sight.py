@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from frames import PAPER_CAMERA, Sensor, render, star_frame
 from frames import SMALL_CAMERA as CAMERA
+from plain_attitude import plain_attitude
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.geometry.attitude_estimate import fit_attitude
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
@@ -52,7 +52,7 @@ def test_an_exposure_gives_the_attitude_within_its_covariance(index):
         sightings = sight_stars("0001", image, CAMERA, index, OBSERVER, SETTINGS)
         assert isinstance(sightings, StarSightings), sightings
         assert len(sightings.hip) > 20
-        attitude = fit_attitude(sightings.u_s, sightings.u_i, sightings.cov_s)
+        attitude = plain_attitude(sightings.u_s, sightings.u_i, sightings.cov_s)
         delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
         total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
         dof += 3
