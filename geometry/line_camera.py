@@ -308,43 +308,13 @@ class LookTable:
     samples: Floats = array("K", "samples at which the tangents are given, increasing")
     tan_x: Floats = array("K", "u_x / u_z")
     tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
-    _spline: CubicSpline = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        samples = np.asarray(self.samples, dtype=float)
-        tangents = np.column_stack([self.tan_x, self.tan_y])
-        if len(samples) < 2 or np.any(np.diff(samples) <= 0.0) or len(samples) != len(tangents):
+        if len(self.samples) < 2 or np.any(np.diff(self.samples) <= 0.0):
             raise ValueError("LookTable needs two or more samples in increasing order, each with tangents")
-        along = np.diff(tangents[:, 1])
+        along = np.diff(self.tan_y)
         if not (np.all(along > 0.0) or np.all(along < 0.0)):
             raise ValueError("LookTable.tan_y must be strictly monotone along the detector")
-        object.__setattr__(self, "_spline", CubicSpline(samples, tangents))
-
-    def tangents(self, sample: ArrayLike) -> tuple[Array, Array]:
-        """Tangents (N, 2) of samples (N,), and their slopes (N, 2) per sample."""
-        n = np.asarray(sample, dtype=float)
-        inside = np.clip(n, self.samples[0], self.samples[-1])
-        slope = self._spline(inside, 1)
-        return self._spline(inside) + slope * (n - inside)[:, None], slope
-
-    def nearest(self, wanted: Array) -> tuple[Array, Array]:
-        """The nearest sample (N,) to tangents (N, 2), and their distance across, px, towards +x_c."""
-        ends = self._spline(self.samples[[0, -1]])
-        along = (wanted[:, 1] - ends[0, 1]) / (ends[1, 1] - ends[0, 1])
-        sample = self.samples[0] + along * (self.samples[-1] - self.samples[0])
-        for _ in range(_NEWTON_STEPS):
-            tangents, slope = self.tangents(sample)
-            miss = wanted - tangents
-            pitch = np.hypot(slope[:, 0], slope[:, 1])
-            step = np.einsum("ni,ni->n", miss, slope) / pitch**2
-            sample = sample + step
-            if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
-                break
-        tangents, slope = self.tangents(sample)
-        miss = wanted - tangents
-        pitch = np.hypot(slope[:, 0], slope[:, 1])
-        across = (miss[:, 0] * slope[:, 1] - miss[:, 1] * slope[:, 0]) / pitch**2
-        return sample, across * np.sign(slope[:, 1])
 
 
 @record
@@ -355,10 +325,12 @@ class LookAngleCamera:
     """
 
     ccds: tuple[LookTable, ...] = array("C", "detectors")
+    _in_plane: LineCamera = field(init=False, repr=False)  # of focal length 1
 
     def __post_init__(self) -> None:
         if not self.ccds:
             raise ValueError("LookAngleCamera.ccds must hold at least one table")
+        object.__setattr__(self, "_in_plane", self._with_focal_length(1.0))
 
     @property
     def n_ccds(self) -> int:
@@ -371,23 +343,16 @@ class LookAngleCamera:
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
         """Unit look vectors (N, 3), frame c, of samples (N,)."""
-        tangents, _ = self.ccds[ccd].tangents(sample)
-        v_c = np.column_stack([tangents, np.ones(len(tangents))])
-        return v_c / np.linalg.norm(v_c, axis=1, keepdims=True)
+        return self._in_plane.directions_from_pixels(ccd, sample)
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
         """Derivative d u_c / d sample (N, 3), rad/px."""
-        tangents, slope = self.ccds[ccd].tangents(sample)
-        v_c = np.column_stack([tangents, np.ones(len(tangents))])
-        dv = np.column_stack([slope, np.zeros(len(slope))])
-        norm = np.linalg.norm(v_c, axis=1, keepdims=True)
-        u_c = v_c / norm
-        return (dv - u_c * np.einsum("ni,ni->n", u_c, dv)[:, None]) / norm
+        return self._in_plane.sample_jacobian(ccd, sample)
 
     def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
         """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
-        u = np.asarray(u_c, dtype=float)
-        return self.ccds[ccd].nearest(u[:, :2] / np.where(u[:, 2] > 0.0, u[:, 2], np.nan)[:, None])
+        sample, across = self._in_plane.samples_from_directions(ccd, u_c)
+        return sample, across * np.sign(np.cos(self._in_plane.ccds[ccd].rotation_rad))
 
     @property
     def pixel_rad(self) -> float:
@@ -405,7 +370,9 @@ class LookAngleCamera:
         Each detector is the chord of its table, and the table's difference from it the distortion. Exact at
         all samples, because both are cubic splines through the same ones.
         """
-        focal_m = pixel_m / self.pixel_rad
+        return self._with_focal_length(pixel_m / self.pixel_rad)
+
+    def _with_focal_length(self, focal_m: float) -> LineCamera:
         return LineCamera(focal_m, tuple(_ccd_of(table, focal_m) for table in self.ccds))
 
 
