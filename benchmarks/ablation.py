@@ -38,7 +38,7 @@ from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
-from boresight.geometry.starlight import StarPlaces, apparent_star_directions_at
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.simulator.cameras import star_camera
 from boresight.simulator.scenario import StarCameraSettings
@@ -215,9 +215,9 @@ def _exposure(one: Pass, orbit: Orbit, how: Processing, stars: StarPlaces, k: in
     R_si = one.attitude.R_si(when)[0]
     p, v = one.orbit.states_i(when)
     axis_i = R_si.inv().apply([0.0, 0.0, 1.0])
-    near = apparent_star_directions_at(stars, one.epoch, when, p, v)[0] @ axis_i > np.cos(np.radians(12.5))
+    near = apparent_star_directions(stars, one.epoch, when, p, v) @ axis_i > np.cos(np.radians(12.5))
     around = stars.take(near)
-    u_s = R_si.apply(apparent_star_directions_at(around, one.epoch, when, p, v)[0])
+    u_s = R_si.apply(apparent_star_directions(around, one.epoch, when, p, v))
     xy = STAR_CAMERA.pixels_from_directions(u_s)
     seen = STAR_CAMERA.contains(xy)
     u_i = star_directions(around.take(seen), one.epoch, t, orbit, how.stars)
@@ -251,7 +251,7 @@ def star_directions(stars: StarPlaces, epoch: Epoch, t: float, orbit: Orbit, how
     beta = how.earth_velocity * (observer["v"] - orbital) + how.orbit_velocity * orbital
     u = erfa.ab(u, beta, observer["em"], np.sqrt(1.0 - beta @ beta))
     if how == Starlight():
-        assert np.abs(u - apparent_star_directions_at(stars, epoch, when, p, v)[0]).max() < 1e-14
+        assert np.abs(u - apparent_star_directions(stars, epoch, when, p, v)).max() < 1e-14
     return np.asarray(u)
 
 

@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = [
-    "StarPlaces",
-    "SurveyedStars",
-    "apparent_star_directions",
-    "apparent_star_directions_at",
-    "apparent_star_directions_each",
-    "catalogue_directions",
-]
+__all__ = ["StarPlaces", "SurveyedStars", "apparent_star_directions", "catalogue_directions"]
 
 Array = NDArray[np.float64]
 
@@ -49,6 +42,14 @@ class StarPlaces:
         arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
         return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
 
+    def motions(self) -> Floats:
+        """Proper motions (N, 3), rad/yr, GCRS axes."""
+        ra, dec = self.ra_rad, self.dec_rad
+        east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros(len(ra))])
+        north = np.column_stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+        along_east = self.pm_ra_rad_yr * np.cos(dec)
+        return np.asarray(along_east[:, None] * east + self.pm_dec_rad_yr[:, None] * north)
+
 
 @record(kw_only=True)
 class SurveyedStars:
@@ -70,16 +71,18 @@ class SurveyedStars:
         return np.hypot(self.sigma_rad, self.sigma_pm_rad_yr * (jyear - self.places.epoch_jyear))
 
 
-def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
+def apparent_star_directions(
+    stars: StarPlaces, epoch: Epoch, t_s: float | Array, p_i: Array, v_i: Array
+) -> Array:
     """Apparent unit vectors towards stars from a moving satellite, GCRS axes.
 
     Parameters
     ----------
     stars : StarPlaces
         Catalogue positions of N stars.
-    epoch, t_s : Epoch, float
-        Instant of observation, TAI seconds since `epoch`.
-    p_i, v_i : (3,) arrays
+    epoch, t_s : Epoch, float or (N,) array
+        Instant of observation, or that of each star, TAI seconds since `epoch`.
+    p_i, v_i : (3,) or (N, 3) arrays
         Geocentric position (m) and velocity (m/s) of the satellite, GCRS.
 
     Returns
@@ -87,27 +90,8 @@ def apparent_star_directions(stars: StarPlaces, epoch: Epoch, t_s: float, p_i: A
     u_i : (N, 3) array
         With proper motion, parallax, light deflection by the Sun and aberration.
     """
-    p, v = np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3))
-    return apparent_star_directions_at(stars, epoch, np.array([t_s], dtype=float), p, v)[0]
-
-
-def apparent_star_directions_at(stars: StarPlaces, epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> Array:
-    """Apparent unit vectors (T, N, 3) as `apparent_star_directions`, at T instants, from states (T, 3)."""
-    astrom = _observer(epoch, t_s, p_i, v_i)
     years = epoch.julian_year(t_s) - stars.epoch_jyear
-    u_i = np.empty((len(t_s), len(stars.hip), 3))
-    for k, (observer, dt) in enumerate(zip(astrom, years)):
-        u_i[k] = _seen_by(observer, stars, dt)
-    return u_i
-
-
-def apparent_star_directions_each(
-    stars: StarPlaces, epoch: Epoch, t_s: Array, p_i: Array, v_i: Array
-) -> Array:
-    """Apparent unit vectors (N, 3) as `apparent_star_directions`, each star at its own instant (N,), from the
-    states (N, 3) then.
-    """
-    return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, epoch.julian_year(t_s) - stars.epoch_jyear)
+    return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, years)
 
 
 def catalogue_directions(u_i: Array, epoch: Epoch, t_s: float, p_i: Array, v_i: Array) -> Array:
@@ -115,10 +99,7 @@ def catalogue_directions(u_i: Array, epoch: Epoch, t_s: float, p_i: Array, v_i: 
 
     Inverse of `apparent_star_directions` but for proper motion and parallax; ERFA's `aticq`.
     """
-    observer = _observer(
-        epoch, np.array([t_s], dtype=float), np.reshape(p_i, (1, 3)), np.reshape(v_i, (1, 3))
-    )[0]
-    ra, dec = erfa.aticq(*erfa.c2s(u_i), observer)
+    ra, dec = erfa.aticq(*erfa.c2s(u_i), _observer(epoch, t_s, p_i, v_i))
     return np.asarray(erfa.s2c(ra, dec))
 
 
@@ -138,8 +119,8 @@ def _seen_by(observer: NDArray[np.void], stars: StarPlaces, years: Array) -> Arr
     return np.asarray(erfa.ab(natural, observer["v"], observer["em"], observer["bm1"]))
 
 
-def _observer(epoch: Epoch, t_s: Array, p_i: Array, v_i: Array) -> NDArray[np.void]:
-    """ERFA's star-independent parameters (T,) of a satellite (TT in place of TDB: at most 2 ms)."""
-    pv = np.zeros(len(t_s), dtype=erfa.dt_pv)
+def _observer(epoch: Epoch, t_s: float | Array, p_i: Array, v_i: Array) -> NDArray[np.void]:
+    """ERFA's star-independent parameters of a satellite (TT in place of TDB: at most 2 ms)."""
+    pv = np.zeros(np.shape(t_s), dtype=erfa.dt_pv)
     pv["p"], pv["v"] = p_i, v_i
     return np.asarray(erfa.apcs13(*epoch.tt_jd(np.asarray(t_s, dtype=float)), pv))

@@ -21,12 +21,7 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import record, scalar
 from boresight.geometry.spherical import unit_vectors
-from boresight.geometry.starlight import (
-    StarPlaces,
-    SurveyedStars,
-    apparent_star_directions,
-    apparent_star_directions_each,
-)
+from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_star_directions
 from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude
 from boresight.simulator.rendered_stars import joined_stars
@@ -126,7 +121,7 @@ class SkyScene:
 
     def _apparent(self, stars: StarPlaces, line: Array) -> Array:
         t_s = self.rows.instant(line)
-        return apparent_star_directions_each(stars, self.orbit.epoch, t_s, *self.orbit.states_i(t_s))
+        return apparent_star_directions(stars, self.orbit.epoch, t_s, *self.orbit.states_i(t_s))
 
     def _places(self, ccd: int, u_i: Array, line: Array) -> tuple[Array, Array]:
         """Sample and distance across (N,) of directions (N, 3) at lines (N,)."""

@@ -93,10 +93,4 @@ def proper_motion_covariance(
 
 @lru_cache(maxsize=2)  # every image asks
 def _motions(index: StarIndex) -> Floats:
-    """Proper motions (N, 3) of the index's stars, rad/yr, GCRS axes."""
-    stars = index.stars
-    sin_ra, cos_ra, sin_dec = np.sin(stars.ra_rad), np.cos(stars.ra_rad), np.sin(stars.dec_rad)
-    east = np.column_stack([-sin_ra, cos_ra, np.zeros(len(sin_ra))])
-    north = np.column_stack([-sin_dec * cos_ra, -sin_dec * sin_ra, np.cos(stars.dec_rad)])
-    along_east = stars.pm_ra_rad_yr * np.cos(stars.dec_rad)
-    return np.asarray(along_east[:, None] * east + stars.pm_dec_rad_yr[:, None] * north)
+    return index.stars.motions()

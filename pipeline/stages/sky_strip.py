@@ -24,11 +24,7 @@ from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, isotropic_covariance
 from boresight.geometry.spherical import unit_vectors
-from boresight.geometry.starlight import (
-    SurveyedStars,
-    apparent_star_directions,
-    apparent_star_directions_each,
-)
+from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import Cause, Omission, RawDataError
 from boresight.pipeline.files.dump import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
@@ -223,7 +219,7 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
         jacobian[here, :, 0] = task.camera.sample_jacobian(ccd, found.xy_px[here, 0])
     jacobian[:, :, 1] = np.cross(rate_c * period, u_c)  # later by a line, a star is rotated by minus this
     p_i, v_i = task.orbit.states_i(t_s)
-    u_i: Floats = apparent_star_directions_each(named.places.places, task.epoch, t_s, p_i, v_i)
+    u_i: Floats = apparent_star_directions(named.places.places, task.epoch, t_s, p_i, v_i)
     sigma = named.places.sigma_at_rad(float(task.epoch.julian_year(t_s[0]))) if J else np.zeros(0)
     return GroundSightings(
         target_id=named.names,

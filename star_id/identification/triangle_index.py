@@ -329,13 +329,8 @@ def _triples(u: Floats, longest_rad: float) -> Ints:
 def _directions_at(stars: StarPlaces, epoch_jyear: float) -> Floats:
     """Unit vectors (N, 3), GCRS axes, at an epoch: linear proper motion only."""
     ra, dec = stars.ra_rad, stars.dec_rad
-    east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros(len(ra))])
-    north = np.column_stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     here = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    years = epoch_jyear - stars.epoch_jyear
-    moved = here + years * (
-        (stars.pm_ra_rad_yr * np.cos(dec))[:, None] * east + stars.pm_dec_rad_yr[:, None] * north
-    )
+    moved = here + (epoch_jyear - stars.epoch_jyear) * stars.motions()
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 

@@ -12,12 +12,7 @@ from skyfield.vectorlib import VectorFunction
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.starlight import (
-    StarPlaces,
-    apparent_star_directions,
-    apparent_star_directions_at,
-    apparent_star_directions_each,
-)
+from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 
 EPHEMERIS = Path(__file__).parents[2] / "fixtures" / "ephemeris" / "de421_1995_2027.bsp"
 MAS = 1e-3 * ARCSEC
@@ -180,19 +175,6 @@ def test_aberration_is_that_of_earth_and_orbit_together():
     assert np.all(along > -1e-10)  # towards the direction of motion
 
 
-def test_many_epochs_are_the_same_as_one_by_one():
-    stars, _ = star_places(50, np.random.default_rng(24))
-    epoch = Epoch.from_utc("2024-08-01T10:00:00")
-    t_s = np.array([0.0, 10.0, 86_400.0])
-    states = [satellite_state(k) for k in range(3)]
-    p_i, v_i = (np.array([state[k] for state in states]) for k in (0, 1))
-    together = apparent_star_directions_at(stars, epoch, t_s, p_i, v_i)
-    for k in range(3):
-        alone = apparent_star_directions(stars, epoch, t_s[k], p_i[k], v_i[k])
-        np.testing.assert_array_equal(together[k], alone)
-    np.testing.assert_allclose(np.linalg.norm(together, axis=2), 1.0, rtol=0, atol=1e-15)
-
-
 def test_a_parallax_below_zero_is_taken_as_zero():
     stars, _ = star_places(10, np.random.default_rng(25))
     epoch = Epoch.from_utc("2024-08-01T10:00:00")
@@ -228,7 +210,7 @@ def test_stars_at_instants_of_their_own_are_those_of_one_instant_each():
     )
     epoch, t_s = Epoch.from_utc("2026-03-20T10:15:30"), np.linspace(0.0, 600.0, 5)
     p_i, v_i = rng.normal(0.0, 4e6, (5, 3)), rng.normal(0.0, 4e3, (5, 3))
-    each = apparent_star_directions_each(stars, epoch, t_s, p_i, v_i)
+    each = apparent_star_directions(stars, epoch, t_s, p_i, v_i)
     one_by_one = [
         apparent_star_directions(stars.take(np.array([k])), epoch, float(t_s[k]), p_i[k], v_i[k])[0]
         for k in range(5)
