@@ -249,7 +249,7 @@ def _refined(R_si: Floats, u_s: Floats, u_i: Floats, information: Floats, start:
         size = np.trace(N, axis1=1, axis2=2) + 1e-300
         psi = np.linalg.solve(N + 1e-14 * size[:, None, None] * np.eye(3), right[:, :, None])[:, :, 0]
         psi[np.linalg.norm(psi, axis=1) > 0.1] = 0.0
-        R_si = _rotation_matrices(psi) @ R_si
+        R_si = Rotation.from_rotvec(psi).as_matrix() @ R_si
         if np.abs(psi).max(initial=0.0) < SETTLED_RAD:
             break
     return R_si
@@ -275,15 +275,6 @@ def _squared_mahalanobis(R_si: Floats, u_s: Floats, u_i: Floats, information: Fl
 
 def _rotated(R_si: Floats, u_i: Floats, group: Ints) -> Floats:
     return np.einsum("nij,nj->ni", R_si[group], u_i)
-
-
-def _rotation_matrices(psi: Floats) -> Floats:
-    """Rotation matrices exp(psi) (K, 3, 3) of rotation vectors (K, 3) by Rodrigues' formula."""
-    angle = np.linalg.norm(psi, axis=1)[:, None, None]
-    K = cross_matrices(psi)
-    return np.asarray(
-        np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * K @ K
-    )
 
 
 def _wahba(u_s: Floats, u_i: Floats, weight: Floats, start: Ints) -> Floats:

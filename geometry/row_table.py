@@ -99,9 +99,12 @@ def tabulated(
         interpolated = _cubic(values, where + 0.5 - start, before - where + start)
         rough = np.asarray((np.abs(interpolated - exact) > np.reshape(tolerance, (-1, 1))).any(axis=0))
         step = np.max(np.diff(edges) / cells)
-        values, rough_nodes, cells = _merged(values, exact, before, rough, cells)
+        values, cells = np.insert(values, before + 1, exact, axis=1), 2 * cells
+        middle = before + 1 + np.arange(len(before))
         if rough.mean() <= _ROUGH_SHARE or step <= _LAST_STEP:
-            return RowTable(function, edges, cells, values, rough_nodes)
+            of_nodes = np.zeros(values.shape[1], dtype=np.bool_)
+            of_nodes[middle - 1] = of_nodes[middle] = rough  # both halves of a cell
+            return RowTable(function, edges, cells, values, of_nodes)
 
 
 def _nodes(edges: Array, cells: Index) -> Array:
@@ -116,20 +119,6 @@ def _middles(edges: Array, cells: Index) -> tuple[Array, Index]:
     last_of_piece = np.cumsum(cells + 1) - 1
     before = np.setdiff1d(np.arange(len(nodes)), last_of_piece)
     return 0.5 * (nodes[before] + nodes[before + 1]), before
-
-
-def _merged(
-    values: Array, exact: Array, before: Index, rough: NDArray[np.bool_], cells: Index
-) -> tuple[Array, NDArray[np.bool_], Index]:
-    """Values, rough flags and cell numbers of the table with nodes and middles: twice as many cells."""
-    nodes = np.arange(values.shape[1])
-    column = nodes + np.searchsorted(before, nodes)  # of the old nodes
-    both = np.empty((len(values), values.shape[1] + exact.shape[1]))
-    both[:, column] = values
-    both[:, column[before] + 1] = exact
-    rough_nodes = np.zeros(both.shape[1], dtype=np.bool_)
-    rough_nodes[column[before]] = rough_nodes[column[before] + 1] = rough
-    return both, rough_nodes, 2 * cells
 
 
 def _cubic(values: Array, x: Array, start: Index) -> Array:

@@ -18,6 +18,7 @@ from pyproj import CRS, Transformer
 from boresight.gct_match.imaging.resample import sample
 from boresight.gct_match.records import Chip, Image
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.optical_blur import gaussian_sigma_px
@@ -76,7 +77,8 @@ def predict_template(
     """
     h, w = shape
     rows, columns = _nodes(h), _nodes(w)
-    by_row, by_column = _weights(rows, h), _weights(columns, w)
+    by_row = lagrange_weights(rows, np.arange(h), points=2)
+    by_column = lagrange_weights(columns, np.arange(w), points=2)
     first = np.array(origin_px) + 0.5 * (stride - 1)
     line, sample_px = np.meshgrid(first[1] + stride * rows, first[0] + stride * columns, indexing="ij")
     xy = chip_points(chip, pushbroom.ground_points(ccd, sample_px.ravel(), line.ravel(), surface))
@@ -156,17 +158,6 @@ def _blurred(chip: Chip, sigma: float) -> Image:
 
 def _nodes(n: int) -> Floats:
     return np.asarray(np.linspace(0.0, n - 1.0, max(2, -(-(n - 1) // _NODE_PX) + 1)), dtype=float)
-
-
-def _weights(nodes: Floats, n: int) -> Floats:
-    """(n, K) weights of linear interpolation between nodes at 0..n-1."""
-    at = np.arange(n, dtype=float)
-    k = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
-    fraction = (at - nodes[k]) / (nodes[k + 1] - nodes[k])
-    weights = np.zeros((n, len(nodes)))
-    weights[np.arange(n), k] = 1.0 - fraction
-    weights[np.arange(n), k + 1] += fraction
-    return weights
 
 
 @lru_cache(maxsize=64)
