@@ -11,7 +11,7 @@ frame (as in astropy). Their difference changes by 1.5e-6 arcsec with a second o
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Literal
 
 import erfa
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.epoch import J2000_JD, MJD_ZERO_JD, Epoch, tai_minus_utc_s
 
-__all__ = ["FrameOfDate", "InertialFrame", "is_of_date", "of_date_to_gcrs", "rotation_to_gcrs"]
+__all__ = ["FrameOfDate", "InertialFrame", "of_date_to_gcrs", "rotation_to_gcrs"]
 
 InertialFrame = Literal["GCRF", "ICRF", "EME2000"]
 FrameOfDate = Literal["TEME", "TOD"]
@@ -33,11 +33,6 @@ def rotation_to_gcrs(frame: InertialFrame) -> Rotation:
         bias, _, _ = erfa.bp00(J2000_JD, 0.0)
         return Rotation.from_matrix(bias).inv()
     return Rotation.identity()
-
-
-def is_of_date(frame: str) -> bool:
-    """Whether the axes of a frame are those of each instant."""
-    return frame in get_args(FrameOfDate)
 
 
 def of_date_to_gcrs(frame: FrameOfDate, epoch: Epoch, t_s: ArrayLike) -> Rotation:

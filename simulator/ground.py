@@ -20,7 +20,7 @@ from pyproj import CRS, Transformer
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.record import array, record, scalar
 from boresight.simulator.landscape import STRENGTH_UNIT, Landscape
-from boresight.simulator.lattice_noise import BAND, fractal_bands, smooth_noise
+from boresight.simulator.lattice_noise import BAND, fractal, smooth_noise
 from boresight.simulator.scenario import GroundSettings
 
 __all__ = ["CHIP_TILE", "TILE", "BlurredGround", "Ground", "GroundImage", "ImageGround", "ProceduralGround"]
@@ -121,7 +121,7 @@ class ProceduralGround:
         base, strength = self._painted(column, row, width, height)
         octaves = max(3, int(np.log2(24.0 / self.texel_m)) + 1)  # texture from two texels to 50 m
         reflectance = np.empty((height, width), np.float32)
-        bands = fractal_bands(column, row, width, height, self._key + 7, octaves, 0.8)
+        bands = fractal(column, row, width, height, self._key + 7, octaves, 0.8)
         for top, band in zip(range(0, height, BAND), bands):
             rows = slice(top, top + BAND)
             seen = reflectance[rows]

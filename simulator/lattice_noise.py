@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-__all__ = ["BAND", "fractal", "fractal_bands", "smooth_noise", "white", "white_at"]
+__all__ = ["BAND", "fractal", "smooth_noise", "white", "white_at"]
 
 # Mask of 32 bits: the hash of a lattice point is computed modulo 2^32.
 _WORD = 0xFFFFFFFF
@@ -69,19 +69,13 @@ def smooth_noise(x: NDArray[np.float64], y: NDArray[np.float64], key: int) -> ND
 
 def fractal(
     column: int, row: int, width: int, height: int, key: int, octaves: int, persistence: float
-) -> NDArray[np.float32]:
-    """Sum of white noise on ever coarser lattices, linearly interpolated; (height, width), rms about 0.5.
+) -> Iterator[NDArray[np.float32]]:
+    """Sum of white noise on ever coarser lattices, linearly interpolated, rms about 0.5; in bands (R, width),
+    which stay in the processor's cache while they are worked on.
 
     The finest lattice has every second point of the window's along either axis: what is finer is lost in the
     blur of optics. Each further octave is twice as coarse and `1 / persistence` times as strong.
     """
-    return np.concatenate(list(fractal_bands(column, row, width, height, key, octaves, persistence)))
-
-
-def fractal_bands(
-    column: int, row: int, width: int, height: int, key: int, octaves: int, persistence: float
-) -> Iterator[NDArray[np.float32]]:
-    """`fractal` in bands (R, width), which stay in the processor's cache while they are worked on."""
     weights = persistence ** -np.arange(octaves, dtype=float)
     weights /= np.sqrt((weights**2).sum())
     windows = [(column, row, width, height)]

@@ -79,7 +79,6 @@ class StripStars:
     cov_px: Floats = array("N, 2, 2", "covariance, px²")
     flux_dn: Floats = array("N", "whole image above the background, DN")
     snr: Floats = array("N", "flux over its error by background noise alone")
-    chi2_dof: Floats = array("N", "squared misfit of the trace over its degrees of freedom")
     saturated: Bools = array("N", "some pixel is saturated")
     blended: Bools = array("N", "displaced by a neighbour")
     psf_sigma_px: float = scalar("width of the optics' Gaussian, px")
@@ -279,13 +278,12 @@ def _listed(found: _Found, fits: TraceFits, seen: Bools, sigma: float, gain: flo
     """The fits that are stars, bright enough and inside their CCD's image (`seen`), each once, brightest
     first."""
     windows = found.windows
-    ratio = fits.chi2 / fits.dof
     # Near the saturation every count is masked; what remains of the image still gives the place.
     saturated = np.asarray(
         ((windows.good == 0.0) & (windows.data > 5.0 * np.sqrt(windows.noise2)[:, None])).any(axis=1)
     )
     near = np.abs(fits.offset - found.start).max(axis=1) < np.where(saturated, 4.0, 2.0)
-    shaped = (ratio < _MISFIT + (_MISFIT_OF_SNR * fits.snr) ** 2) | saturated
+    shaped = (fits.chi2 / fits.dof < _MISFIT + (_MISFIT_OF_SNR * fits.snr) ** 2) | saturated
     kept = np.flatnonzero(seen & near & np.isfinite(fits.cov_px).all(axis=(1, 2)))
     kept = kept[np.argsort(-fits.flux_dn[kept], kind="stable")]
     stars = StripStars(
@@ -294,7 +292,6 @@ def _listed(found: _Found, fits: TraceFits, seen: Bools, sigma: float, gain: flo
         cov_px=fits.cov_px[kept],
         flux_dn=fits.flux_dn[kept],
         snr=fits.snr[kept],
-        chi2_dof=ratio[kept],
         saturated=saturated[kept],
         blended=np.zeros(len(kept), dtype=bool),
         psf_sigma_px=sigma,
@@ -337,7 +334,6 @@ def _no_stars(sigma: float) -> StripStars:
         cov_px=np.empty((0, 2, 2)),
         flux_dn=none,
         snr=none,
-        chi2_dof=none,
         saturated=flags,
         blended=flags,
         psf_sigma_px=sigma,

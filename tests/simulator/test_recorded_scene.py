@@ -36,7 +36,7 @@ def test_reflectance_is_the_recorded_one():
         for name, settings in (("clear", GroundSettings()), ("clouds", clouds))
         for date in (0, 1)
     }
-    found["fractal"] = fractal(-50, 301, 400, 300, 9, 6, 0.8)
+    found["fractal"] = np.concatenate(list(fractal(-50, 301, 400, 300, 9, 6, 0.8)))
     x = np.linspace(-7.0, 12.0, 500)
     found["smooth"] = smooth_noise(x, 3.0 - 1.7 * x, 11)
     assert_recorded("reflectance", found)

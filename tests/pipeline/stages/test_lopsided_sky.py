@@ -122,7 +122,6 @@ def named() -> NamedStars:
         cov_px=COV_PX,
         flux_dn=100.0 + zero,
         snr=20.0 + zero,
-        chi2_dof=1.0 + zero,
         saturated=zero.astype(bool),
         blended=zero.astype(bool),
         psf_sigma_px=0.5,
