@@ -133,3 +133,13 @@ def test_a_number_of_the_caption_is_that_of_the_table() -> None:
     assert CAPTIONS["inputs"](inputs(3.0)).startswith("1 of 7 printed values")
     assert "Ours is +0.10 m from the floor" in CAPTIONS["table5"](table5(1.0))
     assert "by +1.00 m in the mean" in CAPTIONS["table5"](table5(1.0))
+
+
+def test_the_distance_from_the_floor_is_that_of_root_mean_squares():
+    table = pd.DataFrame(
+        [("information", 4.0, 3.0), ("information", 6.0, 5.0), ("wang", 9.0, 3.0)],
+        columns=["method", "rms_m", "floor_m"],
+    )
+    above = np.sqrt((16.0 + 36.0) / 2.0) - np.sqrt((9.0 + 25.0) / 2.0)  # 0.976 m; means of cubes: 0.94
+    assert f"Ours is {above:+.2f} m from the floor" in CAPTIONS["table5"](table)
+    assert "by +4.00 m in the mean" in CAPTIONS["table5"](table)  # 9 less the mean of 4 and 6
