@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from boresight.geometry.record import Floats, array, record, scalar, value_text
 from boresight.geometry.smooth_distortion import SmoothDistortion
 
-__all__ = ["OpenCVParameters", "Projection", "StarCamera"]
+__all__ = ["LEAST_FORWARD", "OpenCVParameters", "Projection", "StarCamera"]
 
 Projection = Literal["tangent", "equidistant", "stereographic"]
 
@@ -36,8 +36,9 @@ _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in
 _NEWTON_STEPS = 25
 # Error of the inverse, mm, that counts as exact: the rounding of doubles at 1 m, 2e-16 of it.
 _EXACT_MM = 2e-13
-# Cosine of the angle from the axis, 89 degrees, up to which a fisheye's middle row counts.
-_LEAST_FORWARD = math.cos(math.radians(89.0))
+# Cosine of the angle from the axis, 89 degrees, up to which pixels and stars of a fisheye are used: at 90 a
+# direction has no place in the tangent plane.
+LEAST_FORWARD = math.cos(math.radians(89.0))
 # Error, px, of the directions at which pixels are derived.
 _SLOPES_ERROR_PX = 1e-5
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
@@ -339,7 +340,7 @@ def _row_ends(camera: StarCamera) -> Array:
     if camera.projection == "tangent" or np.isfinite(camera.directions_from_pixels(edges)).all():
         return edges
     pixels = np.array([[column, row] for column in range(camera.width_px)])
-    seen = pixels[camera.directions_from_pixels(pixels)[:, 2] > _LEAST_FORWARD]
+    seen = pixels[camera.directions_from_pixels(pixels)[:, 2] > LEAST_FORWARD]
     return seen[[0, -1]] if len(seen) else edges
 
 

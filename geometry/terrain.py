@@ -134,9 +134,8 @@ class TerrainGrid:
         a, b, c, _, _, _ = self.transform
         to_map = _to_map(self.crs)
         if to_map is not None:
-            degrees = np.degrees(
-                [np.append(lon, 0.0), np.append(lat, 0.0)]
-            )  # of one-element arrays pyproj warns
+            # a point more: of arrays of one element pyproj makes numbers, with a warning
+            degrees = np.degrees([np.append(lon, 0.0), np.append(lat, 0.0)])
             x, y = (place[:-1].reshape(lat.shape) for place in to_map.transform(*degrees))
             return _pixels_from_map(self.transform, x, y)
         # degrees; shift longitudes by 360 degrees to those of the raster

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import LEAST_FORWARD, StarCamera
 from boresight.star_id.camera_fit import (
     DRIFT,
     IdentifiedStars,
@@ -55,9 +55,6 @@ _ROUNDS = 3
 # Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
 # model is chosen by evidence first (set by hand).
 _ROUGHLY = 1.5
-# Cosine of the angle from the axis, 89 degrees, up to which stars are used: before the fit has converged,
-# others may lie behind the camera.
-_LEAST_FORWARD = float(np.cos(np.radians(89.0)))
 # Random pixel maps drawn from the covariance for the error that holds anywhere on the detector with 95 %;
 # with 2000 the quantile's probability is good to 0.5 %, sqrt(0.95 * 0.05 / 2000).
 _DRAWN_MAPS = 2000
@@ -260,7 +257,9 @@ def _reliable(
         stars, rows = frames[k].stars, solution.rows
         reliable = select_for_calibration(stars.centroids, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
-        reliable &= solution.R_si.apply(index.u_i[rows])[:, 2] > _LEAST_FORWARD
+        reliable &= (
+            solution.R_si.apply(index.u_i[rows])[:, 2] > LEAST_FORWARD
+        )  # others may lie behind the camera
         xy.append(solution.xy_px[reliable])
         years = settings.epoch_error_years if observer is None else 0.0
         moved = proper_motion_covariance(index, rows[reliable], solution.camera, solution.R_si, years)

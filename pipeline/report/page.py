@@ -64,7 +64,7 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
 
 
 def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterator[str]:
-    """The text of the report, part by part: of 10 000 targets it is 70 MB, as one text twice that."""
+    """The text of the report, part by part: with thousands of targets tens of MB, as one text twice that."""
     from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
 
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
