@@ -22,6 +22,7 @@ from boresight.geometry.geodesy import (
     ray_ellipsoid_intersection,
 )
 from boresight.geometry.geoid import Geoid
+from boresight.geometry.local_map import LocalMap, fit_local_map
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.terrain_rays import (
     HeightBounds,
@@ -38,6 +39,7 @@ Array = NDArray[np.float64]
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 32_768  # rays at a time: their arrays stay in the cache
 _MARGIN_M = 0.1  # deviation of a shell from equal height, at most
+_LOCAL_MAP_PX = 1e-7  # error of a polynomial in place of a map projection
 _ON_GROUND_M = 1e-4  # an intersection is accurate to 1e-6 m
 _STEPS = 64  # between the highest and the lowest height of a surface that is not a grid
 _LONGEST_PATH_M = (200.0, 2e3, 1e4, 2.5e4)  # on the map, for degree 2, 3, ...: error L^(n+1) / R^n
@@ -80,6 +82,7 @@ class TerrainGrid:
     )
     crs: str = scalar("horizontal CRS of x and y, as PROJ understands it")
     bounds: HeightBounds = scalar("lowest and highest ground by tiles")
+    local_map: LocalMap | None = scalar("latitude and longitude to column and row, 1e-7 px, if one exists")
 
     @staticmethod
     def from_raster(
@@ -118,7 +121,8 @@ class TerrainGrid:
             raise ValueError(f"terrain transform cannot be inverted: {(a, b, c, d, e, f)}")
         if geoid is not None:
             heights = _above_ellipsoid(heights, (a, b, c, d, e, f), crs, geoid)
-        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights))
+        local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
+        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
         """Height above the ellipsoid, m, bilinear, elementwise; NaN at missing data or outside."""
@@ -131,13 +135,12 @@ class TerrainGrid:
     def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
         """Fractional columns and rows of geodetic points, (0, 0) at the centre of the first pixel."""
         lat, lon = np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float)
+        if self.local_map is not None and self.local_map.covers(lat, lon).all():
+            return self.local_map.at(lat, lon)
         a, b, c, _, _, _ = self.transform
         to_map = _to_map(self.crs)
         if to_map is not None:
-            # a point more: of arrays of one element pyproj makes numbers, with a warning
-            degrees = np.degrees([np.append(lon, 0.0), np.append(lat, 0.0)])
-            x, y = (place[:-1].reshape(lat.shape) for place in to_map.transform(*degrees))
-            return _pixels_from_map(self.transform, x, y)
+            return _pixels_from_map(self.transform, *to_map.transform(np.degrees(lon), np.degrees(lat)))
         # degrees; shift longitudes by 360 degrees to those of the raster
         middle = c + 0.5 * (a * self.heights_m.shape[1] + b * self.heights_m.shape[0])
         x = np.degrees(lon)
@@ -317,6 +320,31 @@ def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -
     dx, dy = np.asarray(x) - c, np.asarray(y) - f
     determinant = a * e - b * d
     return (e * dx - b * dy) / determinant - 0.5, (a * dy - d * dx) / determinant - 0.5
+
+
+def _local_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -> LocalMap | None:
+    """Polynomial in place of a map projection over a raster; None in degrees, or if none is accurate."""
+    to_map = _to_map(crs)
+    if to_map is None:
+        return None
+    a, b, c, d, e, f = transform
+    along = np.linspace(0.0, 1.0, 9)
+    edge = np.concatenate(
+        [[along, 0 * along], [along, 0 * along + 1], [0 * along, along], [0 * along + 1, along]], axis=1
+    )
+    column, row = edge[0] * shape[1], edge[1] * shape[0]
+    lon, lat = to_map.transform(a * column + b * row + c, d * column + e * row + f, direction="INVERSE")
+    if not (np.isfinite(lon).all() and np.isfinite(lat).all()) or np.ptp(lon) > 90.0:
+        return None
+    (low_v, high_v), (low_u, high_u) = ((g.min(), g.max()) for g in (np.radians(lon), np.radians(lat)))
+    edge_u, edge_v = 0.02 * (high_u - low_u), 0.02 * (high_v - low_v)
+
+    def true(u: Array, v: Array) -> tuple[Array, Array]:
+        return _pixels_from_map(transform, *to_map.transform(np.degrees(v), np.degrees(u)))
+
+    return fit_local_map(
+        true, (low_u - edge_u, high_u + edge_u), (low_v - edge_v, high_v + edge_v), _LOCAL_MAP_PX
+    )
 
 
 @lru_cache(maxsize=16)
