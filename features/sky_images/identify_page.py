@@ -164,7 +164,7 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     xy, flux = stars.xy_px[some], stars.flux_dn[some]
     pixels = np.rint(xy).astype(np.int64)
     windows = star_windows(image, pixels, stars.background, radius, stars.saturation_dn)
-    model = images_at(stars.psf, pixels, windows.offsets(xy), stars.psf.sigma_at(xy), radius).value
+    model = images_at(stars.psf, windows.middles, windows.offsets(xy), stars.psf.sigma_at(xy), radius).value
     weight = (flux / flux.sum())[:, None]
     side = 2 * radius + 1
     mean = (weight * windows.data / flux[:, None]).sum(axis=0).reshape(side, side)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.star_id.finding.cut_sky import UNCUT, cut_moments, limit_after_cut
 
 __all__ = ["Background", "background_image", "estimate_background"]
@@ -60,6 +60,9 @@ class Background:
     )
     above_cut: Floats | None = array(
         "R, C", "sigmas from the least value up to the level; None: no block is cut off there", default=None
+    )
+    unusable: Bools | None = array(
+        "H, W", "pixels that are hot, or on lines without stars; None: none", default=None
     )
     correlation: float = scalar(
         "noise_dn over the scatter of single pixels: more than 1 where their noise is correlated", default=1.0

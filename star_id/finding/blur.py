@@ -25,7 +25,7 @@ from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_image
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["explains_better", "find_coma", "find_trail"]
+__all__ = ["explains_better", "find_coma", "find_trail", "gain_about", "is_better", "refined"]
 
 # Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
 _GROWTH = 1.05
@@ -97,15 +97,15 @@ def find_coma(
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
     scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
-    theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
+    theta, covariance = refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
     found = comatic(theta)
-    if not _is_better(windows, start, found, psf, _UNLIKE):
+    if not is_better(windows, start, found, psf, _UNLIKE):
         return None
     widths = np.array([psf.sigma_px, psf.sigma_corner_px, _PEAKED])
-    grown = growing(_refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
-    if not _is_better(windows, start, found, grown, _UNLIKE):
+    grown = growing(refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
+    if not is_better(windows, start, found, grown, _UNLIKE):
         return None
-    gain, outwards = _gain(windows, start, found), xy_px - found.middle_px
+    gain, outwards = gain_about(windows, start, found), xy_px - found.middle_px
 
     def places(theta: Floats) -> Floats:
         return _fitted(windows, start, comatic(theta), gain=gain)[1][:, :2]
@@ -124,10 +124,12 @@ def explains_better(
         return False
     pixels, radius = np.rint(xy_px).astype(np.int64), psf.shape_radius_px
     windows = star_windows(image, pixels, background, radius, saturation_dn)
-    return _is_better(windows, windows.offsets(xy_px), psf, other)
+    return is_better(windows, windows.offsets(xy_px), psf, other)
 
 
-def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
+def is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
+    """Whether `psf` explains the windows better than `other`, from places `start` (N, 2) in them on; stars'
+    images may differ from both by `unlike` of the light in a pixel."""
     after, before = (_chi2(windows, start, each, unlike) for each in (psf, other))
     dof = windows.data.size
     return after - dof < _BETTER * (before - dof) and before - after > _BEYOND_CHANCE
@@ -153,12 +155,12 @@ def find_trail(
         )
 
     scale = np.append(0.1, np.full(2, np.abs(smear).max()))
-    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
+    found = smeared(refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
     if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
-    return found, _gain(windows, start, found)
+    return found, gain_about(windows, start, found)
 
 
 def _trail_of(psf: Psf) -> tuple[float, Floats]:
@@ -173,7 +175,7 @@ def _trail_of(psf: Psf) -> tuple[float, Floats]:
     return float(np.sqrt(across2)), np.sqrt(12.0 * (along2 - across2)) * axes[:, 1]
 
 
-def _refined(
+def refined(
     windows: StarWindows,
     start: Floats,
     psf_of: Callable[[Floats], Psf],
@@ -200,7 +202,7 @@ def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) ->
     return float((_fitted(windows, start, psf, unlike)[0] ** 2).sum())
 
 
-def _gain(windows: StarWindows, start: Floats, psf: Psf) -> float:
+def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
     """Electrons per DN of the photon noise that the residuals about a PSF show; infinite if they show none.
 
     What the PSF is wrong by is a share of the light, and of its slopes over the PSF's width where a fan has
@@ -234,7 +236,7 @@ def _fitted(
 ) -> tuple[Floats, Floats, PsfImages]:
     """Residuals over the noise, all in one row, states (N, 4) and unit images (N, M) of the stars with a PSF
     that their images differ from by `unlike` of the light in a pixel."""
-    pixels = windows.corner + windows.radius
+    pixels = windows.middles
     sigma, offset = psf.sigma_at(pixels.astype(float)), start
     state: Floats = np.empty((len(start), 4))
     weighted = windows

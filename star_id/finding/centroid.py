@@ -149,16 +149,16 @@ def _fit(
     if len(pixels) == 0:
         return _no_fits()
     offset = windows.offsets(pixels + start)
-    images = images_at(psf, pixels, offset, sigma, windows.radius)
+    images = images_at(psf, windows.middles, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
-    fit = _iterate(windows, pixels, state, images, sigma, psf, gain, steps=1 if one_step else _STEPS)
+    fit = _iterate(windows, state, images, sigma, psf, gain, steps=1 if one_step else _STEPS)
     good = _without_outliers(fit)
     slow = np.flatnonzero(((fit.last > _SMALL_STEP) & (not one_step)) | (good != fit.good).any(axis=1))
     if len(slow):
         rest = replace(windows.take(slow), good=good[slow])
-        images = images_at(psf, pixels[slow], fit.state[slow, :2], sigma[slow], windows.radius)
+        images = images_at(psf, rest.middles, fit.state[slow, :2], sigma[slow], windows.radius)
         steps = 1 if one_step else 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
-        more = _iterate(rest, pixels[slow], fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
+        more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
     return _stars_of(fit, windows, pixels, psf, settled_px=_LARGEST_STEP_PX if one_step else _SMALL_STEP_PX)
@@ -180,7 +180,6 @@ class _Fit:
 
 def _iterate(
     windows: StarWindows,
-    pixels: Ints,
     state: Floats,
     images: PsfImages,
     sigma: Floats,
@@ -192,7 +191,7 @@ def _iterate(
     """Up to `steps` Gauss-Newton steps on all stars from a state (N, 4) and its images."""
     for k in range(steps):
         if k > 0:
-            images = images_at(psf, pixels, state[:, :2], sigma, windows.radius)
+            images = images_at(psf, windows.middles, state[:, :2], sigma, windows.radius)
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
@@ -216,7 +215,7 @@ def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf, *, settle
     cov = cov[:, :2, :2] * inflation[:, None, None]
     if psf.error_factor is not None:
         cov = psf.error_factor @ cov @ psf.error_factor.T
-    xy = fit.state[:, :2] + windows.corner + windows.radius
+    xy = fit.state[:, :2] + windows.middles
     reach = 2.0 if settled == 0.0 else 0.25 * windows.radius
     near = np.abs(xy - pixels).max(axis=1) < reach + windows.saturated * 4.0
     return StarFits(

@@ -3,8 +3,9 @@
 Two short parts of each line far apart show its offset alike, which noise and stars do not: the covariance of
 the parts, over the lines, is the variance of the offsets, and in a single hot line both parts stand out.
 Where either is significant each line's mean without stars, less the smooth course of these, is subtracted;
-the level of the sky over the image remains. A single line that is near saturation, or much noisier than those
-around it, shows no stars: it is replaced by the mean of the lines beside it.
+the level of the sky over the image remains. A single line that is near saturation, or much noisier or quieter
+than those around it, shows no stars: it is replaced by the mean of the lines beside it, and told, so that it
+has no weight in fits.
 """
 
 from __future__ import annotations
@@ -57,18 +58,21 @@ _TO_SATURATION = 4.0
 # Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
 # have half the weight; estimated to 0.04).
 _NOISIER = 1.4
-# Share of pixels above the least value from which a sky is not cut off (set by hand).
+# Noise of a line over that around it below which it is dead: no light changes its pixels (set by hand).
+_QUIETER = 0.5
+# Share of the pixels of most lines above the least value from which a sky is not cut off (set by hand).
 _WHOLE = 0.99
 # Every so many rows and columns are looked at for that.
 _SPARSE = 4
-# Parts of a line that must all be noisy: a bloom or a roof fills some of them.
+# Parts of a line that must all be noisy, or quiet: a bloom or a roof fills some of them.
 _QUARTERS = 4
 # Most adjacent lines that are replaced: a wider band is no fault of single lines.
 _MOST_ADJACENT = 2
 
 
-def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
-    """The image (H, W) without offsets of its rows and columns, or itself where there are none.
+def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[Any], Bools | None]:
+    """The image (H, W) without offsets of its rows and columns, or itself where there are none, and which of
+    its pixels (H, W) lie on lines that show no stars; None: no such line.
 
     Saturated pixels stay saturated.
     """
@@ -76,10 +80,11 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
         image = image.astype(np.float32)
     lines = [axis for axis in (0, 1) if _has_offsets(image, axis)]
     if not lines:
-        return image
+        return image, None
     clean = image.astype(np.float32)
     floor = float(image.min())
-    whole = float(np.mean(image[::_SPARSE, ::_SPARSE] > image.min())) > _WHOLE
+    above = image[::_SPARSE, ::_SPARSE] > image.min()  # of dead lines all pixels are at the least value
+    whole = max(float(np.median(above.mean(axis=axis))) for axis in (0, 1)) > _WHOLE
     useless = []
     for axis in lines:
         seen = clean if axis == 0 else clean.T
@@ -90,17 +95,21 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> NDArray[Any]:
     np.maximum(clean, floor, out=clean)  # a sky that was cut off is so in all lines alike
     if np.isfinite(saturation_dn):
         clean[image >= saturation_dn] = saturation_dn
-    for seen, unusable in useless:
-        _replace(seen, unusable)
-    return clean
+    if not any(len(rows) for _, rows in useless):
+        return clean, None
+    no_stars = np.zeros(image.shape, dtype=bool)
+    for axis, (seen, rows) in zip(lines, useless):
+        _replace(seen, rows, no_stars if axis == 0 else no_stars.T)
+    return clean, no_stars
 
 
-def _replace(image: NDArray[np.float32], rows: Ints) -> None:
-    """Replace single rows of an image (H, W), in place, by the mean of the rows beside them."""
+def _replace(image: NDArray[np.float32], rows: Ints, no_stars: Bools) -> None:
+    """Replace single rows of an image (H, W), in place, by the mean of the rows beside them, and mark them in
+    `no_stars` (H, W)."""
     for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
         if 0 < len(run) <= _MOST_ADJACENT:
             beside = [k for k in (run[0] - 1, run[-1] + 1) if 0 <= k < len(image)]
-            image[run] = image[beside].mean(axis=0)
+            image[run], no_stars[run] = image[beside].mean(axis=0), True
 
 
 def _has_offsets(image: NDArray[Any], axis: int) -> bool:
@@ -157,7 +166,7 @@ def _differ(image: NDArray[Any], rows: Ints, limit: float) -> bool:
 
 def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[NDArray[np.float32], Ints]:
     """(H,) offsets of the rows of an image, their means without stars less the smooth course of these, and
-    the rows that show no stars: near saturation, or, in a `whole` sky, too noisy.
+    the rows that show no stars: near saturation, or, in a `whole` sky, too noisy or dead.
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
     """
@@ -176,14 +185,15 @@ def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[ND
     offset = np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)
     unusable = median > saturation_dn - _TO_SATURATION * noise
     if whole:  # of a sky that is cut off, raised lines show more noise
-        unusable |= _noisy(clipped)
+        unusable |= _unlike_others(clipped)
     return offset, np.flatnonzero(unusable)
 
 
-def _noisy(clipped: NDArray[Any]) -> Bools:
+def _unlike_others(clipped: NDArray[Any]) -> Bools:
     """(H,) which rows (H, S), less their medians and without stars, are noisier than those around them in
-    all their parts."""
+    all their parts, or quieter."""
     parts = np.array_split(clipped, _QUARTERS, axis=1)
-    noise = np.min([np.sqrt((part**2).mean(axis=1)) for part in parts], axis=0)
-    usual = scipy.ndimage.median_filter(noise, _AROUND, mode="nearest")
-    return np.asarray(noise > _NOISIER * np.maximum(usual, 0.3))
+    noise = np.array([np.sqrt((part**2).mean(axis=1)) for part in parts])
+    usual = scipy.ndimage.median_filter(noise.min(axis=0), _AROUND, mode="nearest")
+    noisy = noise.min(axis=0) > _NOISIER * np.maximum(usual, 0.3)
+    return np.asarray(noisy | (noise.max(axis=0) < _QUIETER * usual))

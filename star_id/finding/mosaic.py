@@ -11,6 +11,7 @@ enough stars do not show alike is one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -105,13 +106,16 @@ def even_image(
     `response` (2, 2) is that to starlight, of mean one. The background holds the pixels' weights."""
     height, width = (size // 2 * 2 for size in image.shape)
     even = np.zeros(image.shape, dtype=np.float32)
-    level, noise2 = [], []
+    level, noise2, unusable = [], [], np.zeros(image.shape, dtype=bool)
     for row in (0, 1):
         for column in (0, 1):
-            part = without_lines(np.ascontiguousarray(image[row:height:2, column:width:2]), saturation_dn)
+            cut = (slice(row, height, 2), slice(column, width, 2))
+            part, no_stars = without_lines(np.ascontiguousarray(image[cut]), saturation_dn)
+            if no_stars is not None:
+                unusable[cut] = no_stars
             sky = estimate_background(part)
             part = (part - background_image(sky.level_dn, part.shape)) / np.float32(response[row, column])
-            even[row:height:2, column:width:2] = part
+            even[cut] = part
             level.append(sky.level_dn)
             noise2.append((sky.noise_dn / response[row, column]) ** 2)
     even += background_image(np.mean(level, axis=0), image.shape)
@@ -121,6 +125,8 @@ def even_image(
     mean2 = np.mean(noise2, axis=0)
     weight = mean2.mean() / np.array([grid.mean() for grid in noise2]).reshape(2, 2)
     sky = Background(np.mean(level, axis=0), np.sqrt(mean2), image.shape[1], image.shape[0], weight)
+    if unusable.any():
+        sky = replace(sky, unusable=unusable)
     return even, sky, top
 
 

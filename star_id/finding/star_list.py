@@ -19,6 +19,8 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
+from boresight.star_id.finding.hot_pixels import without_hot_pixels
+from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
@@ -65,6 +67,8 @@ _LEAST_KEPT = 0.7
 _WELL_SHAPED = 0.85
 # Detections fitted then, in units of `max_stars`: three times as many (set by hand; bounds the time).
 _TRIED = 3
+# Share of hot pixels from which they are looked for before stars are: one star in twenty has one within 3 px.
+_MANY_HOT = 1e-3
 # Distance, px, within which the places by two PSFs are those of one star.
 _SAME_PX = 2.0
 # Cells along each side of the image over which the stars that are kept are spread.
@@ -164,8 +168,9 @@ def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] |
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
     if not has_mosaic(image):
-        image = without_lines(image, saturation)
-        return _list_stars(image, estimate_background(image), settings, saturation)
+        image, no_stars = without_lines(image, saturation)
+        background = replace(estimate_background(image), unusable=no_stars)
+        return _list_stars(image, background, settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     even, background, even_saturation = even_image(image, response, saturation)
@@ -192,6 +197,10 @@ def _list_stars(
     """
     background = as_independent_noise(image, background)
     found = _detections(image, background, settings, saturation)
+    if found.hot_pixels > _MANY_HOT * image.size:
+        image, background, hot = without_hot_pixels(image, background, found.psf.sigma_px)
+        found = _detections(image, background, settings, saturation)
+        found = replace(found, hot_pixels=found.hot_pixels + hot)
     stars = _measured(image, found, background, settings, saturation)
     if settings.psf_sigma_px is None and settings.smear_px is None:
         comatic = _with_blur(find_coma, image, found, stars, settings)
@@ -408,12 +417,15 @@ def _detections(
         change = np.hypot(psf.smear_px[0] - before.smear_px[0], psf.smear_px[1] - before.smear_px[1])
         if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and change < 0.5 * psf.sigma_px:
             break
+    gain = gain_from_widths(shapes, background.correlation)
+    if settings.psf_sigma_px is None and settings.smear_px is None and (fields := find_fields(shapes, psf)):
+        (psf, gain), psf_stars = fields, int(np.count_nonzero(shapes.settled))
     return _Found(
         xy_px=found.xy_px,
         offset_px=found.offset_px,
         psf=psf,
         psf_stars=psf_stars,
-        gain_e_per_dn=settings.gain_e_per_dn or gain_from_widths(shapes, background.correlation),
+        gain_e_per_dn=settings.gain_e_per_dn or gain,
         threshold=threshold,
         hot_pixels=found.hot_pixels,
     )

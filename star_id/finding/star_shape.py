@@ -18,7 +18,7 @@ from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
+__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of", "weighted_median"]
 
 
 # Newton steps of place, flux, sky and width of each star.
@@ -50,7 +50,8 @@ class WidthFits:
     error_px: Floats = array("N", "standard errors of the widths, px")
     normal: Floats = array("N, 5, 5", "normal matrices of the fits")
     residual: NDArray[np.float32] = array("N, M", "measured minus fitted, DN")
-    good: Bools = array("N", "whether the fit is consistent with a star")
+    settled: Bools = array("N", "whether the fit has come to rest near its pixel")
+    good: Bools = array("N", "whether, moreover, a Gaussian leaves no more than a star does")
 
     @property
     def stars(self) -> int:
@@ -86,11 +87,11 @@ def fit_widths(
     variance = np.linalg.inv(normal)[:, 4, 4]  # negative by rounding where the window shows no width
     error = sigma * np.sqrt(np.where(variance > 0.0, variance, np.inf))
     moved = state[:, :2] - windows.offsets(pixels.astype(float))
-    good = (np.abs(moved) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
-    good &= sigma < 3.9 * psf.sigma_px
+    settled = (np.abs(moved) < 1.5).all(axis=1) & (state[:, 2] > 0) & (sigma > 0.27) & (error < 0.15 * sigma)
+    settled &= sigma < 3.9 * psf.sigma_px
     misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
     energy = ((flux[:, None] * images.value) ** 2 * weight).sum(axis=1)
-    good &= misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1]))
+    good = settled & (misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1])))
     state = np.column_stack([state[:, :2], flux, state[:, 3]])
     return WidthFits(
         pixels=pixels,
@@ -101,6 +102,7 @@ def fit_widths(
         error_px=error,
         normal=normal,
         residual=residual,
+        settled=settled,
         good=good,
     )
 
@@ -139,7 +141,7 @@ def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
         weighted = (residual2 < 25.0 * variance) / variance**2 * slope
         weight = np.maximum((weighted * slope).sum(axis=1), 1e-30)
         each = (weighted * excess).sum(axis=1) / weight
-        middle = _weighted_median(each, weight)
+        middle = weighted_median(each, weight)
         inlier = (each - middle) ** 2 * weight < _OUTLIER
         per_dn = max(float((each * weight)[inlier].sum() / weight[inlier].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
@@ -170,7 +172,7 @@ def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
     flux, noise2 = fits.state[fits.good, 2], fits.windows.noise2[fits.good]
     energy = np.einsum("anm,anm->an", template, template) * flux**2 / noise2
     each = np.einsum("anm,nm->an", template, residual) * flux / noise2 / np.maximum(energy, 1e-30)
-    plus, cross = (_weighted_median(values, weights) for values, weights in zip(each, energy))
+    plus, cross = (weighted_median(values, weights) for values, weights in zip(each, energy))
     off = np.abs(each - [[plus], [cross]])
     spread = 1.4826 * max(_median(off[0]), _median(off[1])) / np.sqrt(each.shape[1])
     found = float(np.hypot(plus, cross))
@@ -195,7 +197,8 @@ def _median(values: Floats) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def _weighted_median(values: Floats, weights: Floats) -> float:
+def weighted_median(values: Floats, weights: Floats) -> float:
+    """The value (of N) below which half of the weight lies."""
     order = np.argsort(values)
     below = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(below, 0.5 * below[-1]))]])

@@ -34,9 +34,14 @@ class StarWindows:
         above = None if self.above_cut is None else self.above_cut[index]
         return replace(self, above_cut=above, **{name: getattr(self, name)[index] for name in names})
 
+    @property
+    def middles(self) -> Ints:
+        """(N, 2) pixels of the image in the middles of the windows."""
+        return self.corner + self.radius
+
     def offsets(self, xy_px: Floats) -> Floats:
         """Pixels (N, 2) of the image relative to the middles of the windows."""
-        return np.asarray(xy_px - self.corner - self.radius, dtype=np.float64)
+        return np.asarray(xy_px - self.middles, dtype=np.float64)
 
 
 def windows_at(image: NDArray[Any], corners: Ints, side: int) -> NDArray[Any]:
@@ -66,6 +71,8 @@ def star_windows(
         row, column = np.indices((side, side)) % 2
         x, y = (corner % 2).T[:, :, None, None]
         good *= background.weights.astype(np.float32)[(row + y) % 2, (column + x) % 2]
+    if background.unusable is not None:
+        good *= ~windows_at(background.unusable, corner, side)
     rows = saturated.nonzero()[0]
     if len(rows):
         good[rows] *= _unsaturated(full[rows])

@@ -45,6 +45,8 @@ STAGES = (
     *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
     *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
 )
+# Most rounds of matching and fitting again the stars of a calibrated camera (set by hand).
+_ROUNDS = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
 _STARS_FOR_SHIFT = 30
 # Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
@@ -155,7 +157,7 @@ def identify_stars(
                 continue
             best = max(best, trial.log_ratio - math.log(examined))
             if math.log(examined) - trial.log_ratio < limit:
-                return _identification(trial, examined)
+                return _identification(image, index, trial, examined)
     return NotIdentified(
         f"{n} stars found, {examined} triangles agree with the catalogue, none explains the image"
         f" (best log odds {best:.1f}, {-limit:.1f} needed)",
@@ -206,7 +208,7 @@ def _track(
     trial = _refined_trial(image, index, hypothesis, sigma, chosen=2)
     if trial is None or np.log(shifts) - trial.log_ratio >= np.log(settings.max_false_alarm_probability):
         return None, shifts
-    return _identification(trial, shifts), shifts
+    return _identification(image, index, trial, shifts), shifts
 
 
 def _try_proposal(
@@ -256,6 +258,28 @@ def _refined_trial(
     return _Trial(match, R_si, distortion, _log_ratio(image, pairs, chosen + (fitted - 2) // 2))
 
 
+def _settled(image: PlaneDetections, index: StarIndex, trial: _Trial) -> _Trial:
+    """The trial of a calibrated camera refined by its own matches, where these are pixels off: a triangle in
+    a corner finds the stars near it, and takes others for those far from it.
+    """
+    error, pixel = robust_sigma(trial.match.distance, image.field.pixel), image.field.pixel
+    if not image.field.is_calibrated or error < pixel:
+        return trial
+    hypothesis = predict_field(image, index, trial.R_si.as_matrix(), trial.distortion)
+    for _ in range(_ROUNDS):
+        R_si, distortion, _ = refine(image, index, hypothesis, trial.match)
+        hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
+        sigma = np.full(len(hypothesis.rows), error)
+        pairs = one_to_one_pairs(image, hypothesis, nearby_pairs(image, hypothesis, sigma), sigma)
+        match = match_within(hypothesis, pairs, max(3.0 * robust_sigma(pairs.distance, pixel), pixel))
+        if match is None:
+            break
+        trial = _Trial(match, R_si, distortion, trial.log_ratio)
+        if (error := robust_sigma(match.distance, pixel)) < pixel:
+            break
+    return trial
+
+
 def _log_ratio(image: PlaneDetections, pairs: OneToOnePairs, excluded: int) -> float:
     """Log likelihood ratio of the image with and without the hypothesis that made these pairs."""
     clutter = len(image.points) - len(pairs.detections)
@@ -264,7 +288,10 @@ def _log_ratio(image: PlaneDetections, pairs: OneToOnePairs, excluded: int) -> f
     )
 
 
-def _identification(trial: _Trial, proposals: int) -> Identification:
+def _identification(
+    image: PlaneDetections, index: StarIndex, trial: _Trial, proposals: int
+) -> Identification:
+    trial = _settled(image, index, trial)
     log_probability = min(math.log(max(proposals, 1)) - trial.log_ratio, 0.0)
     return Identification(
         detections=trial.match.detections,

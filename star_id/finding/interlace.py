@@ -1,0 +1,73 @@
+"""Two fields of rows: the stars of even and odd rows apart, as interlaced sensors leave them in motion.
+
+A star's image is then a comb. Fitted with one place it leaves residuals that are taken for photon noise. What
+even and odd rows of the bright stars leave shows how far they are apart. Where that is significant, motion
+between the fields, the share of it during which a field is exposed, and the width are fitted together. The
+place of a star is that of the instant between both fields.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from boresight.geometry.record import Floats
+from boresight.star_id.finding.blur import gain_about, is_better, refined
+from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.star_shape import WidthFits, weighted_median
+
+__all__ = ["find_fields"]
+
+# Distance of the fields, in standard errors of what single stars say and px, from which it is looked for (set
+# by hand).
+_SIGNIFICANT, _LEAST_PX = 6.0, 0.02
+# Fewest stars that it is fitted to (as for coma).
+_FEWEST = 12
+# Changes by which the fit is scaled: of log width, motion (px), and the squared share of the exposure (set by
+# hand).
+_UNSURE = (0.1, 0.1, 0.1, 0.3)
+# Squared share of the time between fields during which one is exposed: 1 at most.
+_BOUNDS = ([-np.inf, -np.inf, -np.inf, 0.0], [np.inf, np.inf, np.inf, 1.0])
+# Share of a pixel's light by which real stars differ from a Gaussian (as for coma).
+_UNLIKE = 0.1
+
+
+def find_fields(fits: WidthFits, psf: Psf) -> tuple[Psf, float] | None:
+    """PSF with two fields of rows, and the gain, e-/DN, that the residuals about it show; None where the
+    stars of even and odd rows are at one place."""
+    if np.count_nonzero(fits.settled) < _FEWEST:
+        return None
+    apart, error = _apart(fits)
+    if np.hypot(*apart) < max(_SIGNIFICANT * error, _LEAST_PX):
+        return None
+    windows, start = fits.windows.take(fits.settled), fits.state[fits.settled, :2]
+
+    def of_fields(theta: Floats) -> Psf:
+        width, x, y, exposed = (float(value) for value in theta)
+        sigma, smear = math.exp(width), (math.sqrt(exposed) * x, math.sqrt(exposed) * y)
+        return replace(psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, fields_px=(x, y))
+
+    narrow = max(psf.sigma_px**2 - float(apart @ apart) / 8.0, 0.25 * psf.sigma_px**2)
+    theta = np.array([0.5 * np.log(narrow), *apart, 0.1])
+    found = of_fields(refined(windows, start, of_fields, theta, np.array(_UNSURE), _UNLIKE, _BOUNDS)[0])
+    if not is_better(windows, start, found, psf, _UNLIKE):
+        return None
+    return found, gain_about(windows, start, found)
+
+
+def _apart(fits: WidthFits) -> tuple[Floats, float]:
+    """Places of odd rows less those of even ones (2,), px, to first order, and their standard error along
+    either axis by the scatter of stars."""
+    images, windows = fits.images, fits.windows
+    side = 2 * windows.radius + 1
+    odd = (windows.corner[fits.settled, 1, None] + np.arange(side**2) // side) % 2
+    template = (odd - 0.5)[:, None] * images.columns[fits.settled, :2]
+    template *= fits.state[fits.settled, 2, None, None]
+    weight = 1.0 / windows.noise2[fits.settled, None]
+    energy = (template**2).sum(axis=2) * weight
+    each = np.einsum("nam,nm->na", template, fits.residual[fits.settled]) * weight / energy
+    apart = np.array([weighted_median(each[:, axis], energy[:, axis]) for axis in (0, 1)])
+    spread = 1.4826 * np.median(np.abs(each - apart), axis=0).max()
+    return apart, float(spread / np.sqrt(len(each)))
