@@ -60,14 +60,13 @@ def find_fields(fits: WidthFits, psf: Psf) -> tuple[Psf, float] | None:
 def _apart(fits: WidthFits) -> tuple[Floats, float]:
     """Places of odd rows less those of even ones (2,), px, to first order, and their standard error along
     either axis by the scatter of stars."""
-    images, windows = fits.images, fits.windows
+    use, windows = fits.settled.nonzero()[0], fits.windows
     side = 2 * windows.radius + 1
-    odd = (windows.corner[fits.settled, 1, None] + np.arange(side**2) // side) % 2
-    template = (odd - 0.5)[:, None] * images.columns[fits.settled, :2]
-    template *= fits.state[fits.settled, 2, None, None]
-    weight = 1.0 / windows.noise2[fits.settled, None]
-    energy = (template**2).sum(axis=2) * weight
-    each = np.einsum("nam,nm->na", template, fits.residual[fits.settled]) * weight / energy
+    odd = (windows.corner[use, 1, None] + np.arange(side)).repeat(side, axis=1) % 2
+    slopes, signal = fits.images.columns[use, :2], fits.state[use, 2:3]
+    residual = fits.residual[use] * (odd - np.float32(0.5))
+    energy = 0.25 * signal**2 * np.einsum("nam,nam->na", slopes, slopes) / windows.noise2[use, None]
+    each = np.matmul(slopes, residual[:, :, None])[:, :, 0] * signal / windows.noise2[use, None] / energy
     apart = np.array([weighted_median(each[:, axis], energy[:, axis]) for axis in (0, 1)])
-    spread = 1.4826 * np.median(np.abs(each - apart), axis=0).max()
-    return apart, float(spread / np.sqrt(len(each)))
+    off = np.sort(np.abs(each - apart), axis=0)
+    return apart, 1.4826 * float(off[len(off) // 2].max()) / math.sqrt(len(off))
