@@ -203,13 +203,13 @@ def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) ->
 
 
 def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
-    """Electrons per DN of the photon noise that the residuals about a PSF show; infinite if they show none.
+    """Electrons per DN of the photon noise that the residuals about a PSF show, of stars near `start` (N, 2)
+    in their windows; infinite if they show none.
 
     What the PSF is wrong by is a share of the light, and of its slopes over the PSF's width where a fan has
     another length at each star: its square grows with theirs. Stars that stand out (their neighbours do) are
     left out.
     """
-
     _, state, images = _fitted(windows, start, psf)
     _, normal, residual, weight = newton_step(windows, images, state, np.inf)
     columns = images.columns * by_parameter(state, 4)[:, :, None]

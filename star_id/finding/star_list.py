@@ -124,14 +124,16 @@ class StarList:
         for places in (xy, other):
             places[:, 0] = width_px - 1.0 - places[:, 0]
         cov[:, [0, 1], [1, 0]] *= -1.0
-        smear = (-self.psf.smear_px[0], self.psf.smear_px[1])
+        smear, fields = ((-x, y) for x, y in (self.psf.smear_px, self.psf.fields_px))
+        unusable = self.background.unusable
         sky = replace(
             self.background,
             level_dn=self.background.level_dn[:, ::-1],
             noise_dn=self.background.noise_dn[:, ::-1],
             above_cut=None if self.background.above_cut is None else self.background.above_cut[:, ::-1],
+            unusable=None if unusable is None else unusable[:, ::-1],
         )
-        psf = replace(self.psf, smear_px=smear)
+        psf = replace(self.psf, smear_px=smear, fields_px=fields)
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
