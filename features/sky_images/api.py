@@ -72,7 +72,7 @@ class _Pixels(NamedTuple):
     """An image as an array, and what is to be said of it."""
 
     pixels: NDArray[np.generic]
-    masked: int  # pixels that are no number, which the median replaces
+    hidden: Bools | None  # (H, W) pixels that are no number, which the median replaces; None: none
     floating: bool  # the level at which pixels are full is not known
 
 
@@ -92,7 +92,7 @@ class Stars(Result):
         "M, 2", "detections that are not among the stars: cosmic rays, trails, stars that touch one another"
     )
     hot_pixels: int = scalar("detections rejected as hot pixels")
-    masked: int = scalar("pixels without a number, taken as the median of the image")
+    masked: int = scalar("pixels without a number: they have no weight")
     saturation_dn: float = scalar("value from which a pixel is full; inf: not known, no star is saturated")
     star_list: StarList = scalar("the full record, as the functions of boresight.star_id take it")
 
@@ -127,7 +127,7 @@ class Stars(Result):
         if self.hot_pixels:
             said.append(f"{self.hot_pixels} hot pixels")
         if self.masked:
-            said.append(f"{self.masked} masked pixels: not a number, taken as the median")
+            said.append(f"{self.masked} masked pixels: not a number, without weight")
         if np.isinf(self.saturation_dn):
             remedy = "give StarSettings(saturation_dn=...)"
             said.append(f"float image: saturation level unknown, {remedy}")
@@ -361,7 +361,7 @@ def find_stars(
     ----------
     image : (H, W) or (H, W, 3) array, or path
         Raw counts, integers from 0 to 65535 or floating, at least 32 px a side; colours become grey, and what
-        is no number or masked the median; or a PNG, TIFF, FITS, JPEG, BMP or .npy file.
+        is no number or masked has no weight; or a PNG, TIFF, FITS, JPEG, BMP or .npy file.
     dark : (H, W) array, or path, optional
         Dark frame of the same camera and exposure time.
     settings : StarSettings
@@ -393,13 +393,13 @@ def find_stars(
         raise wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
     if read.floating and chosen.saturation_dn is None:
         chosen = replace(chosen, saturation_dn=np.inf)
-    found = stars_of_image(read.pixels, chosen, frame)
+    found = stars_of_image(read.pixels, chosen, frame, read.hidden)
     names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended", "misshapen_px", "hot_pixels")
     return Stars(
         **{name: getattr(found, name) for name in names},
         psf_sigma_px=found.psf.sigma_px,
         size_px=(read.pixels.shape[1], read.pixels.shape[0]),
-        masked=read.masked,
+        masked=0 if read.hidden is None else int(np.count_nonzero(read.hidden)),
         saturation_dn=found.saturation_dn,
         star_list=found,
     )
@@ -606,7 +606,7 @@ def _pixels(image: object, name: str) -> _Pixels:
     if isinstance(image, str | os.PathLike):
         path = path_of(image, name)
         pixels = read_star_image(path, str(path))
-        return _Pixels(_large(pixels, name), 0, pixels.dtype.kind == "f")
+        return _Pixels(_large(pixels, name), None, pixels.dtype.kind == "f")
     try:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
@@ -622,15 +622,19 @@ def _pixels(image: object, name: str) -> _Pixels:
             raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
         planes = planes.astype(np.uint16)
     floating = planes.dtype.kind == "f"
-    masked = int((~np.isfinite(planes)).sum()) if floating else 0
+    no_number = ~np.isfinite(planes) if floating else None
     if hidden is not None:  # of a masked array: as what is no number
-        masked += int(hidden.sum())
+        no_number = hidden if no_number is None else no_number | hidden
         planes = np.where(hidden, np.asarray(np.median(planes[~hidden])).astype(planes.dtype), planes)
     try:
         grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
         raise of_argument(name, error) from error
-    return _Pixels(_as_counts(grey), masked, floating)
+    if no_number is not None:
+        no_number = no_number.reshape(*planes.shape[:2], -1).any(axis=2)
+    return _Pixels(
+        _as_counts(grey), no_number if no_number is not None and no_number.any() else None, floating
+    )
 
 
 def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:

@@ -62,7 +62,7 @@ class Background:
         "R, C", "sigmas from the least value up to the level; None: no block is cut off there", default=None
     )
     unusable: Bools | None = array(
-        "H, W", "pixels that are hot, or on lines without stars; None: none", default=None
+        "H, W", "pixels that show no light of stars: hot, masked, on dead lines; None: none", default=None
     )
     correlation: float = scalar(
         "noise_dn over the scatter of single pixels: more than 1 where their noise is correlated", default=1.0
@@ -72,6 +72,12 @@ class Background:
         """Level and noise (N,), (N,) in DN at pixels (N, 2), interpolated between block centres."""
         level, noise = self._between(xy_px, extended(self.level_dn), extended(self.noise_dn, continued=False))
         return level, noise
+
+    def without(self, pixels: Bools | None) -> Background:
+        """The background of an image of which some pixels (H, W), too, show no light of stars."""
+        if pixels is None:
+            return self
+        return replace(self, unusable=pixels if self.unusable is None else self.unusable | pixels)
 
     @property
     def slope_dn(self) -> tuple[float, float]:

@@ -6,7 +6,6 @@ light. A pixel that is higher than any star makes it beside such neighbours is h
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +41,4 @@ def without_hot_pixels(
     hot[1:-1, 1:-1] = height[1:-1, 1:-1] > limit
     clean = image.copy()
     clean[hot] = (middle + level[1:-1, 1:-1])[hot[1:-1, 1:-1]]
-    known = background.unusable
-    count = int(np.count_nonzero(hot))
-    return clean, replace(background, unusable=hot if known is None else hot | known), count
+    return clean, background.without(hot), int(np.count_nonzero(hot))

@@ -11,7 +11,6 @@ enough stars do not show alike is one.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -125,9 +124,7 @@ def even_image(
     mean2 = np.mean(noise2, axis=0)
     weight = mean2.mean() / np.array([grid.mean() for grid in noise2]).reshape(2, 2)
     sky = Background(np.mean(level, axis=0), np.sqrt(mean2), image.shape[1], image.shape[0], weight)
-    if unusable.any():
-        sky = replace(sky, unusable=unusable)
-    return even, sky, top
+    return even, sky.without(unusable) if unusable.any() else sky, top
 
 
 def merged_cells(image: NDArray[Any], saturation_dn: float) -> NDArray[np.float32]:

@@ -137,7 +137,12 @@ class StarList:
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
-def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] | None = None) -> StarList:
+def list_stars(
+    image: NDArray[Any],
+    settings: StarSettings,
+    dark: NDArray[Any] | None = None,
+    unusable: Bools | None = None,
+) -> StarList:
     """Stars of a raw image with centroids, covariances and fluxes.
 
     Parameters
@@ -148,6 +153,8 @@ def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] |
         Detection limit, saturation, gain, PSF and method, where they are not to be estimated.
     dark : (H, W) array, optional
         Dark frame of the camera, subtracted first.
+    unusable : (H, W) array, optional
+        Pixels that are known to show nothing, at about the level of the sky: they have no weight in fits.
 
     Returns
     -------
@@ -171,12 +178,14 @@ def list_stars(image: NDArray[Any], settings: StarSettings, dark: NDArray[Any] |
         image = _subtract_dark(image, dark, saturation)
     if not has_mosaic(image):
         image, no_stars = without_lines(image, saturation)
-        background = replace(estimate_background(image), unusable=no_stars)
+        background = estimate_background(image).without(no_stars).without(unusable)
         return _list_stars(image, background, settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     even, background, even_saturation = even_image(image, response, saturation)
-    return replace(_list_stars(even, background, settings, even_saturation), saturation_dn=saturation)
+    return replace(
+        _list_stars(even, background.without(unusable), settings, even_saturation), saturation_dn=saturation
+    )
 
 
 def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float) -> Ints:

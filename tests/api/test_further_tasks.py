@@ -41,6 +41,20 @@ def test_masked_pixels_hold_no_star_and_are_counted(pixels: np.ndarray) -> None:
         bs.find_stars(np.ma.masked_array(pixels, np.ones_like(hidden)))
 
 
+@pytest.mark.parametrize("as_nan", [True, False])
+def test_masked_pixels_within_stars_do_not_displace_them(pixels: np.ndarray, as_nan: bool) -> None:
+    """A pixel beside the middle of each of forty stars is masked: taken as sky it displaced them by up to
+    seven of their errors."""
+    stars = bs.find_stars(pixels)
+    some = np.flatnonzero(~stars.saturated & ~stars.blended)[:40]
+    column, row = np.rint(stars.xy_px[some]).astype(int).T
+    hidden = np.zeros(pixels.shape, dtype=bool)
+    hidden[row, column + 1] = True
+    found = bs.find_stars(np.where(hidden, np.nan, pixels) if as_nan else np.ma.masked_array(pixels, hidden))
+    moved = np.hypot(*(found.xy_px[:, None] - stars.xy_px[some]).T).min(axis=1)
+    assert (moved / stars.sigma_px[some]).max() < 2.5  # what a pixel tells: half an error, 1.6 at most
+
+
 @pytest.mark.parametrize("kind", ["stars", "solution"])
 def test_a_plot_takes_every_form_of_its_image_and_no_other_image(pixels: np.ndarray, kind: str) -> None:
     stars = bs.find_stars(pixels)
