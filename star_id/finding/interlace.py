@@ -16,13 +16,15 @@ import numpy as np
 from boresight.geometry.record import Floats
 from boresight.star_id.finding.blur import gain_about, is_better, refined
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.star_shape import WidthFits, weighted_median
+from boresight.star_id.finding.star_shape import WidthFits
 
 __all__ = ["find_fields"]
 
 # Distance of the fields, in standard errors of what single stars say and px, from which it is looked for (set
 # by hand).
 _SIGNIFICANT, _LEAST_PX = 6.0, 0.02
+# Brightest stars whose even and odd rows are compared (set by hand).
+_BRIGHTEST = 20
 # Fewest stars that it is fitted to (as for coma).
 _FEWEST = 12
 # Changes by which the fit is scaled: of log width, motion (px), and the squared share of the exposure (set by
@@ -40,7 +42,7 @@ def find_fields(fits: WidthFits, psf: Psf) -> tuple[Psf, float] | None:
     if np.count_nonzero(fits.settled) < _FEWEST:
         return None
     apart, error = _apart(fits)
-    if np.hypot(*apart) < max(_SIGNIFICANT * error, _LEAST_PX):
+    if math.hypot(*apart) < max(_SIGNIFICANT * error, _LEAST_PX):
         return None
     windows, start = fits.windows.take(fits.settled), fits.state[fits.settled, :2]
 
@@ -60,13 +62,13 @@ def find_fields(fits: WidthFits, psf: Psf) -> tuple[Psf, float] | None:
 def _apart(fits: WidthFits) -> tuple[Floats, float]:
     """Places of odd rows less those of even ones (2,), px, to first order, and their standard error along
     either axis by the scatter of stars."""
-    use, windows = fits.settled.nonzero()[0], fits.windows
+    use, windows = fits.settled.nonzero()[0][:_BRIGHTEST], fits.windows
     side = 2 * windows.radius + 1
     odd = (windows.corner[use, 1, None] + np.arange(side)).repeat(side, axis=1) % 2
-    slopes, signal = fits.images.columns[use, :2], fits.state[use, 2:3]
-    residual = fits.residual[use] * (odd - np.float32(0.5))
-    energy = 0.25 * signal**2 * np.einsum("nam,nam->na", slopes, slopes) / windows.noise2[use, None]
-    each = np.matmul(slopes, residual[:, :, None])[:, :, 0] * signal / windows.noise2[use, None] / energy
-    apart = np.array([weighted_median(each[:, axis], energy[:, axis]) for axis in (0, 1)])
-    off = np.sort(np.abs(each - apart), axis=0)
-    return apart, 1.4826 * float(off[len(off) // 2].max()) / math.sqrt(len(off))
+    slopes, residual = fits.images.columns[use, :2], fits.residual[use] * (odd - np.float32(0.5))
+    seen = np.matmul(slopes, residual[:, :, None])[:, :, 0]
+    each = seen / (0.25 * fits.state[use, 2:3] * (slopes * slopes).sum(axis=2))
+    middle = len(use) // 2
+    apart = np.sort(each, axis=0)[middle]
+    error = 1.4826 * np.sort(np.abs(each - apart), axis=0)[middle].max() / math.sqrt(len(use))
+    return apart, float(error)

@@ -14,12 +14,12 @@ from scipy.spatial import cKDTree
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
+from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
-from boresight.star_id.finding.hot_pixels import without_hot_pixels
 from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
@@ -67,8 +67,9 @@ _LEAST_KEPT = 0.7
 _WELL_SHAPED = 0.85
 # Detections fitted then, in units of `max_stars`: three times as many (set by hand; bounds the time).
 _TRIED = 3
-# Share of hot pixels from which they are looked for before stars are: one star in twenty has one within 3 px.
-_MANY_HOT = 1e-3
+# Share of hot or of dead pixels from which they are looked for before stars are: one star in twenty has one
+# within 3 px.
+_MANY_BAD = 1e-3
 # Distance, px, within which the places by two PSFs are those of one star.
 _SAME_PX = 2.0
 # Cells along each side of the image over which the stars that are kept are spread.
@@ -208,8 +209,8 @@ def _list_stars(
     """
     background = as_independent_noise(image, background)
     found = _detections(image, background, settings, saturation)
-    if found.hot_pixels > _MANY_HOT * image.size:
-        image, background, hot = without_hot_pixels(image, background, found.psf.sigma_px)
+    if found.hot_pixels > _MANY_BAD * image.size or has_many_dead_pixels(image, background, _MANY_BAD):
+        image, background, hot = without_bad_pixels(image, background, found.psf.sigma_px)
         found = _detections(image, background, settings, saturation)
         found = replace(found, hot_pixels=found.hot_pixels + hot)
     stars = _measured(image, found, background, settings, saturation)

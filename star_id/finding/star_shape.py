@@ -18,7 +18,7 @@ from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of", "weighted_median"]
+__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
 # Newton steps of place, flux, sky and width of each star.
@@ -141,7 +141,7 @@ def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
         weighted = (residual2 < 25.0 * variance) / variance**2 * slope
         weight = np.maximum((weighted * slope).sum(axis=1), 1e-30)
         each = (weighted * excess).sum(axis=1) / weight
-        middle = weighted_median(each, weight)
+        middle = _weighted_median(each, weight)
         inlier = (each - middle) ** 2 * weight < _OUTLIER
         per_dn = max(float((each * weight)[inlier].sum() / weight[inlier].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
@@ -172,7 +172,7 @@ def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
     flux, noise2 = fits.state[fits.good, 2], fits.windows.noise2[fits.good]
     energy = np.einsum("anm,anm->an", template, template) * flux**2 / noise2
     each = np.einsum("anm,nm->an", template, residual) * flux / noise2 / np.maximum(energy, 1e-30)
-    plus, cross = (weighted_median(values, weights) for values, weights in zip(each, energy))
+    plus, cross = (_weighted_median(values, weights) for values, weights in zip(each, energy))
     off = np.abs(each - [[plus], [cross]])
     spread = 1.4826 * max(_median(off[0]), _median(off[1])) / np.sqrt(each.shape[1])
     found = float(np.hypot(plus, cross))
@@ -197,8 +197,7 @@ def _median(values: Floats) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def weighted_median(values: Floats, weights: Floats) -> float:
-    """The value (of N) below which half of the weight lies."""
+def _weighted_median(values: Floats, weights: Floats) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(below, 0.5 * below[-1]))]])

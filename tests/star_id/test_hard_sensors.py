@@ -145,6 +145,19 @@ def test_stars_among_many_hot_pixels_are_found_and_hot_pixels_are_not(share):
     assert 0.75 < chi2 < 1.35  # 300 coordinates: 0.08, and hot pixels within the noise
 
 
+@pytest.mark.parametrize("share", [0.0002, 0.003, 0.02])
+@pytest.mark.parametrize("reads", ["zero", "the sky"])
+def test_dead_pixels_cost_no_stars_and_displace_none(share, reads):
+    """0.83 of the stars were found with one dead pixel in a hundred, and chi2 was 1.3."""
+    rng = np.random.default_rng([18, int(1e4 * share)])
+    xy = places(rng)
+    image = render(xy, rng.uniform(350.0, 6000.0, len(xy)), SIZE, SIZE, SENSOR, rng)
+    image[rng.random(image.shape) < share] = 0 if reads == "zero" else 200
+    found, false, chi2 = scored(list_stars(image, StarSettings()), xy)
+    assert found >= 0.98 and false <= 2
+    assert 0.7 < chi2 < 1.25  # 300 coordinates: 0.08
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_dead_lines_displace_no_stars(axis):
     """Lines that read one value, some through stars."""

@@ -1,0 +1,59 @@
+"""Hot and dead pixels of a sensor that has many: found before stars are, replaced, and without weight in the
+fits.
+
+The median of a pixel's four neighbours is not far below it wherever a star lies, since the optics spread its
+light. A pixel that is higher than any star makes it beside such neighbours is hot; one far below the sky is
+dead.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from boresight.star_id.finding.background import Background, background_image
+
+__all__ = ["has_many_dead_pixels", "without_bad_pixels"]
+
+# Height over that of a star with the same neighbours, sigmas of a pixel: one good pixel in 4000 is higher
+# by chance, and lower hot ones are no detections.
+_HEIGHT_SIGMA = 3.5
+# Depth below the sky, sigmas of a pixel, of a dead pixel, and height of those that are counted as hot: one
+# good pixel in three million is beyond it by chance.
+_DEPTH_SIGMA = 5.0
+# Every so many rows and columns are looked at for dead pixels.
+_SPARSE_ROWS, _SPARSE_COLUMNS = 32, 16
+# Factor on the height that a star in the middle of a pixel has beside its neighbours: pixels differ in
+# response (set by hand).
+_UNEVEN = 1.4
+# Variance of a pixel's own width, px^2, that adds to a star's.
+_PIXEL_VARIANCE = 1.0 / 12.0
+
+
+def has_many_dead_pixels(image: NDArray[Any], background: Background, share: float) -> bool:
+    """Whether more than a `share` of the pixels of an image (H, W) are far below the darkest sky."""
+    darkest = background.level_dn.min() - _DEPTH_SIGMA * background.noise_dn.max()
+    sample = image[::_SPARSE_ROWS, ::_SPARSE_COLUMNS]
+    return bool(np.count_nonzero(sample < darkest) > share * sample.size)
+
+
+def without_bad_pixels(
+    image: NDArray[Any], background: Background, sigma_px: float
+) -> tuple[NDArray[Any], Background, int]:
+    """The image (H, W) with hot and dead pixels replaced by the median of their neighbours, its background,
+    which holds where they are, and the number of hot ones. Stars have the width `sigma_px`."""
+    level = background_image(background.level_dn, image.shape)
+    noise = background_image(background.noise_dn, image.shape)
+    height = image.astype(np.float32) - level
+    beside = np.stack([height[:-2, 1:-1], height[2:, 1:-1], height[1:-1, :-2], height[1:-1, 2:]])
+    middle = 0.5 * (beside.sum(axis=0) - beside.max(axis=0) - beside.min(axis=0))
+    steepest = _UNEVEN * float(np.exp(0.5 / (sigma_px**2 + _PIXEL_VARIANCE)))
+    above = np.zeros(image.shape, dtype=np.float32)  # what a star beside such neighbours leaves
+    above[1:-1, 1:-1] = height[1:-1, 1:-1] - steepest * np.maximum(middle, 0.0)
+    hot = above > _HEIGHT_SIGMA * noise
+    bad = hot | (height < -_DEPTH_SIGMA * noise)
+    clean = image.copy()
+    clean[1:-1, 1:-1][bad[1:-1, 1:-1]] = (middle + level[1:-1, 1:-1])[bad[1:-1, 1:-1]]
+    return clean, background.without(bad), int(np.count_nonzero(above > _DEPTH_SIGMA * noise))
