@@ -19,13 +19,22 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats
+from boresight.geometry.record import Bools, Floats
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["explains_better", "find_coma", "find_trail", "gain_about", "is_better", "refined"]
+__all__ = [
+    "chi2_of_stars",
+    "do_not_stand_out",
+    "explains_better",
+    "find_coma",
+    "find_trail",
+    "gain_about",
+    "is_better",
+    "refined",
+]
 
 # Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
 _GROWTH = 1.05
@@ -55,6 +64,9 @@ _UNLIKE = 0.1
 # Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
 # (set by hand).
 _BETTER = 0.8
+# Distance of a star's chi-square from the median of all, in their median deviations, from which it stands
+# out: 5 standard deviations of a normal distribution.
+_STANDS_OUT = 7.4
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
@@ -129,10 +141,26 @@ def explains_better(
 
 def is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
     """Whether `psf` explains the windows better than `other`, from places `start` (N, 2) in them on; stars'
-    images may differ from both by `unlike` of the light in a pixel."""
-    after, before = (_chi2(windows, start, each, unlike) for each in (psf, other))
-    dof = windows.data.size
-    return after - dof < _BETTER * (before - dof) and before - after > _BEYOND_CHANCE
+    images may differ from both by `unlike` of the light in a pixel. Stars that stand out by both do not
+    count: what neither explains is a neighbour's."""
+    after, before = (chi2_of_stars(windows, start, each, unlike) for each in (psf, other))
+    usual = do_not_stand_out(np.minimum(after, before))
+    dof = np.count_nonzero(usual) * windows.data.shape[1]
+    excess, other_excess = float(after[usual].sum()) - dof, float(before[usual].sum()) - dof
+    return excess < _BETTER * other_excess and other_excess - excess > _BEYOND_CHANCE
+
+
+def do_not_stand_out(chi2: Floats) -> Bools:
+    """(N,) stars whose chi-square (N,) is not far above the usual one: a neighbour's light adds to it."""
+    middle = np.median(chi2)
+    return np.asarray(chi2 <= middle + _STANDS_OUT * np.median(np.abs(chi2 - middle)))
+
+
+def chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
+    """Chi-square (N,) of each star, from places `start` (N, 2) in the windows on, about its image by a PSF
+    that stars differ from by `unlike` of the light in a pixel."""
+    residual = _fitted(windows, start, psf, unlike)[0]
+    return np.asarray((residual**2).reshape(len(start), -1).sum(axis=1))
 
 
 def find_trail(
@@ -199,7 +227,7 @@ def refined(
 
 
 def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
-    return float((_fitted(windows, start, psf, unlike)[0] ** 2).sum())
+    return float(chi2_of_stars(windows, start, psf, unlike).sum())
 
 
 def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:

@@ -14,7 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from boresight.geometry.record import Floats
-from boresight.star_id.finding.blur import gain_about, is_better, refined
+from boresight.star_id.finding.blur import (
+    chi2_of_stars,
+    do_not_stand_out,
+    gain_about,
+    is_better,
+    refined,
+)
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_shape import WidthFits
 
@@ -53,9 +59,13 @@ def find_fields(fits: WidthFits, psf: Psf) -> tuple[Psf, float] | None:
 
     narrow = max(psf.sigma_px**2 - float(apart @ apart) / 8.0, 0.25 * psf.sigma_px**2)
     theta = np.array([0.5 * np.log(narrow), *apart, 0.1])
-    found = of_fields(refined(windows, start, of_fields, theta, np.array(_UNSURE), _UNLIKE, _BOUNDS)[0])
-    if not is_better(windows, start, found, psf, _UNLIKE):
+    theta, _ = refined(windows, start, of_fields, theta, np.array(_UNSURE), _UNLIKE, _BOUNDS)
+    if not is_better(windows, start, of_fields(theta), psf, _UNLIKE):
         return None
+    alone = do_not_stand_out(chi2_of_stars(windows, start, of_fields(theta), _UNLIKE))
+    windows, start = windows.take(alone), start[alone]
+    # with the weights that widths of other images have: wings are seen less
+    found = of_fields(refined(windows, start, of_fields, theta, np.array(_UNSURE), 0.0, _BOUNDS)[0])
     return found, gain_about(windows, start, found)
 
 
