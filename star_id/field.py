@@ -86,7 +86,11 @@ _LEAST_RELIABLE = 4
 # Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
-_PASSES = (((0, 0, 6), (0, 6, 9)), ((0, 9, 13), (0, 13, 18), (1, 0, 9)), ((DENSER, 0, 8), (DENSER, 8, 12)))
+_PASSES = (
+    ((0, 0, 6), (0, 6, 9)),
+    ((0, 9, 13), (0, 13, 18), (1, 0, 9)),
+    ((DENSER, 0, 8), (DENSER, 8, 12), (DENSER, 12, 16)),
+)
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
 # camera the first pass, the first pass mirrored, then the others.

@@ -45,6 +45,9 @@ STAGES = (
     *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
     *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
 )
+# Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
+# neighbours that proposals are judged by (set by hand).
+_OF_MISSING = 16
 # Most rounds of matching and fitting again the stars of a calibrated camera (set by hand).
 _ROUNDS = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
@@ -149,7 +152,8 @@ def identify_stars(
         size = min(brightest, n, settings.max_identification_stars)
         if size <= done or number not in tables:
             continue
-        proposals = propose(image, tables[number], index.u_i, done, size)
+        at_least = _OF_MISSING if number == DENSER else 0
+        proposals = propose(image, tables[number], index.u_i, done, size, at_least=at_least)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             trial = _try_proposal(image, index, image.points[triangle], R, float(log_scale))

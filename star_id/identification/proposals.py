@@ -62,8 +62,11 @@ class Proposals:
     examined: int  # triangles that agreed with the catalogue, these included
 
 
-def propose(image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int, size: int) -> Proposals:
-    """Proposals from triangles of the brightest `size` detections that are not all among the first `done`.
+def propose(
+    image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int, size: int, *, at_least: int = 0
+) -> Proposals:
+    """Proposals from triangles of the brightest `size` detections that are not all among the first `done`;
+    the best `at_least` of many, however unlikely.
 
     `u_i` (N, 3) are the directions of the index's stars.
     """
@@ -84,7 +87,10 @@ def propose(image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int
         chunks = [slice(k, k + _CHUNK) for k in range(0, len(rows), _CHUNK)]
         ratios = [sky.log_ratios(table, u_i, vertices[c], R[:, :, c], log_scale[c]) for c in chunks]
         log_ratio = np.concatenate(ratios)
-        worth = np.flatnonzero(log_ratio > np.log(len(rows)) - _MARGIN)
+        likely = log_ratio > np.log(len(rows)) - _MARGIN
+        if at_least:
+            likely |= log_ratio >= np.partition(log_ratio, -at_least)[-at_least]
+        worth = np.flatnonzero(likely)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
         detected, R, log_scale = detected[best], R[:, :, best], log_scale[best]
     return Proposals(detected, R.transpose(2, 0, 1), log_scale, examined)
