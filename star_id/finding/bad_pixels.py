@@ -47,8 +47,9 @@ def without_bad_pixels(
     level = background_image(background.level_dn, image.shape)
     noise = background_image(background.noise_dn, image.shape)
     height = image.astype(np.float32) - level
-    beside = np.stack([height[:-2, 1:-1], height[2:, 1:-1], height[1:-1, :-2], height[1:-1, 2:]])
-    middle = 0.5 * (beside.sum(axis=0) - beside.max(axis=0) - beside.min(axis=0))
+    rows, columns = (height[:-2, 1:-1], height[2:, 1:-1]), (height[1:-1, :-2], height[1:-1, 2:])
+    lower = np.maximum(np.minimum(*rows), np.minimum(*columns))  # the second and third of four
+    middle = 0.5 * (lower + np.minimum(np.maximum(*rows), np.maximum(*columns)))
     steepest = _UNEVEN * float(np.exp(0.5 / (sigma_px**2 + _PIXEL_VARIANCE)))
     above = np.zeros(image.shape, dtype=np.float32)  # what a star beside such neighbours leaves
     above[1:-1, 1:-1] = height[1:-1, 1:-1] - steepest * np.maximum(middle, 0.0)
