@@ -294,13 +294,20 @@ def write_caption(image: NDArray, top: int) -> None:
 
 
 def cramer_rao_px(
-    xy: NDArray, electrons: NDArray, variance_e: NDArray, share: NDArray, table: NDArray, prnu: float = 0.0
+    xy: NDArray,
+    electrons: NDArray,
+    variance_e: NDArray,
+    share: NDArray,
+    table: NDArray,
+    prnu: float = 0.0,
+    sky_e: float = 0.0,
 ) -> NDArray:
     """Bound (N,) of a centroid's error along one axis, px, and the matched filter's SNR (N,), of the rendered
     PSF; column, row, flux and background unknown.
 
     `variance_e` and `share` (H, W) are the background's variance, electrons squared, and the share of the
-    light that each pixel sees, which scatters by `prnu` of it."""
+    light that each pixel sees, which scatters by `prnu` of it: of the star's light, and of that of the sky,
+    `sky_e`, by the same factor, so that their product counts, too."""
     half, step = HALF - 1, 0.05
     whole, image = stamps(xy, table, half)
     images = [image]
@@ -315,7 +322,8 @@ def cramer_rao_px(
     flux, sky = electrons[:, None], variance_e[rows, columns].reshape(len(xy), -1)
     J = np.stack([flux * d_x, flux * d_y, value, np.ones_like(value)], axis=1)
     star = np.maximum(flux * value, 0.0)
-    information = (J / (sky + star + (prnu * star) ** 2)[:, None]) @ J.transpose(0, 2, 1)
+    seen = star + 2.0 * sky_e * share[rows, columns].reshape(len(xy), -1)
+    information = (J / (sky + star + prnu**2 * star * seen)[:, None]) @ J.transpose(0, 2, 1)
     scale = 1.0 / np.sqrt(np.einsum("npp->np", information))
     covariance = np.linalg.inv(information * scale[:, :, None] * scale[:, None, :])
     covariance *= scale[:, :, None] * scale[:, None, :]

@@ -393,7 +393,8 @@ def _bound(row: Row, xy: NDArray, electrons: NDArray, variance: NDArray) -> tupl
     for i, j in np.unique(cell, axis=0):
         here = (cell == [i, j]).all(axis=1)
         table = psf_table(row.blur, fan_at(np.array([i, j]), cells))
-        answer[here] = cramer_rao_px(xy[here], electrons[here], variance, share, table, row.sensor.prnu)
+        uneven = row.sensor.prnu, row.sensor.sky_e
+        answer[here] = cramer_rao_px(xy[here], electrons[here], variance, share, table, *uneven)
     return answer[:, 0], answer[:, 1]
 
 
