@@ -20,11 +20,11 @@ import record  # of this folder; sets the number of threads before NumPy is load
 import numpy as np  # isort: skip
 
 from boresight.calib.reliability import Reliability
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 MOST = 1.05  # of the processor time without the tests
-STAGE = "boresight.pipeline.stages.assessment."
+STAGE = "boresight.pipeline.calibration.assessment."
 WITHOUT = {
     "examined": Reliability((), (), ()),
     "moved_inputs": (),

@@ -49,6 +49,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import read_json
@@ -58,7 +59,6 @@ from boresight.pipeline.results.folder import begin_result
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures"
 TEXTS = {  # file: weight

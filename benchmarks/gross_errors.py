@@ -43,11 +43,11 @@ from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 DUMP = Path(__file__).parents[1] / "fixtures" / "mini"
 SHIFTS_PX = (0.5, 0.7, 1.0, 2.0, 4.0)

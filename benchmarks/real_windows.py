@@ -32,9 +32,9 @@ from boresight.features.operators.sentinel2_product import Sentinel2, read_senti
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 BAND = "B04"
 SHIFTS_S = (-30.0, 4.0, 37.0)  # within the ephemeris, without common rows

@@ -26,11 +26,11 @@ from sky_strips import scenario_of, wrong_names
 
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
-from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.simulator.mission_records import Mission
 
 KINDS = ("star camera of the paper", "head mounted at random")

@@ -32,13 +32,13 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError, Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars

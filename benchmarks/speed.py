@@ -37,12 +37,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_images import read_star_image
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Cached
-from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 
 HERE = Path(__file__).resolve().parents[1]

@@ -26,12 +26,12 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.features.sky_images.centroid_report import score_images
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 HEAD = """
 [[star_cameras]]

@@ -28,13 +28,13 @@ from boresight.features.targets.ortho_files import read_heights, read_ortho
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, write_targets
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.results.validate import true_installation
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 CHIP_PX = 128
 SIGMA_M = 0.5

@@ -37,6 +37,9 @@ from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.calibration.joint import open_dumps
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -53,9 +56,6 @@ from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.settings import Settings, read_settings
 from boresight.pipeline.run.workers import executor_for
-from boresight.pipeline.stages.calibrate import DumpCalibration as StageCalibration
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.joint import open_dumps
 from boresight.version import __version__
 
 if TYPE_CHECKING:

@@ -18,9 +18,9 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.vector_sets import VectorSets
 from boresight.missions import Calibration
+from boresight.pipeline.diagnosis.reasons import rejection_reason
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.results.writing import blind_spots_json, verdict_json
-from boresight.pipeline.stages.reasons import rejection_reason
 
 __all__ = ["Sigmas", "Vectors", "calibrate_vectors"]
 

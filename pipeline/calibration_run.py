@@ -17,6 +17,8 @@ from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.record import record, scalar
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.calibration.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
@@ -57,8 +59,6 @@ from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import Progress
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.stages.joint import NamedDump, calibrate_jointly
 
 log = logging.getLogger("boresight.commands")
 

@@ -12,6 +12,8 @@ from boresight.features.interior.interior_estimate import InteriorEstimate, cali
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.calibration.joint import calibrate_jointly, dump_names, open_dumps
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
@@ -19,8 +21,6 @@ from boresight.pipeline.results.ownership import MARKER, dump_folder_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import Progress
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.joint import calibrate_jointly, dump_names, open_dumps
 
 __all__ = ["InteriorCalibration", "calibrate_remote_camera"]
 

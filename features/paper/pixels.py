@@ -31,6 +31,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
@@ -40,7 +41,6 @@ from boresight.pipeline.results.validate import TruthErrors, validation_of
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.simulator.campaign import unit
 
 __all__ = [

@@ -13,12 +13,12 @@ from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coordinate_slips import contradiction
-from boresight.pipeline.stages.missing import in_view, misses, uncertainty_m
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import strips_to_match
 

@@ -17,6 +17,7 @@ import typer
 
 from boresight.calib.verdict import Outcome
 from boresight.pipeline import __version__
+from boresight.pipeline.calibration.joint import open_dumps
 from boresight.pipeline.calibration_run import (
     RunOutcome,
     RunRequest,
@@ -52,7 +53,6 @@ from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for
-from boresight.pipeline.stages.joint import open_dumps
 from boresight.version import commit
 
 __all__ = ["calibrate_command"]

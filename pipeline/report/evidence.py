@@ -41,6 +41,10 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.calibration.joint import JointCalibration
+from boresight.pipeline.calibration.plan_forecast import improvements
+from boresight.pipeline.diagnosis.head_records import attitude_signal
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
@@ -60,12 +64,8 @@ from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.exposure import exposure_image
-from boresight.pipeline.stages.head_records import attitude_signal
-from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.match_pictures import MatchPictures
-from boresight.pipeline.stages.plan_forecast import improvements
 from boresight.pipeline.stages.sky_strip import as_matched
 from boresight.pipeline.stages.star_pictures import star_pictures
 

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from boresight.calib.finding import Finding
 from boresight.geometry.line_camera import end_looks
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.report.ground_map import (
@@ -23,7 +24,6 @@ from boresight.pipeline.report.ground_map import (
     MapScene,
     StripOnGround,
 )
-from boresight.pipeline.stages.calibrate import DumpCalibration
 
 __all__ = ["findings"]
 

@@ -26,13 +26,13 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, l
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
-from boresight.pipeline.stages.calibrate import DumpCalibration
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
 __all__ = [

@@ -8,6 +8,7 @@ from typing import Any
 
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
+from boresight.pipeline.calibration.matchings import is_settled
 from boresight.pipeline.errors import Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table
@@ -20,7 +21,6 @@ from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import read_meta, read_unit
 from boresight.pipeline.stages.exposure import star_tasks
-from boresight.pipeline.stages.matchings import is_settled
 from boresight.pipeline.stages.stage_words import stage_words
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.star_id.strip_stars.find import StripStars

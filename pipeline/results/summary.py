@@ -16,14 +16,14 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.calibration.joint import JointCalibration
+from boresight.pipeline.diagnosis.reasons import doubts
+from boresight.pipeline.diagnosis.unused_rows import rows_together
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import blind_spots_json, ground_m_per_rad, verdict_json
-from boresight.pipeline.stages.calibrate import DumpCalibration
-from boresight.pipeline.stages.joint import JointCalibration
-from boresight.pipeline.stages.reasons import doubts
-from boresight.pipeline.stages.unused_rows import rows_together
 
 __all__ = [
     "REASON_WORDS",

@@ -26,6 +26,9 @@ from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
+from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.calibration.joint import JointCalibration
+from boresight.pipeline.diagnosis.unused_rows import Rows, rows_together
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
@@ -35,11 +38,8 @@ from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import DumpCalibration
-from boresight.pipeline.stages.joint import JointCalibration
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
-from boresight.pipeline.stages.unused_rows import Rows, rows_together
 
 __all__ = [
     "blind_spots_json",

@@ -15,7 +15,7 @@ from boresight.calib.verdict import CheckKind, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import isotropic_covariance
-from boresight.pipeline.stages.reasons import rejection_reason
+from boresight.pipeline.diagnosis.reasons import rejection_reason
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 

@@ -111,6 +111,8 @@ PIPELINE_FLOORS = (
     ("calibration_run",),
     ("report",),
     ("results",),
+    ("calibration",),
+    ("diagnosis",),
     ("stages",),
     ("run",),
     ("files",),

@@ -22,11 +22,11 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 sys.path[:0] = [str(ROOT / "benchmarks")]
 faults, fault_dumps = import_module("faults"), import_module("fault_dumps")

@@ -17,9 +17,9 @@ from outside import ROOT
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 
 sys.path[:0] = [str(ROOT / "benchmarks")]
 faults, fault_dumps = import_module("faults"), import_module("fault_dumps")

@@ -19,11 +19,11 @@ from command_line import app
 from rasterio.transform import Affine
 from typer.testing import CliRunner
 
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import read_text
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 NUMBER = re.compile(r"(?<![\w.-])[+-]?\d+\.?\d*(?:[eE][+-]?\d+)?(?![\w.])")
 TEXTS = ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml")

@@ -31,7 +31,7 @@ import os, signal, sys
 from pathlib import Path
 import cv2
 cv2.setNumThreads(1)
-from boresight.pipeline.stages.calibrate import calibrate_dump
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import begin_result, store_of
 from boresight.pipeline.results.writing import write_result

@@ -10,13 +10,13 @@ import pytest
 from astropy.time import Time
 
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.simulator.mission_records import Mission
 
 # 1200 rows of 0.9 ms from 23:59:59.95 on, over 23:59:60, to 00:00:00.03 of the next year.

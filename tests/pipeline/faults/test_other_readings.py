@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from outside import ROOT
 
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.diagnosis.other_readings import other_readings
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.other_readings import other_readings
 
 sys.path[:0] = [str(ROOT / "benchmarks")]
 faults, fault_dumps = import_module("faults"), import_module("fault_dumps")

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.sightings import StarSightings, isotropic_covariance
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
@@ -23,7 +24,6 @@ from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.pipeline.stages.match_pictures import Places, match_pictures
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings

@@ -16,6 +16,15 @@ from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.diagnosis.input_findings import heights
+from boresight.pipeline.diagnosis.target_findings import (
+    Suspected,
+    _excluded,
+    lost_strip,
+    lost_targets,
+    single_targets,
+)
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.report.findings import (
@@ -25,16 +34,7 @@ from boresight.pipeline.report.findings import (
 from boresight.pipeline.report.ground_map import UNMATCHED, USED
 from boresight.pipeline.report.unmatched import _pictures
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.input_findings import heights
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
-from boresight.pipeline.stages.target_findings import (
-    Suspected,
-    _excluded,
-    lost_strip,
-    lost_targets,
-    single_targets,
-)
 
 NAMES = [f"t{n}" for n in range(12)]
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import Rejected, WhyRejected
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.calibration.calibrate import rejections_of
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.results.summary import (
     _seen,
@@ -19,7 +20,6 @@ from boresight.pipeline.results.summary import (
     unit_effect,
     verdict_lines,
 )
-from boresight.pipeline.stages.calibrate import rejections_of
 
 EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run import digests, program_key
 from boresight.pipeline.run.settings import settings_from_tables
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 EXPOSURES, STRIPS = (
     14,

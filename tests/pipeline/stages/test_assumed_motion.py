@@ -12,7 +12,7 @@ from boresight.calib.finding import MOST_WORDS
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.stages.input_findings import assumed_motion
+from boresight.pipeline.diagnosis.input_findings import assumed_motion
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 STATED = CalibrationSettings(sigma_motion_rad=6.0 * ARCSEC, motion_time_s=0.8)

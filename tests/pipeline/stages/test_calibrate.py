@@ -20,6 +20,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import begin_result, store_of
@@ -28,7 +29,6 @@ from boresight.pipeline.results.validate import validation_of
 from boresight.pipeline.results.writing import FIELDS, write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 runner = CliRunner()
 

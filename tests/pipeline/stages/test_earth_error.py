@@ -27,6 +27,7 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files import dump as dump_file
 from boresight.pipeline.files.dump import bundled_table, open_dump
 from boresight.pipeline.results.earth_error import common_covariance
@@ -34,7 +35,6 @@ from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of
 
 UT1_S = 2e-3  # a change of UT1: 0.9 m on the equator

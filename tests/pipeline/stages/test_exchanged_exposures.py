@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
-from boresight.pipeline.stages.exchanged_exposures import exchanged_exposures
+from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.stages.head import HeadSightings
 
 N, STEP_S = 26, 2.4

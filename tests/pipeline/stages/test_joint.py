@@ -27,6 +27,13 @@ from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.calibration.joint import (
+    _check_nothing_twice,
+    calibrate_jointly,
+    dump_names,
+    open_dumps,
+)
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
@@ -34,13 +41,6 @@ from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.joint import (
-    _check_nothing_twice,
-    calibrate_jointly,
-    dump_names,
-    open_dumps,
-)
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 runner = CliRunner()

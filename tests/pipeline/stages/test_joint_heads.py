@@ -22,11 +22,11 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from boresight.pipeline.stages.loss_groups import LookedFor, lost_halves
+from boresight.pipeline.diagnosis.loss_groups import LookedFor, lost_halves
 
 
 def looked(name, rng, lost, n=20):

@@ -11,14 +11,14 @@ import pytest
 from fixture_strips import FIXTURE
 from scipy.spatial.transform import Rotation
 
+from boresight.pipeline.calibration import passes
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.calibration.matchings import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages import passes
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.matchings import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.pipeline.stages.strip_tasks import strips_to_match
 

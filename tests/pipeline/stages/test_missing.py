@@ -11,9 +11,9 @@ import pytest
 from command_line import app
 from typer.testing import CliRunner
 
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.stages.calibrate import calibrate_dump
 
 
 def reason(dump: Path) -> str:

@@ -17,7 +17,7 @@ from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.stages.moved_inputs import _line_of_sight, _turned_by_velocity
+from boresight.pipeline.diagnosis.moved_inputs import _line_of_sight, _turned_by_velocity
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

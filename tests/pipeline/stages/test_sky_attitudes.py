@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.stages.calibrate import calibrate_dump
 from boresight.simulator.scenario import builtin_scenario
 
 R_SH = Rotation.from_euler("xyz", [75.0, -40.0, 20.0], degrees=True)  # its boresight across the line of sight

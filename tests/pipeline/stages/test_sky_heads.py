@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
@@ -19,7 +20,6 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import SkyScan, builtin_scenario

@@ -16,14 +16,10 @@ from typer.testing import CliRunner
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.text_files import toml_tables
-from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.calibrate import calibrate_dump
-from boresight.pipeline.stages.exchanged_files import exchanged_in_sky
-from boresight.pipeline.stages.left_out import lost_ccds
-from boresight.pipeline.stages.sky_losses import (
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.diagnosis.exchanged_files import exchanged_in_sky
+from boresight.pipeline.diagnosis.left_out import lost_ccds
+from boresight.pipeline.diagnosis.sky_losses import (
     LOST_SHARE,
     named_alone,
     reversed_strips,
@@ -31,6 +27,10 @@ from boresight.pipeline.stages.sky_losses import (
     sky_looked_for,
     strips_without_stars,
 )
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.sky_side import scatter_px
 from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.star_pictures import star_pictures

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from boresight.geometry.constants import WGS84
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.diagnosis.missing import nearest_miss
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.stages.missing import nearest_miss
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
 
 

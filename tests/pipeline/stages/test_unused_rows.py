@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from boresight.calib.finding import MOST_WORDS
-from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.results.writing import verdict_json
-from boresight.pipeline.stages.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.stages.coordinate_slips import likeliest, slips
-from boresight.pipeline.stages.input_findings import outside_chips
-from boresight.pipeline.stages.unused_rows import (
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.diagnosis.input_findings import outside_chips
+from boresight.pipeline.diagnosis.unused_rows import (
     Rows,
     unneeded_exposures,
     unseen_targets,
     without_measurement,
 )
+from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.results.writing import verdict_json
+from boresight.pipeline.stages.coordinate_slips import likeliest, slips
 
 
 @pytest.fixture(scope="module")

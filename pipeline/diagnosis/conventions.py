@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
 from boresight.geometry.record import Floats
+from boresight.pipeline.diagnosis.missing import misses
+from boresight.pipeline.diagnosis.other_readings import Convention, other_readings
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
-from boresight.pipeline.stages.missing import misses
-from boresight.pipeline.stages.other_readings import Convention, other_readings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 
 __all__ = ["likely_convention", "sees_its_targets"]

@@ -16,9 +16,7 @@ from boresight.gct_match.records import Reason
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.errors import Omission, RawDataError
-from boresight.pipeline.files.image_files import StripFiles
-from boresight.pipeline.stages.left_out import (
+from boresight.pipeline.diagnosis.left_out import (
     LOST_SHARE,
     PROBABILITY,
     Counts,
@@ -26,10 +24,12 @@ from boresight.pipeline.stages.left_out import (
     lost_ccds,
     over_strips,
 )
-from boresight.pipeline.stages.loss_groups import LookedFor, lost_halves
+from boresight.pipeline.diagnosis.loss_groups import LookedFor, lost_halves
+from boresight.pipeline.diagnosis.sky_losses import LOST_SHARE as LOST_SHARE_SKY
+from boresight.pipeline.diagnosis.sky_losses import PROBABILITY_LOST
+from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.stages.point_slips import fitting_slip
-from boresight.pipeline.stages.sky_losses import LOST_SHARE as LOST_SHARE_SKY
-from boresight.pipeline.stages.sky_losses import PROBABILITY_LOST
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 
 __all__ = [

@@ -15,18 +15,18 @@ from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.diagnosis.conventions import likely_convention, sees_its_targets
+from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
+from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
+from boresight.pipeline.diagnosis.sky_losses import reversed_strips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import calibration_settings
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.stages.coverage import stated_mountings
-from boresight.pipeline.stages.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.stages.head import sight_head
-from boresight.pipeline.stages.moved_inputs import moved_inputs
-from boresight.pipeline.stages.sky_losses import reversed_strips
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
 from boresight.pipeline.stages.strip import StripTask
 from boresight.pipeline.stages.strip_tasks import strip_tasks

@@ -14,20 +14,21 @@ from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.errors import Omission
-from boresight.pipeline.files.dump import bundled_table
-from boresight.pipeline.stages.basis import Basis
-from boresight.pipeline.stages.causes import examined, wrong_convention
-from boresight.pipeline.stages.earth_table import EarthTableCheck, check_earth_table, earth_findings
-from boresight.pipeline.stages.exchanged_exposures import exchanged_exposures
-from boresight.pipeline.stages.exchanged_files import exchanged_in_ground, exchanged_in_sky, exchanged_strips
-from boresight.pipeline.stages.input_findings import assumed_motion, input_findings
-from boresight.pipeline.stages.left_out import counts_of, lost_ccds, searched_alone, with_left_out
-from boresight.pipeline.stages.loss_groups import LookedFor
-from boresight.pipeline.stages.missing import targets_out_of_view
-from boresight.pipeline.stages.moved_inputs import moved_inputs
-from boresight.pipeline.stages.passes import Pass
-from boresight.pipeline.stages.sky_losses import (
+from boresight.pipeline.calibration.passes import Pass
+from boresight.pipeline.diagnosis.causes import examined, wrong_convention
+from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
+from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
+from boresight.pipeline.diagnosis.exchanged_files import (
+    exchanged_in_ground,
+    exchanged_in_sky,
+    exchanged_strips,
+)
+from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
+from boresight.pipeline.diagnosis.left_out import counts_of, lost_ccds, searched_alone, with_left_out
+from boresight.pipeline.diagnosis.loss_groups import LookedFor
+from boresight.pipeline.diagnosis.missing import targets_out_of_view
+from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
+from boresight.pipeline.diagnosis.sky_losses import (
     displaced_stars,
     named_alone,
     sky_counts,
@@ -35,17 +36,20 @@ from boresight.pipeline.stages.sky_losses import (
     strips_without_stars,
     without_stars,
 )
-from boresight.pipeline.stages.sky_side import SkySide, named_sightings
-from boresight.pipeline.stages.sky_strip import NamedStars
-from boresight.pipeline.stages.strip import contradicting_targets
-from boresight.pipeline.stages.strip_tasks import matched_strips
-from boresight.pipeline.stages.target_findings import (
+from boresight.pipeline.diagnosis.target_findings import (
     lost_parts,
     lost_stars,
     lost_targets,
     single_targets,
     suspected_targets,
 )
+from boresight.pipeline.errors import Omission
+from boresight.pipeline.files.dump import bundled_table
+from boresight.pipeline.stages.basis import Basis
+from boresight.pipeline.stages.sky_side import SkySide, named_sightings
+from boresight.pipeline.stages.sky_strip import NamedStars
+from boresight.pipeline.stages.strip import contradicting_targets
+from boresight.pipeline.stages.strip_tasks import matched_strips
 
 __all__ = ["Assessment", "assessed"]
 

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import Finding
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
+from boresight.pipeline.diagnosis.left_out import Counts, lost_ccds
+from boresight.pipeline.diagnosis.loss_groups import LookedFor
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
-from boresight.pipeline.stages.left_out import Counts, lost_ccds
-from boresight.pipeline.stages.loss_groups import LookedFor
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.star_id.strip_stars.find import StripStars

@@ -27,13 +27,13 @@ from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
+from boresight.pipeline.calibration.calibrate import DumpCalibration, rejections_of
 from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.calibrate import DumpCalibration, rejections_of
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
 

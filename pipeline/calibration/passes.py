@@ -14,14 +14,14 @@ from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.calibration.matchings import match_again, match_first
+from boresight.pipeline.diagnosis.causes import cause_of_no_result
+from boresight.pipeline.diagnosis.input_findings import shifted_chips
+from boresight.pipeline.diagnosis.missing import what_is_missing
 from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.basis import Basis
-from boresight.pipeline.stages.causes import cause_of_no_result
 from boresight.pipeline.stages.coverage import stated_mountings
-from boresight.pipeline.stages.input_findings import shifted_chips
-from boresight.pipeline.stages.matchings import match_again, match_first
-from boresight.pipeline.stages.missing import what_is_missing
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, named_sightings
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask

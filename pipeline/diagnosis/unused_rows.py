@@ -14,12 +14,12 @@ import numpy as np
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.diagnosis.missing import misses
 from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, Strip
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.head import around_strips
-from boresight.pipeline.stages.missing import misses
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
 __all__ = [

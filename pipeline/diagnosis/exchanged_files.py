@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
+from boresight.pipeline.diagnosis.left_out import Counts, counts_of
+from boresight.pipeline.diagnosis.sky_losses import as_bright_as_named, star_counts, stars_looked_for
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.star_tables import survey_of
-from boresight.pipeline.stages.left_out import Counts, counts_of
-from boresight.pipeline.stages.sky_losses import as_bright_as_named, star_counts, stars_looked_for
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets

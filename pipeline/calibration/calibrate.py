@@ -19,18 +19,19 @@ from boresight.calib.verdict import Verdict
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
+from boresight.pipeline.calibration.assessment import assessed
+from boresight.pipeline.calibration.passes import first_and_last_pass, unused_so_far
+from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
+from boresight.pipeline.diagnosis.reasons import rejection_reason
+from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.assessment import assessed
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.earth_table import EarthTableCheck
 from boresight.pipeline.stages.head import sight_head
-from boresight.pipeline.stages.passes import first_and_last_pass, unused_so_far
-from boresight.pipeline.stages.reasons import rejection_reason
 from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.sky_side import (
     SkySide,
@@ -38,7 +39,6 @@ from boresight.pipeline.stages.sky_side import (
 )
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
-from boresight.pipeline.stages.unused_rows import Rows, rows_used, unused_rows
 
 __all__ = ["DumpCalibration", "calibrate_dump", "rejections_of"]
 

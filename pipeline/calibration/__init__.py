@@ -1,0 +1,1 @@
+"""The order of a calibration: rounds of matching, one dump, several dumps jointly."""
