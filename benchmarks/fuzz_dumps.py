@@ -49,6 +49,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.installation import theta_between
+from boresight.geometry.ledger import Reason
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
@@ -250,7 +251,7 @@ def outcome(folder: Path, sound: DumpCalibration) -> dict[str, Any]:
         if unusual:
             (result / "run.json").write_text('{"dump": "mutated"}')
             write_report(result)
-        internal = [o.reason for o in found.omissions if "internal error" in o.reason]
+        internal = [o.text for o in found.omissions if o.reason is Reason.INTERNAL_ERROR]
         return {
             "outcome": "traceback" if internal else found.verdict.outcome.value,
             "says": internal[0] if internal else ", ".join(c.kind.name for c in found.verdict.refuted_by),

@@ -34,13 +34,14 @@ from scipy.special import chdtrc, chndtr, softmax
 from scipy.stats import binom
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.gross_errors import LEAST_PROBABILITY, SEPARABLE_ODDS
 from boresight.calib.joint_solution import Problem, linearised
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.installation import theta_between
+from boresight.geometry.ledger import Reason
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import calibrate_dump
@@ -79,7 +80,9 @@ def sightings() -> tuple[list[StripSightings], Rotation, CalibrationSettings, fl
 
 
 def rejected(estimate: InstallationEstimate) -> frozenset[tuple[str, str]]:
-    return frozenset((r.strip_id, r.name) for r in estimate.rejected if r.why is WhyRejected.TARGET_RESIDUAL)
+    return frozenset(
+        (r.subject.strip, r.subject.id) for r in estimate.rejected if r.reason is Reason.TARGET_RESIDUAL
+    )
 
 
 def shifted(strips: list[StripSightings], s: int, j: int, shift_rad: Floats) -> list[StripSightings]:
@@ -157,7 +160,7 @@ def _run(
     )
     assert isinstance(estimate, InstallationEstimate)
     out, doubtful = rejected(estimate), estimate.targets.doubtful
-    unnamed = any("/".join(culprit) not in group for group in doubtful)
+    unnamed = any(culprit not in [(each.strip, each.id) for each in group] for group in doubtful)
     same = all(isinstance(one, InstallationEstimate) and rejected(one) == out for one in others)
     error = np.abs(theta_between(estimate.R_cs, R_true)) / estimate.sigma_theta
     innocents = out - without - {culprit}

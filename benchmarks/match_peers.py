@@ -31,9 +31,9 @@ from rendered_pairs import Pair, load_picture, make_pair  # noqa: E402
 
 from boresight.gct_match.imaging.views import normalised, view_of  # noqa: E402
 from boresight.gct_match.locate import locate  # noqa: E402
-from boresight.gct_match.records import Refusal  # noqa: E402
 from boresight.gct_match.search.correlation import correlation_surface, peaks_of  # noqa: E402
 from boresight.gct_match.settings import MatchSettings  # noqa: E402
+from boresight.geometry.ledger import Entry  # noqa: E402
 
 Array = NDArray[np.float64]
 Outcome = tuple[Array | None, Array | None]  # place (2,) and covariance (2, 2), None where there is none
@@ -200,7 +200,7 @@ def located(template: NDArray, window: NDArray, radius: int) -> Outcome:
     middle = (np.array(template.shape[::-1]) - 1.0) / 2.0
     views = (view_of(image, image > 0.0) for image in (template, window))
     outcome = locate(*views, (MARGIN, MARGIN), radius, middle, SETTINGS)
-    if isinstance(outcome, Refusal):
+    if isinstance(outcome, Entry):
         return None, None
     return outcome.xy_px - middle, outcome.cov_px
 

@@ -31,9 +31,10 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import theta_between
+from boresight.geometry.ledger import Entry
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.errors import DataNotSufficientError, Omission
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
@@ -309,7 +310,7 @@ def noise(options: argparse.Namespace) -> None:
             images[ccd] = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         of_noise = replace(task, strip=replace(task.strip, images=InMemory(images)))
         found = find_sky_stars(of_noise)
-        if isinstance(found, Omission):
+        if isinstance(found, Entry):
             continue
         detections += len(found.ccd)
         voted = name_sky_stars(of_noise, found, survey, dump.R_cs0, sigma, known=False, scatter_px=0.1)

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from boresight.accepted import count_of, floats_of, instance_of, wrong
 from boresight.display import SuccessfulResult, axes_or_new
 from boresight.gct_match.locate import locate_template as match_arrays
-from boresight.gct_match.records import Refusal as NotMatched
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.ledger import Entry as NotMatched
 from boresight.geometry.record import Floats, record
 
 if TYPE_CHECKING:

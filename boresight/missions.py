@@ -36,12 +36,13 @@ from boresight.accepted import (
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import open_dumps
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.report.evidence import write_evidence
@@ -445,7 +446,7 @@ def _with_strips(dump: Dump, wanted: Sequence[str]) -> Dump:
     if not wanted:
         raise wrong("strips", "no ids", "at least one")
     left_out = tuple(
-        Omission("strip", name, reason="not among the strips asked for", cause="not asked for")
+        Entry(Subject(Kind.STRIP, strip=name), Reason.NOT_ASKED_FOR, "not among the strips asked for")
         for name in names
         if name not in wanted
     )
@@ -515,7 +516,7 @@ def read_result(folder: PathLike) -> Calibration:
         dof=int(facts["dof"]),
         counts=f"{facts['frames']} exposures, {facts['stars']} stars, {facts['targets']} target sightings",
         targets=_target_residuals(tables / "targets.parquet"),
-        not_used=_columns(tables / "omissions.parquet", ["kind", "name", "reason", "cause", "file"]),
+        not_used=_columns(tables / "ledger.parquet", ["kind", "name", "reason", "cause", "file"]),
         facts=facts,
         saved=saved,
         folder=place,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import chain
 from typing import Any, TypeAlias
 
@@ -15,10 +16,10 @@ from boresight.accepted import RotationLike, floats_of, listed, rotation_of, sho
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.from_vectors import VectorCalibration, calibrate_vector_sets
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.vector_sets import VectorSets
 from boresight.missions import Calibration
-from boresight.pipeline.diagnosis.reasons import rejection_reason
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.results.writing import blind_spots_json, verdict_json
 
@@ -124,9 +125,7 @@ def _calibration(vectors: VectorSets, found: VectorCalibration) -> Calibration:
         f"{estimate.n_exposures} of {len(vectors)} frames with {estimate.n_stars} of {len(vectors.u_s)} star "
         f"vectors and {estimate.n_targets} of {len(vectors.w_c)} target vectors"
     )
-    unused = [
-        (r.kind, _name(r.strip_id, r.name), rejection_reason(r), r.why.value) for r in estimate.rejected
-    ]
+    unused = [entry.row for entry in map(_of_frame, estimate.rejected)]
     return Calibration(
         R_cs=estimate.R_cs,
         theta=estimate.theta,
@@ -141,20 +140,24 @@ def _calibration(vectors: VectorSets, found: VectorCalibration) -> Calibration:
     )
 
 
-def _name(frame: str, name: str) -> str:
-    """A star or target of a frame as "frame/number"; the frame itself by its number."""
-    return name if name == frame or "/" in name else f"{frame}/{name}"
+def _of_frame(entry: Entry) -> Entry:
+    """The entry of a target vector, which the estimate takes for a star, under its own name."""
+    subject = entry.subject
+    if subject.kind is not Kind.STAR or subject.exposure:
+        return entry
+    return replace(entry, subject=Subject(Kind.TARGET, id=subject.id))
 
 
 def _why_not(found: NotObservable) -> str:
     """What the vectors lack, with the frames whose stars do not agree."""
-    lost = [r for r in found.rejected if r.kind == "exposure"]
+    lost = [entry for entry in found.rejected if entry.subject.kind is Kind.EXPOSURE]
     if not lost:
         return found.reason.replace("strips", "frames")
     first = lost[0]
+    n_good, n_all = first.more
     return (
-        f"{len(lost)} frames have no attitude: of the {first.n_all} stars of frame {first.name} "
-        f"{first.n_good} agree within sigma_s, 3 are needed; check the pairs of u_s and v_stars, and sigma_s"
+        f"{len(lost)} frames have no attitude: of the {n_all:.0f} stars of frame {first.subject.name} "
+        f"{n_good:.0f} agree within sigma_s, 3 are needed; check the pairs of u_s and v_stars, and sigma_s"
     )
 
 

@@ -22,10 +22,8 @@ from boresight.calib.estimate import (
     Iteration,
     NoiseScale,
     NotObservable,
-    Rejected,
     RejectionTest,
     TargetResiduals,
-    WhyRejected,
     WithoutHead,
 )
 from boresight.calib.gross_errors import (
@@ -60,6 +58,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes, StripSightings
 
@@ -136,7 +135,7 @@ def _without(
     found = _calibrated(rest, R_cs0, settings, interior)
     if isinstance(found, NotObservable):
         return None
-    rejected = sum(one.why is WhyRejected.TARGET_RESIDUAL for one in found.rejected)
+    rejected = sum(entry.reason is Reason.TARGET_RESIDUAL for entry in found.rejected)
     total = found.chi2 + found.agreement.chi2 + found.rejection.limit * rejected
     return WithoutHead(head=head, chi2=total, dof=found.dof + found.agreement.dof)
 
@@ -306,6 +305,7 @@ def _residuals(
         target_id=np.concatenate([strip.target_id for strip in prepared]),
         ccd=np.concatenate([strip.ccd for strip in prepared]),
         sample=np.concatenate([strip.sample for strip in prepared]),
+        is_star=np.concatenate([strip.is_star for strip in prepared]),
         residual_c=residual,
         statistic=statistic,
         weight=weight,
@@ -316,7 +316,7 @@ def _residuals(
 
 
 def _not_observable(
-    solution: Solution, theta: Floats, rejected: tuple[Rejected, ...], settings: CalibrationSettings
+    solution: Solution, theta: Floats, rejected: tuple[Entry, ...], settings: CalibrationSettings
 ) -> NotObservable:
     unseen = solution.unobservable
     values, vectors = np.linalg.eigh(solution.covariance)
@@ -343,7 +343,7 @@ def _estimate(
     fit: _Fit,
     matrices: tuple[Rotation, Rotation],
     residuals: TargetResiduals,
-    rejected: tuple[Rejected, ...],
+    rejected: tuple[Entry, ...],
     test: RejectionTest,
     scale_s: tuple[float, float],
 ) -> InstallationEstimate:

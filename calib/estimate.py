@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
+from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
@@ -19,43 +19,10 @@ __all__ = [
     "Iteration",
     "NoiseScale",
     "NotObservable",
-    "Rejected",
     "RejectionTest",
     "TargetResiduals",
-    "WhyRejected",
     "WithoutHead",
 ]
-
-
-class WhyRejected(Enum):
-    """Why an observation takes no part in the estimate."""
-
-    ATTITUDE_NOT_FIXED = "attitude not fixed"  # exposure: too few good stars, or all in one direction
-    STAR_RESIDUAL = "large residual"  # star: fails the chi-square test against the exposure's other stars
-    TARGET_RESIDUAL = "target residual"  # target: fails data snooping against all other targets
-    NOT_COVERED = "not covered"  # target: no usable exposures around its instant
-    NO_TARGET_COVERED = "no target covered"  # strip: none of its targets has usable exposures around it
-
-
-@record(kw_only=True)
-class Rejected:
-    """One observation that takes no part in the estimate."""
-
-    strip_id: str = scalar("strip")
-    exposure_id: str = scalar("exposure; empty for targets and strips", default="")
-    kind: str = scalar('"star", "target", "exposure" or "strip"')
-    name: str = scalar("Hipparcos number, target id, exposure id or strip id")
-    why: WhyRejected = scalar("cause")
-    statistic: float = scalar(
-        "test statistic, chi-square of 2 degrees of freedom; NaN where none was tested", default=float("nan")
-    )
-    limit: float = scalar("limit that `statistic` exceeds; NaN where none was tested", default=float("nan"))
-    rivals: tuple[str, ...] = scalar(
-        '"strip/target" of targets kept that may be the wrong ones instead: the odds are below 19 to 1',
-        default=(),
-    )
-    n_good: int = scalar("stars of the exposure that pass, or usable exposures of the strip", default=0)
-    n_all: int = scalar("stars of the exposure, or targets of the strip", default=0)
 
 
 @record
@@ -76,6 +43,7 @@ class TargetResiduals:
     target_id: Texts = array("J", "target")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
+    is_star: Bools = array("J", "a star of a strip of the sky")
     residual_c: Floats = array("J, 2", "measured minus fitted direction along x and y of frame c, rad")
     statistic: Floats = array("J", "squared residual over its own covariance, chi-square of 2 dof")
     weight: Floats = array(
@@ -90,7 +58,7 @@ class TargetResiduals:
     )
     detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m; NaN for stars")
     rivals: dict[int, Ints] = scalar(
-        "rows of the rivals (`Rejected.rivals`) of each row that the search for gross errors found"
+        "rows of the rivals (`Entry.rivals`) of each row that the search for gross errors found"
     )
 
     @property
@@ -98,11 +66,17 @@ class TargetResiduals:
         """Whether each sighting (J,) takes part."""
         return self.weight > 0.0
 
+    def subject(self, row: int) -> Subject:
+        """The sighting of a row."""
+        kind = Kind.STAR if self.is_star[row] else Kind.TARGET
+        strip, target = str(self.strip_id[row]), str(self.target_id[row])
+        return Subject(kind, strip=strip, ccd=int(self.ccd[row]), id=target)
+
     @property
-    def doubtful(self) -> tuple[tuple[str, ...], ...]:
-        """Groups of which one sighting is wrong, as "strip/target", the likeliest first."""
+    def doubtful(self) -> tuple[tuple[Subject, ...], ...]:
+        """Groups of which one sighting is wrong, the likeliest first."""
         groups = [[j, *others] for j, others in self.rivals.items() if self.weight[j] > 0.0]
-        return tuple(tuple(f"{self.strip_id[n]}/{self.target_id[n]}" for n in group) for group in groups)
+        return tuple(tuple(self.subject(int(row)) for row in group) for group in groups)
 
 
 @record
@@ -175,7 +149,7 @@ class InstallationEstimate:
     iterations: tuple[Iteration, ...] = scalar("all Gauss-Newton steps, in order")
     converged_matrix: bool = scalar("the last correction is within `tolerance_rad` of zero")
     converged_covariance: bool = scalar("... and within `tolerance_sigma` times the predicted 1-sigma")
-    rejected: tuple[Rejected, ...] = scalar("observations that take no part")
+    rejected: tuple[Entry, ...] = scalar("observations that take no part")
     pairs: InformationPairs = scalar("normal equations of each strip about the last iteration's matrix")
     prior_shared: Floats = array("G, G", "prior information of the pairs' shared unknowns")
     shared_values: Floats = array("G", "the shared unknowns as estimated")
@@ -221,4 +195,4 @@ class NotObservable:
     observable_c: Floats = array("L, 3", "unit vectors, the 3 - M observable ones")
     theta_along: Floats = array("L", "deviation from R_cs0 about each observable axis, rad")
     sigma_along: Floats = array("L", "its 1-sigma, rad")
-    rejected: tuple[Rejected, ...] = scalar("observations that take no part")
+    rejected: tuple[Entry, ...] = scalar("observations that take no part")

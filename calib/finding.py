@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from boresight.geometry.ledger import Subject
 from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["MOST_WORDS", "Finding"]
@@ -20,7 +21,7 @@ class Finding:
     """One cause, told once, however many observations it explains."""
 
     cause: str = scalar('what is probably the matter: "clock of a strip"')
-    item: str = scalar('what it concerns: "strip s02"')
+    item: str = scalar('what it concerns, in words: "strip s02"')
     text: str = scalar("sentence: how much, in which file and field, what to do; `MOST_WORDS` with the above")
     value: float = scalar("size of the error, stated less true, in `unit`; NaN: not measured", default=np.nan)
     sigma: float = scalar("1-sigma of `value`", default=np.nan)
@@ -37,4 +38,5 @@ class Finding:
     rivals: tuple[str, ...] = scalar(
         'other causes, "cause, item", that explain as much: `text` names them behind "or"', default=()
     )
-    targets: tuple[str, ...] = scalar('observations that it explains, "strip/target"', default=())
+    subjects: tuple[Subject, ...] = scalar("what it concerns; empty: the whole dump", default=())
+    explains: tuple[Subject, ...] = scalar("observations that it explains", default=())

@@ -18,6 +18,7 @@ from boresight.calib.star_camera_error import StarEffects
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
@@ -38,7 +39,8 @@ class Hypothesis:
     """One kind of error of one input."""
 
     cause: str = scalar('what is wrong: "clock of a strip"')
-    item: str = scalar('what it concerns: "strip s02"')
+    item: str = scalar('what it concerns, in words: "strip s02"')
+    subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
     unit: str = scalar("of its size")
     words: tuple[str, str] = scalar(
         "a positive and a negative size in words, behind the number", default=("too large", "too small")
@@ -144,23 +146,25 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     return [one for one in found if np.any(one.change_c)]
 
 
-def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, list[int]]]:
-    """All strips, then each strip, by name."""
+def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, tuple[Subject, ...], list[int]]]:
+    """All strips, then each strip: in words, as subjects, and their numbers."""
     if len(prepared) > 1:
-        yield "all strips", list(range(len(prepared)))
-    for n, one in enumerate(prepared):
-        yield f"strip {one.strip_id}", [n]
+        yield "all strips", (), list(range(len(prepared)))
+    for n, strip in enumerate(prepared):
+        subject = Subject(Kind.STRIP, strip=strip.strip_id)
+        yield subject.words, (subject,), [n]
 
 
 def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) -> Iterator[Hypothesis]:
     """Rows dated late, and a period of the rows that is too long."""
     since = np.concatenate([_since_first_row(one) for one in prepared])
-    for item, members in _each(prepared):
+    for item, subjects, members in _each(prepared):
         here = np.isin(strip, members)[:, None]
         several = len(members) > 1
         yield Hypothesis(
             cause="clock of the rows",
             item=item,
+            subjects=subjects,
             unit="ms",
             words=("too late", "too early"),
             file="strips.csv",
@@ -170,6 +174,7 @@ def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) ->
         yield Hypothesis(
             cause="row period",
             item=item,
+            subjects=subjects,
             unit="%",
             words=("too long", "too short"),
             file="strips.csv",
@@ -195,7 +200,7 @@ def _of_position(of: HypothesisInputs, strip: Ints, ground: Bools) -> Iterator[H
         ("across the track", 1.0, ("too far right", "too far left")),
         ("height", -1.0, ("too high", "too low")),
     )
-    for item, members in _each(of.prepared):
+    for item, subjects, members in _each(of.prepared):
         here = (np.isin(strip, members) & ground)[:, None]
         for axis, (name, sign, words) in enumerate(axes):
             if len(members) == 1 and axis == 0:
@@ -203,6 +208,7 @@ def _of_position(of: HypothesisInputs, strip: Ints, ground: Bools) -> Iterator[H
             yield Hypothesis(
                 cause=f"orbit or targets, {name}",
                 item=item,
+                subjects=subjects,
                 unit="m",
                 words=words,
                 file=f"orbit, {of.target_files}",
@@ -225,6 +231,7 @@ def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -
     return Hypothesis(
         cause=moved.cause,
         item=moved.item,
+        subjects=moved.subjects,
         unit=moved.unit,
         words=moved.words,
         file=moved.file,
@@ -244,17 +251,18 @@ def _of_looks(
     numbers = np.unique(ccd).tolist()
     for number in (None, *(numbers if len(numbers) > 1 else ())):
         here = np.ones(len(ccd), dtype=bool) if number is None else ccd == number
-        item = "all CCDs" if number is None else f"CCD {number}"
+        ccd_subject = Subject(Kind.CCD, ccd=-1 if number is None else number)
         arm = (sample - pivots.get(number or 0, float(sample[here].mean()))) * here
         rows = (
             ("place", ", along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
             ("place", ", across the track", "px", "y_first_mm", -pixel_rad * here, 1),
             ("rotation", "", "mrad", "rotation_mrad", MILLI * pixel_rad * arm, 0),
         )
-        for subject, axis_name, unit, field, size, axis in rows if number is not None else rows[:2]:
+        for part, axis_name, unit, field, size, axis in rows if number is not None else rows[:2]:
             yield Hypothesis(
-                cause=f"{subject} of {'the CCDs' if number is None else 'a CCD'}{axis_name}",
-                item=item,
+                cause=f"{part} of {'the CCDs' if number is None else 'a CCD'}{axis_name}",
+                item=ccd_subject.words,
+                subjects=() if number is None else (ccd_subject,),
                 unit=unit,
                 file="remote_camera.toml",
                 field=field,
@@ -291,6 +299,7 @@ def _of_attitude(
             yield Hypothesis(
                 cause=f"attitude {name}",
                 item=f"strip {one.strip_id}",
+                subjects=(Subject(Kind.STRIP, strip=one.strip_id),),
                 unit="″",
                 file=f"{attitudes}, orbit",
                 field="",
@@ -308,10 +317,12 @@ def _of_images(
         numbers = np.unique(one.ccd).tolist()
         for number in numbers if len(numbers) > 1 and len(prepared) > 1 else ():
             here = pixel_rad * ((strip == n) & (ccd == number))
+            subject = Subject(Kind.CCD, strip=one.strip_id, ccd=number)
             for axis, name in ((0, "lines"), (1, "samples")):
                 yield Hypothesis(
                     cause=f"image of a CCD, {name}",
-                    item=f"CCD {number} in strip {one.strip_id}",
+                    item=subject.words,
+                    subjects=(subject,),
                     unit="px",
                     file="strips.csv",
                     field="file",

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from boresight.geometry.ledger import Subject
 from boresight.geometry.record import Floats, record, scalar
 
 __all__ = ["MovedInput"]
@@ -22,6 +23,7 @@ class MovedInput:
 
     cause: str = scalar('what is wrong: "clock of the exposures"')
     item: str = scalar('what it concerns: "all exposures"')
+    subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
     unit: str = scalar("of its size")
     words: tuple[str, str] = scalar("a positive and a negative size in words, behind the number")
     file: str = scalar("file of the dump that states the input")

@@ -1,4 +1,4 @@
-"""Observations that take no part in an estimate, each with the cause and the numbers of its test."""
+"""Observations that take no part in an estimate, each with the reason and the numbers of its test."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from boresight.calib.estimate import Rejected, TargetResiduals, WhyRejected
+from boresight.calib.estimate import TargetResiduals
 from boresight.calib.strips import PreparedStrip
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.sightings import StripSightings
 
 __all__ = ["rejected_observations"]
@@ -18,70 +19,59 @@ def rejected_observations(
     prepared: Sequence[PreparedStrip],
     limit: float,
     residuals: TargetResiduals | None = None,
-) -> tuple[Rejected, ...]:
+) -> tuple[Entry, ...]:
     """Rejected stars, exposures, targets and strips, strip by strip.
 
     `limit` is that of the tests of stars and targets; without `residuals` no target has been tested.
     """
-    out: list[Rejected] = []
+    entries: list[Entry] = []
     for strip, ready in zip(strips, prepared):
-        out += _stars_and_exposures(strip, ready, limit)
-        out += _targets(ready, limit, residuals)
-    return tuple(out)
+        entries += _stars_and_exposures(strip, ready, limit)
+        entries += _targets(ready, limit, residuals)
+    return tuple(entries)
 
 
-def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: float) -> Iterator[Rejected]:
+def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: float) -> Iterator[Entry]:
     for k, exposure in enumerate(strip.exposures):
         rows = ready.attitudes.stars(k)
         kept, statistic = ready.attitudes.kept[rows], ready.attitudes.squared_mahalanobis[rows]
-        n_good, n_all = int(kept.sum()), len(kept)
+        counts = float(kept.sum()), float(len(kept))
         if not ready.used[k]:
-            yield Rejected(
-                strip_id=strip.strip_id,
-                exposure_id=exposure.exposure_id,
-                kind="exposure",
-                name=exposure.exposure_id,
-                why=WhyRejected.ATTITUDE_NOT_FIXED,
-                n_good=n_good,
-                n_all=n_all,
-            )
+            subject = Subject(Kind.EXPOSURE, exposure=exposure.exposure_id)
+            yield Entry(subject, Reason.ATTITUDE_NOT_FIXED, more=counts)
             continue
-        for star in np.flatnonzero(~kept):
-            yield Rejected(
-                strip_id=strip.strip_id,
-                exposure_id=exposure.exposure_id,
-                kind="star",
-                name=str(exposure.hip[star]),
-                why=WhyRejected.STAR_RESIDUAL,
-                statistic=float(statistic[star]),
+        for row in np.flatnonzero(~kept):
+            yield Entry(
+                Subject(Kind.STAR, exposure=exposure.exposure_id, id=str(exposure.hip[row])),
+                Reason.STAR_RESIDUAL,
+                value=float(statistic[row]),
                 limit=limit,
-                n_good=n_good,
-                n_all=n_all,
+                more=counts,
             )
 
 
-def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | None) -> Iterator[Rejected]:
+def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | None) -> Iterator[Entry]:
     name = ready.strip_id
     if not ready.inside.any():
-        why, n = WhyRejected.NO_TARGET_COVERED, int(ready.used.sum())
-        yield Rejected(strip_id=name, kind="strip", name=name, why=why, n_good=n, n_all=len(ready.inside))
+        counts = float(ready.used.sum()), float(len(ready.inside))
+        yield Entry(Subject(Kind.STRIP, strip=name), Reason.NO_TARGET_COVERED, more=counts)
         return
-    kinds = np.where(ready.is_star, "star", "target").tolist()
-    for j in np.flatnonzero(~ready.inside):
-        target = str(ready.target_id[j])
-        yield Rejected(strip_id=name, kind=kinds[j], name=target, why=WhyRejected.NOT_COVERED)
+    kinds = [Kind.STAR if is_star else Kind.TARGET for is_star in ready.is_star.tolist()]
+
+    def subject(row: int) -> Subject:
+        return Subject(kinds[row], strip=name, ccd=int(ready.ccd[row]), id=str(ready.target_id[row]))
+
+    for row in np.flatnonzero(~ready.inside).tolist():
+        yield Entry(subject(row), Reason.NOT_BETWEEN_EXPOSURES)
     if residuals is None:
         return
     own = np.flatnonzero(residuals.strip_id == name)
-    for n_own in np.flatnonzero(ready.inside & ~residuals.kept[own]):
-        j = own[n_own]
-        others = residuals.rivals[int(j)]
-        yield Rejected(
-            strip_id=name,
-            kind=kinds[n_own],
-            name=str(residuals.target_id[j]),
-            why=WhyRejected.TARGET_RESIDUAL,
-            statistic=float(residuals.statistic[j]),
+    for row in np.flatnonzero(ready.inside & ~residuals.kept[own]).tolist():
+        rivals = {residuals.subject(int(n)) for n in residuals.rivals[int(own[row])]}
+        yield Entry(
+            subject(row),
+            Reason.TARGET_RESIDUAL,
+            value=float(residuals.statistic[own[row]]),
             limit=limit,
-            rivals=tuple(sorted(f"{residuals.strip_id[n]}/{residuals.target_id[n]}" for n in others)),
+            rivals=tuple(sorted(rivals, key=lambda rival: rival.name)),
         )

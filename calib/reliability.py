@@ -50,7 +50,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.star_camera_error import StarEffects, star_effects, summed
 from boresight.calib.strips import PreparedStrip, prepare_strips, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.ledger import Kind, Subject
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
 
@@ -120,9 +121,7 @@ class HypothesisTest:
 class Contradiction:
     """An observation that contradicts the rest, and that no cause explains."""
 
-    strip_id: str = scalar("strip")
-    target_id: str = scalar("target, or star")
-    ccd: int = scalar("CCD of the camera, from 0")
+    subject: Subject = scalar("target or star, with strip and CCD")
     distance: float = scalar("from where the rest places it, in standard errors")
     residual: Floats = array("2", "what contradicts, all unknowns estimated, whitened")
     estimated: Floats = array("2", "part of it by which estimated unknowns differ from what was measured")
@@ -183,12 +182,19 @@ class _Adjustment:
     measured: Floats = array(
         "J, 2", "whitened residuals by what was measured, no unknown but theta estimated"
     )
-    names: tuple[str, ...] = array("J", 'observations, "strip/target"')
+    strip_id: Texts = array("J", "strips of the observations")
+    target_id: Texts = array("J", "targets, or stars")
     ccds: Ints = array("J", "their CCDs")
     is_star: Bools = array("J", "observations of the sky")
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
+
+    def subject(self, row: int) -> Subject:
+        """The observation of a row."""
+        kind = Kind.STAR if self.is_star[row] else Kind.TARGET
+        strip, target = str(self.strip_id[row]), str(self.target_id[row])
+        return Subject(kind, strip=strip, ccd=int(self.ccds[row]), id=target)
 
 
 def blind_spots(tests: Sequence[HypothesisTest]) -> tuple[HypothesisTest, ...]:
@@ -301,9 +307,10 @@ def _adjustment(
         B=_whitened(problem, about, change),
         by_place=_whitened(problem, about, R_cs @ np.concatenate([one.move_s for one in prepared])),
         measured=_whitened(problem, about, apart[:, :, None])[:, :, 0],
-        ccds=np.concatenate([one.ccd for one in prepared]),
         is_star=np.concatenate([one.is_star for one in prepared]),
-        names=tuple(f"{one.strip_id}/{name}" for one in prepared for name in one.target_id.tolist()),
+        strip_id=np.repeat([strip.strip_id for strip in prepared], [len(strip.ccd) for strip in prepared]),
+        target_id=np.concatenate([strip.target_id for strip in prepared]),
+        ccds=np.concatenate([strip.ccd for strip in prepared]),
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
         star_right=right[parts] * of_stars,
         limit=estimate.rejection.limit,
@@ -388,13 +395,10 @@ def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[C
     together, and beyond what the linear form leaves of a large error that concerns them.
     """
     left = NOT_LINEAR * (last.size / last.sigma) ** 2 * np.any(one.B[:, :, chosen] != 0.0, axis=1)
-    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.names))) + left.sum(axis=1)
+    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.ccds))) + left.sum(axis=1)
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
-        strip_id, _, target_id = one.names[n].rpartition("/")
         yield Contradiction(
-            strip_id=strip_id,
-            target_id=target_id,
-            ccd=int(one.ccds[n]),
+            subject=one.subject(n),
             distance=float(np.sqrt(last.statistic[n])),
             residual=last.residual[n],
             estimated=last.residual[n] - one.measured[n],
@@ -567,6 +571,7 @@ def _finding(
     return Finding(
         cause=h.cause,
         item=h.item,
+        subjects=h.subjects,
         text=f"{text}.",
         value=value,
         sigma=sigma,
@@ -578,7 +583,7 @@ def _finding(
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
         rivals=tuple(_named(other) for other in others),
-        targets=_explained(one, best, before),
+        explains=_explained(one, best, before),
     )
 
 
@@ -594,7 +599,7 @@ def _named(h: Hypothesis) -> str:
     return f"{h.cause}, {h.item}"
 
 
-def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[str, ...]:
-    """Observations, "strip/target", that were rejected and that the hypothesis concerns."""
+def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[Subject, ...]:
+    """Observations that were rejected and that the hypothesis concerns."""
     rows = np.flatnonzero(one.problem.inside & ~before.kept & np.any(one.B[:, :, h] != 0.0, axis=1))
-    return tuple(one.names[n] for n in rows.tolist())
+    return tuple(one.subject(n) for n in rows.tolist())

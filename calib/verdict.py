@@ -21,10 +21,11 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import bdtrc, chdtr, chdtrc
 
-from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WhyRejected, WithoutHead
+from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WithoutHead
 from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
+from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 
@@ -279,7 +280,7 @@ def assess(
         weakest_axis_c=vectors[:, -1],
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
-    heads_told = [one for one in _head_findings(heads) if not any(one.item == c.item for c in causes)]
+    heads_told = [one for one in _head_findings(heads) if not any(one.subjects == c.subjects for c in causes)]
     told = heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias, target_files))
     return verdict.with_findings(told)
 
@@ -319,21 +320,21 @@ def _residuals(kind: CheckKind, statistic: float, dof: int, settings: VerdictSet
 def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
     """Counts of rejected stars and targets against the tolerated shares."""
     checks = []
-    for kind, why, kept, share in (
+    for kind, reason, kept, share in (
         (
             CheckKind.STARS_REJECTED,
-            WhyRejected.STAR_RESIDUAL,
+            Reason.STAR_RESIDUAL,
             estimate.n_stars,
             settings.share_stars_rejected,
         ),
         (
             CheckKind.TARGETS_REJECTED,
-            WhyRejected.TARGET_RESIDUAL,
+            Reason.TARGET_RESIDUAL,
             estimate.n_targets,
             settings.share_targets_rejected,
         ),
     ):
-        rejected = sum(one.why is why for one in estimate.rejected)
+        rejected = sum(entry.reason is reason for entry in estimate.rejected)
         n = kept + rejected
         p_value = float(bdtrc(rejected - 1, n, share))
         checks.append(_check(kind, rejected, share * n, n, p_value, settings))
@@ -429,6 +430,7 @@ def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
         yield Finding(
             cause="attitudes of a head",
             item=f"head {check.names[0][0]}",
+            subjects=(Subject(Kind.HEAD, head=check.names[0][0]),),
             text=f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
             "file, rotation label, clock, aberration and noise in dump.toml, and its mounting.",
             file="dump.toml",

@@ -13,9 +13,10 @@ import numpy as np
 
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Reason, Refusal, TargetMatch
+from boresight.gct_match.records import TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats
 
 __all__ = ["consistent_matches"]
@@ -26,7 +27,7 @@ _GATE = 4.0  # standard errors by which a match may differ from the prediction o
 
 def consistent_matches(
     scene: Scene, found: Sequence[TargetMatch], theta: Floats
-) -> tuple[list[TargetMatch], list[Refusal], Floats]:
+) -> tuple[list[TargetMatch], list[Entry], Floats]:
     """Matches that agree with one another, refusals of the others, and their common rotation.
 
     The last is theta (3,), rad, axes of c, against the scene's initial installation matrix; `theta` is the
@@ -77,9 +78,17 @@ def _agreeing(
         keep.pop(worst)
 
 
-def _inconsistent(match: TargetMatch, off_px: Floats, distance: float) -> Refusal:
-    more = (float(off_px[0]), float(off_px[1]))
-    return Refusal(Reason.INCONSISTENT, distance, _GATE, more, match.target_id, match.ccd, match)
+def _inconsistent(match: TargetMatch, off_px: Floats, distance: float) -> Entry:
+    (x, y), ((xx, xy), (_, yy)) = match.xy_px.tolist(), match.cov_px.tolist()
+    return Entry(
+        Subject(Kind.TARGET, ccd=match.ccd, id=match.target_id),
+        Reason.INCONSISTENT,
+        value=distance,
+        limit=_GATE,
+        more=(float(off_px[0]), float(off_px[1])),
+        xy_px=(x, y),
+        cov_px=(xx, xy, yy),
+    )
 
 
 def _scatter(settings: MatchSettings, cov_px: Floats, t_s: Floats) -> Floats:

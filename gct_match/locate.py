@@ -1,7 +1,7 @@
 """Position of one template in one picture: search by correlation, fit by least squares, tests of the result.
 
 Every correlation peak of nearly the highest value is refined; the fit with the highest robust correlation is
-kept. A result that fails a test is returned as a `Refusal`.
+kept. A result that fails a test is returned as an `Entry` with its reason.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.gct_match.imaging.views import View, filled_with_mean, view_of, window
-from boresight.gct_match.records import Reason, Refusal, TemplateMatch
+from boresight.gct_match.records import TemplateMatch, not_matched
 from boresight.gct_match.refine.least_squares import PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
     correlation_surface,
@@ -20,6 +20,7 @@ from boresight.gct_match.search.correlation import (
     self_similarity,
 )
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats
 
 __all__ = ["locate", "locate_template"]
@@ -42,7 +43,7 @@ def locate_template(
     radius_px: int = 8,
     *,
     settings: MatchSettings = _DEFAULTS,
-) -> TemplateMatch | Refusal:
+) -> TemplateMatch | Entry:
     """Position of a template in a picture, to a few thousandths of a pixel, with its covariance.
 
     Both arrays show the same scene at the same scale and orientation (an affine difference of up to 5 % is
@@ -68,7 +69,7 @@ def locate_template(
     -------
     TemplateMatch
         `xy_px` (2,) and `cov_px` (2, 2) of the centre in the picture, `correlation`, `probability_wrong`.
-    Refusal
+    Entry
         False in a condition; `.reason` names the failed test, `.sentence` gives its numbers.
 
     Raises
@@ -105,7 +106,7 @@ def locate(
     radius_px: int,
     reference_px: Floats,
     settings: MatchSettings,
-) -> TemplateMatch | Refusal:
+) -> TemplateMatch | Entry:
     """Position of the template's point `reference_px` (x, y) in a picture, or the test that refused it.
 
     `template` is (h, w), `picture` (H, W) should show `radius_px` + 8 px on every side of it; what is missing
@@ -116,16 +117,16 @@ def locate(
     x, y = start_px
     share = float((window(picture.valid, x, y, w, h) & template.valid).mean())
     if share < _LEAST_VALID:
-        return Refusal(Reason.FEW_VALID_PIXELS, share, _LEAST_VALID)
+        return not_matched(Reason.FEW_VALID_PIXELS, share, _LEAST_VALID)
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
     grey = window(picture.grey, *around)[window(picture.valid, *around)]
     if np.ptp(grey) == 0.0:
-        return Refusal(Reason.ONE_GREY_VALUE, float(grey[0]))
+        return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
     searched = window(picture.normalised, *around)
     surface = correlation_surface(template.normalised, searched)
     peaks = peaks_of(surface, 3, 3)
     if len(peaks.value) == 0:
-        return Refusal(Reason.NO_CORRELATION)
+        return not_matched(Reason.NO_CORRELATION)
     best, best_peak = None, peaks.xy[0]
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
@@ -136,7 +137,7 @@ def locate(
         if fit.converged and (best is None or fit.correlation > best.correlation):
             best, best_peak = fit, np.round(peak)
     if best is None:
-        return Refusal(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
+        return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
     wrong = probability_wrong(surface, best_peak, independent_values(template.normalised), _PRIOR_ABSENT)
     at_edge = bool(np.abs(best_peak - radius_px).max() >= radius_px)
     edge_px, highest = radius_px if at_edge else 0, float(peaks.value[0])
@@ -157,21 +158,21 @@ def locate(
 
 def _failed_test(
     fit: PositionFit, wrong: float, highest: float, edge_px: int, template: View, settings: MatchSettings
-) -> Refusal | None:
+) -> Entry | None:
     """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
     sigma = float(np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1])))
     if not sigma <= settings.sigma_px:
-        return Refusal(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
+        return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if wrong > settings.probability_wrong:
-        return Refusal(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (highest,))
+        return not_matched(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (highest,))
     if edge_px:
-        return Refusal(Reason.AT_WINDOW_EDGE, limit=edge_px)
+        return not_matched(Reason.AT_WINDOW_EDGE, limit=edge_px)
     if sigma > settings.sigma_self_similar_px:
         similarity = self_similarity(template.normalised)
         if similarity > _SELF_SIMILAR:
-            return Refusal(Reason.SELF_SIMILAR, sigma, settings.sigma_self_similar_px, (similarity,))
+            return not_matched(Reason.SELF_SIMILAR, sigma, settings.sigma_self_similar_px, (similarity,))
     if fit.correlation < settings.least_correlation:
-        return Refusal(Reason.LOW_CORRELATION, fit.correlation, settings.least_correlation)
+        return not_matched(Reason.LOW_CORRELATION, fit.correlation, settings.least_correlation)
     return None
 
 

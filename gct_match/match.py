@@ -24,11 +24,10 @@ from boresight.gct_match.predict.template import Template, chip_points, chip_sid
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import (
     Chip,
-    Reason,
-    Refusal,
     StripMatches,
     Target,
     TargetMatch,
+    not_matched,
 )
 from boresight.gct_match.search.coarse import read_window
 from boresight.gct_match.search.common_rotation import search_common_rotation
@@ -38,6 +37,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.gct_match.texture import expected_sigma_px
 from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats
 
@@ -100,7 +100,7 @@ class _Found:
     """What was found of the targets of a strip at their predicted places."""
 
     matches: list[TargetMatch]  # those that agree with one another
-    refused: list[Refusal]
+    refused: list[Entry]
     theta: Floats  # (3,) rad, the matches' common rotation
 
 
@@ -128,14 +128,16 @@ def _is_confirmed(found: _Found, settings: MatchSettings) -> bool:
     view, and none so far away that others may lie outside their windows.
     """
     matched = {match.target_id for match in found.matches}
-    missed = {refusal.target_id for refusal in found.refused if not refusal.is_out_of_view} - matched
+    missed = {
+        refusal.subject.id for refusal in found.refused if refusal.state is not State.OUT_OF_VIEW
+    } - matched
     if len(matched) * np.log(settings.probability_chance_match) > np.log(settings.probability_chance):
         return False
     farthest = max(float(np.abs(match.xy_px - match.predicted_px).max()) for match in found.matches)
     return len(matched) > len(missed) and farthest <= 0.5 * settings.margin_px
 
 
-def _matches(found: _Found, refused: Sequence[Refusal], chance: float) -> StripMatches:
+def _matches(found: _Found, refused: Sequence[Entry], chance: float) -> StripMatches:
     return StripMatches(
         matches=tuple(found.matches),
         refused=(*refused, *found.refused),
@@ -144,7 +146,11 @@ def _matches(found: _Found, refused: Sequence[Refusal], chance: float) -> StripM
     )
 
 
-def _feasible(scene: Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Refusal]]:
+def _of_target(refusal: Entry, target_id: str, ccd: int = -1) -> Entry:
+    return replace(refusal, subject=Subject(Kind.TARGET, ccd=ccd, id=target_id))
+
+
+def _feasible(scene: Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Entry]]:
     """The plan without targets that cannot be matched, and their refusals."""
     refused, dropped = [], set()
     for n, (target, chip) in enumerate(zip(scene.targets, scene.chips)):
@@ -153,25 +159,25 @@ def _feasible(scene: Scene, plan: SearchPlan) -> tuple[SearchPlan, list[Refusal]
         refusal = _infeasible(target, chip, plan.sides_px.get(n), scene.settings)
         if refusal is not None:
             dropped.add(n)
-            refused.append(replace(refusal, target_id=target.target_id))
+            refused.append(_of_target(refusal, target.target_id))
     return replace(plan, windows=tuple(w for w in plan.windows if w.target not in dropped)), refused
 
 
-def _infeasible(target: Target, chip: Chip, side_px: float | None, settings: MatchSettings) -> Refusal | None:
+def _infeasible(target: Target, chip: Chip, side_px: float | None, settings: MatchSettings) -> Entry | None:
     """Why a chip of `side_px` in the strip (None if outside) cannot be matched; None if it can."""
     if side_px is None:
-        return Refusal(Reason.OUTSIDE_REACH)
+        return not_matched(Reason.OUTSIDE_REACH)
     if side_px < settings.smallest_template_px:
-        return Refusal(Reason.CHIP_TOO_SMALL, side_px, settings.smallest_template_px)
+        return not_matched(Reason.CHIP_TOO_SMALL, side_px, settings.smallest_template_px)
     rows, columns = chip.image.shape
     x, y = chip_points(chip, np.array([target.p_e] * 2))[0]  # of one-element arrays pyproj warns
     beyond = max(-0.5 - x, x - columns + 0.5, -0.5 - y, y - rows + 0.5)
     if not beyond <= 0.0:
-        return Refusal(Reason.OUTSIDE_CHIP, beyond, 0.0, (columns, rows))
+        return not_matched(Reason.OUTSIDE_CHIP, beyond, 0.0, (columns, rows))
     per_px = min(chip.image.shape) / side_px  # pixels of the chip to one of the strip
     expected = expected_sigma_px(chip.image.astype(np.float32), chip.valid) / max(per_px, 1e-6)
     if not expected <= settings.sigma_px:
-        return Refusal(Reason.TOO_LITTLE_TEXTURE, expected, settings.sigma_px)
+        return not_matched(Reason.TOO_LITTLE_TEXTURE, expected, settings.sigma_px)
     return None
 
 
@@ -183,15 +189,15 @@ def _log_chance(vote: Vote, matches: Sequence[TargetMatch], settings: MatchSetti
 
 def _no_common_rotation(
     scene: Scene, searched: Sequence[int], vote: Vote, matched: int, log_chance: float
-) -> list[Refusal]:
-    """Refusals of all targets of a strip whose targets agree on no rotation."""
+) -> list[Entry]:
+    """Entrys of all targets of a strip whose targets agree on no rotation."""
     more = (float(len(searched)), float(len(vote.supporters)), float(matched))
     chance, limit = float(np.exp(log_chance)), scene.settings.probability_chance
-    refusal = Refusal(Reason.NO_COMMON_ROTATION, chance, limit, more)
-    return [replace(refusal, target_id=scene.targets[n].target_id) for n in searched]
+    refusal = not_matched(Reason.NO_COMMON_ROTATION, chance, limit, more)
+    return [_of_target(refusal, scene.targets[n].target_id) for n in searched]
 
 
-def _no_matches(refused: tuple[Refusal, ...], chance: float) -> StripMatches:
+def _no_matches(refused: tuple[Entry, ...], chance: float) -> StripMatches:
     return StripMatches(
         matches=(),
         refused=refused,
@@ -202,7 +208,7 @@ def _no_matches(refused: tuple[Refusal, ...], chance: float) -> StripMatches:
 
 def _measured(
     scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, keep: Keep
-) -> tuple[list[TargetMatch], list[Refusal]]:
+) -> tuple[list[TargetMatch], list[Entry]]:
     """Matches and refusals of targets in all CCDs, predicted with a common rotation."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
     seen: set[int] = set()
@@ -220,23 +226,23 @@ def _measured(
         sides = chip_sides_px((scene.chips[n] for n in here), model, ccd, xy_px[here], scene.surface).tolist()
         for n, radius, side in zip(here, radii, sides):
             outcome = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
-            if isinstance(outcome, Refusal):
-                refused.append(replace(outcome, target_id=scene.targets[n].target_id, ccd=ccd))
+            if isinstance(outcome, Entry):
+                refused.append(_of_target(outcome, scene.targets[n].target_id, ccd))
             else:
                 matches.append(keep(replace(outcome, predicted_px=initial_px[n])))
     unseen = [scene.targets[n].target_id for n in searched if n not in seen]
-    refused += [Refusal(Reason.OUTSIDE_CCDS, target_id=name) for name in unseen]
+    refused += [_of_target(not_matched(Reason.OUTSIDE_CCDS), name) for name in unseen]
     return matches, refused
 
 
 def _measured_one(
     scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int, side_px: float
-) -> TargetMatch | Refusal:
+) -> TargetMatch | Entry:
     """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it,
     with a chip of `side_px`.
     """
     template = _template(scene, model, n, ccd, xy_px, side_px)
-    if isinstance(template, Refusal):
+    if isinstance(template, Entry):
         return template
     (h, w), (x0, y0), spare = template.image.shape, template.origin_px, radius + _SPARE_PX
     lines, samples = scene.strip.shape(ccd)
@@ -251,7 +257,7 @@ def _measured_one(
         xy_px - template.origin_px,
         scene.settings,
     )
-    if isinstance(outcome, Refusal):
+    if isinstance(outcome, Entry):
         return outcome
     of_template = {field.name: getattr(outcome, field.name) for field in fields(outcome)}
     found_px = outcome.xy_px + np.array([left, top])
@@ -287,7 +293,7 @@ def _radii_px(scene: Scene, variance_px2: Floats) -> Floats:
 
 def _template(
     scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, side_px: float
-) -> Template | Refusal:
+) -> Template | Entry:
     """The predicted template around a target, as large as chip, strip and settings allow."""
     settings, chip = scene.settings, scene.chips[n]
     lines, samples = scene.strip.shape(ccd)
@@ -296,5 +302,5 @@ def _template(
     x1, y1 = int(min(round(xy_px[0] + half), samples)), int(min(round(xy_px[1] + half), lines))
     w, h = x1 - x0, y1 - y0
     if min(w, h) < settings.smallest_template_px:
-        return Refusal(Reason.TEMPLATE_CUT, min(w, h), settings.smallest_template_px, (w, h))
+        return not_matched(Reason.TEMPLATE_CUT, min(w, h), settings.smallest_template_px, (w, h))
     return predict_template(chip, model, ccd, (x0, y0), (h, w), scene.surface, settings)

@@ -1,27 +1,27 @@
-"""Input and output records of target matching: chips, targets, strips, matches and refusals.
+"""Input and output records of target matching: chips, targets, strips and matches.
 
 Image points are (x, y) = (sample, line); (0, 0) is the centre of the first pixel of a CCD's raw image.
 """
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Any, Literal
+import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",
     "Image",
-    "Reason",
-    "Refusal",
     "StripMatches",
     "Target",
     "TargetMatch",
     "TemplateMatch",
+    "not_matched",
 ]
 
 Image = NDArray[Any]  # single precision
@@ -58,93 +58,11 @@ class Target:
     sigma_m: Floats = array("3", "standard error east, north, up, m")
 
 
-class Reason(StrEnum):
-    """Why a target or a template was not matched."""
-
-    OUTSIDE_REACH = "outside_reach"
-    OUTSIDE_CCDS = "outside_ccds"
-    OUTSIDE_CHIP = "outside_chip"
-    CHIP_TOO_SMALL = "chip_too_small"
-    TOO_LITTLE_TEXTURE = "too_little_texture"
-    NO_COMMON_ROTATION = "no_common_rotation"
-    TEMPLATE_CUT = "template_cut"
-    FEW_VALID_PIXELS = "few_valid_pixels"
-    ONE_GREY_VALUE = "one_grey_value"
-    NO_CORRELATION = "no_correlation"
-    NOT_CONVERGED = "not_converged"
-    UNCERTAIN_POSITION = "uncertain_position"
-    PROBABLY_WRONG = "probably_wrong"
-    AT_WINDOW_EDGE = "at_window_edge"
-    SELF_SIMILAR = "self_similar"
-    LOW_CORRELATION = "low_correlation"
-    INCONSISTENT = "inconsistent"
-
-
-# Sentence of each reason why a target is not matched; filled with its value, the limit and further numbers.
-_SENTENCES = {
-    Reason.OUTSIDE_REACH: "outside the strip for every installation matrix within the stated uncertainty",
-    Reason.OUTSIDE_CCDS: "outside every CCD's image at the common rotation",
-    Reason.OUTSIDE_CHIP: "coordinates lie {value:.0f} px outside its chip of {more[0]:.0f} x "
-    "{more[1]:.0f} px",
-    Reason.CHIP_TOO_SMALL: "its chip is {value:.3g} px wide in the strip, at least {limit:.0f} px are "
-    "needed; check the pixel size in its geo-reference",
-    Reason.TOO_LITTLE_TEXTURE: "its chip has too little texture: expected standard error {value:.2g} px, "
-    "at most {limit} px is allowed",
-    Reason.NO_COMMON_ROTATION: "no common rotation: of {more[0]:.0f} targets {more[1]:.0f} agree and "
-    "{more[2]:.0f} of these were matched, which happens by chance with probability {value:.1g}, "
-    "{limit:.1g} is allowed",
-    Reason.TEMPLATE_CUT: "{more[0]:.0f} x {more[1]:.0f} px of its chip lie within the strip's image, "
-    "{limit:.0f} are needed",
-    Reason.FEW_VALID_PIXELS: "{value:.0%} of the template's pixels are valid (cloud, no data, saturation, "
-    "image edge), {limit:.0%} are needed",
-    Reason.ONE_GREY_VALUE: "the strip has the grey value {value:g} throughout its search window: the "
-    "detector is dead or saturated there, or its file is empty",
-    Reason.NO_CORRELATION: "no positive correlation in the search window",
-    Reason.NOT_CONVERGED: "least squares did not converge from the {more[0]:.0f} highest correlation peak(s)",
-    Reason.UNCERTAIN_POSITION: "standard error {value:.2g} px, at most {limit} px is allowed",
-    Reason.PROBABLY_WRONG: "wrong with probability {value:.1g} (highest correlation {more[0]:.2f}), at most "
-    "{limit:.1g} is allowed",
-    Reason.AT_WINDOW_EDGE: "at the edge of its search window of ±{limit:.0f} px",
-    Reason.SELF_SIMILAR: "self-similar template (correlation {more[0]:.2f} with a displaced copy of itself) "
-    "with standard error {value:.2g} px, at most {limit} px is allowed to exclude a false match",
-    Reason.LOW_CORRELATION: "correlation {value:.2f}, at least {limit} is needed",
-    Reason.INCONSISTENT: "{value:.1f} standard errors ({more[0]:+.2f}, {more[1]:+.2f} px) from the position "
-    "that the strip's other targets predict, at most {limit:.0f} are allowed",
-}
-# Stands for a value or limit that a test does not have.
-_NONE = float("nan")
-
-
-@record
-class Refusal:
-    """A target that was not matched in a CCD, or a template that was not found; false in a condition."""
-
-    reason: Reason = scalar("which test failed")
-    value: float = scalar("value that failed the test, NaN if the test has none", default=_NONE)
-    limit: float = scalar("limit of the test in the unit of `value`, NaN if none", default=_NONE)
-    more: tuple[float, ...] = scalar("further numbers of the sentence", default=())
-    target_id: str = scalar("refused target; empty for a template without a target", default="")
-    ccd: int = scalar("CCD; -1 if the refusal concerns the whole strip", default=-1)
-    match: TargetMatch | None = scalar("the match that contradicts the others", default=None)
-
-    @property
-    def sentence(self) -> str:
-        """What was measured and what is needed, in plain English."""
-        return _SENTENCES[self.reason].format(value=self.value, limit=self.limit, more=self.more)
-
-    @property
-    def is_out_of_view(self) -> bool:
-        """Whether the target lies outside the strip's footprint."""
-        return self.reason in (Reason.OUTSIDE_REACH, Reason.OUTSIDE_CCDS)
-
-    def __bool__(self) -> Literal[False]:
-        return False
-
-    def __str__(self) -> str:
-        return self.sentence
-
-    def __repr__(self) -> str:
-        return f"not matched: {self.sentence}"
+def not_matched(
+    reason: Reason, value: float = math.nan, limit: float = math.nan, more: tuple[float, ...] = ()
+) -> Entry:
+    """Entry of a target, or of a template alone, that was not found; who knows its subject names it."""
+    return Entry(Subject(Kind.TARGET), reason, value=value, limit=limit, more=more)
 
 
 @record(kw_only=True)
@@ -201,6 +119,6 @@ class StripMatches:
     """
 
     matches: tuple[TargetMatch, ...] = scalar("accepted matches, one for each target and CCD")
-    refused: tuple[Refusal, ...] = scalar("refused targets")
+    refused: tuple[Entry, ...] = scalar("targets that were not matched, with reasons")
     theta_vote: Floats = array("3", "common rotation, rad, axes of frame c; NaN if the targets agree on none")
     probability_chance: float = scalar("probability that as many targets agree by chance")

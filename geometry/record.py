@@ -89,12 +89,14 @@ def record(cls: type[Record], /) -> type[Record]: ...
 
 
 @overload
-def record(*, kw_only: bool) -> Callable[[type[Record]], type[Record]]: ...
+def record(*, kw_only: bool = ..., by_value: bool = ...) -> Callable[[type[Record]], type[Record]]: ...
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(array, scalar, dataclasses.field))
-def record(cls: Any = None, /, *, kw_only: bool = False) -> Any:
+def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False) -> Any:
     """Make a class a frozen dataclass with slots, compared by identity, that checks its arrays' shapes.
+
+    With `by_value` it is compared, and can be a key, by its fields: for records of texts and numbers alone.
 
     Construction raises `ValueError` naming the field, its expected shape and the shape found. A
     `__post_init__` of the class runs after that check. Records of more than five fields take `kw_only=True`.
@@ -109,7 +111,7 @@ def record(cls: Any = None, /, *, kw_only: bool = False) -> Any:
         )
         if checked:
             cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
-        made = dataclasses.dataclass(frozen=True, slots=True, eq=False, kw_only=kw_only)(cls)
+        made = dataclasses.dataclass(frozen=True, slots=True, eq=by_value, kw_only=kw_only)(cls)
         made.__doc__ = _documented(made)
         return made
 

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from boresight.calib.verdict import Outcome
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.calibration.joint import NamedDump, calibrate_jointly
-from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
@@ -125,7 +126,7 @@ def run_dump(
                 _draw(out, executor)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
-        log.debug("%s", "\n".join(omission_lines(found.omissions, None)))
+        log.debug("%s", "\n".join(omission_lines([entry.row for entry in found.omissions], None)))
         text = "\n".join([calibration_summary(found, read_findings(out)), *_required(out)])
         return RunOutcome(text, frozenset({found.verdict.outcome}), _is_met(out))
 
@@ -157,7 +158,7 @@ def _jointly_calibrated(
     begin_result(out)
     write_dumps(out, [named.name for named in dumps])
     calibrated: list[tuple[NamedDump, DumpCalibration]] = []
-    failed: list[Omission] = []
+    failed: list[Entry] = []
     for named in dumps:
 
         def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
@@ -170,7 +171,8 @@ def _jointly_calibrated(
                 own = inputs_of([named.dump], request.settings)
                 found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
         except DataNotSufficientError as error:
-            failed.append(Omission("dump", named.name, "", str(error), Cause.NOT_CALIBRATED))
+            subject = Subject(Kind.DUMP, dump=named.name)
+            failed.append(Entry(subject, Reason.NOT_CALIBRATED, str(error)))
         else:
             calibrated.append((named, found))
     joint = calibrate_jointly(calibrated, failed, request.settings)

@@ -1,14 +1,12 @@
-"""Errors that a user can act on, and the record of what a calibration does not use."""
+"""Errors that a user can act on."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
-from enum import StrEnum
 
-from boresight.geometry.record import record, scalar
+from boresight.geometry.ledger import Entry
 
-__all__ = ["Cause", "DataNotSufficientError", "Omission", "RawDataError", "WorkerError", "printable"]
+__all__ = ["DataNotSufficientError", "RawDataError", "WorkerError", "printable"]
 
 
 class RawDataError(Exception):
@@ -36,53 +34,13 @@ class DataNotSufficientError(Exception):
     missing; `omissions` is what was not used until then, with reasons.
     """
 
-    def __init__(self, message: str, omissions: Sequence[Omission] = ()) -> None:
+    def __init__(self, message: str, omissions: Sequence[Entry] = ()) -> None:
         super().__init__(message)
-        self.omissions: tuple[Omission, ...] = tuple(omissions)
+        self.omissions: tuple[Entry, ...] = tuple(omissions)
 
 
 class WorkerError(Exception):
     """A unit could not be computed: its process died repeatedly, no worker can do it, a store is silent."""
-
-
-class Cause(StrEnum):
-    """Why something is not used. A target that was not matched has the matcher's reason instead."""
-
-    UNREADABLE = "file not usable"
-    NOT_IDENTIFIED = "not identified"
-    NOT_COVERED = "not covered by orbit or star exposures"
-    NO_TARGET = "no target matched"
-    NOT_A_SKY_STRIP = "not a strip of the sky"
-    OTHER_SMEAR = "not the images that its TDI stages make"
-    NOT_CALIBRATED = "no result"
-    MARKED_INVALID = "marked invalid"
-    REPEATED = "given twice"
-    SAME_PIXELS = "same pixels as another"
-    OUT_OF_VIEW = "in no strip"
-    OUTSIDE_CHIP = "outside chip"
-    NOT_NEEDED = "not near a strip"
-    ATTITUDES_NOT_NEEDED = "with attitudes not near a strip"
-    INTERNAL_ERROR = "internal error"
-
-
-@record
-class Omission:
-    """Something that the calibration does not use, counted and reported."""
-
-    kind: str = scalar("exposure, head, strip, ccd, chip, target, star or dump")
-    name: str = scalar('id in the dump; a target of a strip is "strip/target"')
-    file: str = scalar("file concerned, or empty", default="")
-    reason: str = scalar("one sentence with the numbers", default="")
-    cause: str = scalar("a `Cause`, or the matcher's reason", default=Cause.UNREADABLE)
-
-    @property
-    def target_id(self) -> str:
-        """The target alone, of "strip/target, CCD 1" or of a chip's name."""
-        return self.name.rpartition("/")[2].partition(",")[0]
-
-    def because(self, reason: str, cause: str = Cause.UNREADABLE) -> Omission:
-        """This item with a reason."""
-        return dataclasses.replace(self, reason=reason, cause=str(cause))
 
 
 def printable(text: str) -> str:

@@ -107,7 +107,7 @@ def _numbers(tree: ast.AST) -> Iterator[ast.expr]:
             if node.targets[0].id == "__all__":
                 continue
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            if node.func.id in ("array", "RawDataError", "Finding", "Omission", "TypeVar", *PLACES):
+            if node.func.id in ("array", "RawDataError", "Finding", "Entry", "TypeVar", *PLACES):
                 continue
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in PLACES:
             continue

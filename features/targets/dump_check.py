@@ -11,10 +11,11 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.ledger import Entry
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
@@ -77,7 +78,7 @@ class DumpCheck:
     root: str = scalar("folder of the dump")
     faults: tuple[RawDataError, ...] = scalar("errors that stop a calibration, all at once")
     facts: tuple[str, ...] = scalar("mission, cameras, counts; one line each")
-    omissions: tuple[Omission, ...] = scalar("exposures, strips and chips that would not be used")
+    omissions: tuple[Entry, ...] = scalar("exposures, strips and chips that would not be used")
     sky_strips: int = scalar("strips of the sky", default=0)
     footprints: dict[str, Floats] = scalar("outline (N, 2) of each strip: longitude and latitude, degrees")
     targets: tuple[TargetCheck, ...] = scalar("every target against the strips, those first that look wrong")
@@ -108,7 +109,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
     ]
     names = [task.strip.strip_id for task in tasks]
     targets = [
-        _target(n, one, names, missed, contradiction(one, chip, dump.chips))
+        _target(n, one, names, missed, contradiction(one, chip, dump.chips)[0])
         for n, (one, chip) in enumerate(zip(dump.targets, dump.chips))
     ]
     return DumpCheck(
@@ -127,7 +128,7 @@ def check_lines(found: DumpCheck) -> list[str]:
     lines = [f"error: {fault}" for fault in found.faults]
     if found.faults:
         return [*lines, f"{len(lines)} error(s) in the files of {found.root}; images were not checked"]
-    lines = [*found.facts, *(f"not used: {o.kind} {o.name}: {o.reason}" for o in found.omissions)]
+    lines = [*found.facts, *(f"not used: {entry.line}" for entry in found.omissions)]
     if n := len(found.targets):
         seen, maybe = sum(bool(t.seen_by) for t in found.targets), sum(t.may_be_seen for t in found.targets)
         counts = f"{seen} of {n} targets are in view, {maybe} may be, {n - seen - maybe} are not"

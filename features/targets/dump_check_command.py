@@ -40,7 +40,7 @@ def dump_check_command(
         content={
             "errors": [str(fault) for fault in found.faults],
             "facts": list(found.facts),
-            "omitted": [plain(omission) for omission in found.omissions],
+            "omitted": [entry.row for entry in found.omissions],
             "targets": [plain(target) for target in found.targets],
             "footprints": {name: outline.tolist() for name, outline in found.footprints.items()},
         },

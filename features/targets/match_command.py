@@ -19,7 +19,6 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.workers import executor_for
 from boresight.pipeline.stages.strip_tasks import strips_to_match
@@ -51,14 +50,13 @@ def match_command(
         tasks, omissions = strips_to_match(opened, chosen, executor)
     wanted = [task for task in tasks if not strip or task.strip.strip_id in strip]
     for omission in omissions:
-        say(f"not used: {omission.kind} {omission.name}: {omission.reason}")
+        say(f"not used: {omission.line}")
     lines = []
     for line in matched_lines(wanted, overlay):
         lines.append(line)
         tell(line.text)
         for refusal in line.refused:
-            where = f", CCD {refusal.ccd}" if refusal.ccd >= 0 else ""
-            say(f"refused: {line.strip_id}/{refusal.target_id}{where}: {refusal.sentence}")
+            say(f"refused: {line.strip_id}/{refusal.subject.name}: {refusal.text}")
     write_matches(out, lines)
     matched = sum(len(line.matches) for line in lines)
     return Answer(
@@ -66,7 +64,7 @@ def match_command(
         content={
             "matched": matched,
             "targets": matches_table(lines).to_dict("records"),
-            "omitted": [plain(omission) for omission in omissions],
+            "omitted": [omission.row for omission in omissions],
         },
         files=(out,),
         exit_status=DONE if matched else DATA_DID_NOT_ALLOW,

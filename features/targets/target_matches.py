@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.gct_match.records import Refusal, TargetMatch
+from boresight.gct_match.records import TargetMatch
+from boresight.geometry.ledger import Entry, State
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.stages.strip import StripTask, strip_matches
@@ -31,7 +32,7 @@ class StripLine:
 
     strip_id: str
     matches: tuple[TargetMatch, ...]
-    refused: tuple[Refusal, ...]
+    refused: tuple[Entry, ...]
     text: str
 
 
@@ -40,9 +41,9 @@ def matched_lines(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[
     for task in tasks:
         result, omitted = strip_matches(task)
         if result is None:
-            yield StripLine(task.strip.strip_id, (), (), f"{task.strip.strip_id}   {omitted[-1].reason}")
+            yield StripLine(task.strip.strip_id, (), (), f"{task.strip.strip_id}   {omitted[-1].text}")
             continue
-        in_view = tuple(r for r in result.refused if not r.is_out_of_view)
+        in_view = tuple(entry for entry in result.refused if entry.state is not State.OUT_OF_VIEW)
         if overlay is not None:
             overlay.mkdir(parents=True, exist_ok=True)
             for match in result.matches:
@@ -92,12 +93,12 @@ def matches_table(lines: Sequence[StripLine]) -> pd.DataFrame:
         rows += [
             {
                 "strip_id": line.strip_id,
-                "target_id": r.target_id,
-                "ccd": r.ccd,
+                "target_id": entry.subject.id,
+                "ccd": entry.subject.ccd,
                 "outcome": "refused",
-                "reason": r.sentence,
+                "reason": entry.text,
             }
-            for r in line.refused
+            for entry in line.refused
         ]
     return pd.DataFrame(rows)
 

@@ -4,7 +4,6 @@ all that was measured in them, what was left out too.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +12,7 @@ from boresight.calib.finding import Finding
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
+from boresight.geometry.ledger import Entry, Kind, Ledger
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.passes import Pass
 from boresight.pipeline.diagnosis.causes import examined, wrong_convention
@@ -24,26 +24,25 @@ from boresight.pipeline.diagnosis.exchanged_files import (
     exchanged_strips,
 )
 from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
-from boresight.pipeline.diagnosis.left_out import counts_of, lost_ccds, searched_alone, with_left_out
-from boresight.pipeline.diagnosis.loss_groups import LookedFor
+from boresight.pipeline.diagnosis.left_out import searched_alone, with_left_out
+from boresight.pipeline.diagnosis.losses import (
+    OF_STARS,
+    OF_TARGETS,
+    ground_ledger,
+    lost_ccds,
+    lost_groups,
+    lost_stars,
+    lost_targets,
+)
 from boresight.pipeline.diagnosis.missing import targets_out_of_view
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
 from boresight.pipeline.diagnosis.sky_losses import (
     displaced_stars,
     named_alone,
-    sky_counts,
-    sky_looked_for,
+    star_ledger,
     strips_without_stars,
-    without_stars,
 )
-from boresight.pipeline.diagnosis.target_findings import (
-    lost_parts,
-    lost_stars,
-    lost_targets,
-    single_targets,
-    suspected_targets,
-)
-from boresight.pipeline.errors import Omission
+from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.dump import bundled_table
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.sky_side import SkySide, named_sightings
@@ -65,12 +64,13 @@ class Assessment:
 
 
 def assessed(
-    basis: Basis, first: Pass, last: Pass, found: InstallationEstimate, omissions: Sequence[Omission]
+    basis: Basis, first: Pass, last: Pass, found: InstallationEstimate, omissions: Sequence[Entry]
 ) -> Assessment:
     """The verdict on the estimate `found` of the last pass. `omissions` are all of the calibration."""
     dump = basis.dump
-    looked_for = sky_looked_for(dump, last.sky, last.named, found.R_cs)
-    sighted = _sighted(basis, first, last, looked_for)
+    targets = ground_ledger(last.tasks, last.matched, found.R_cs)
+    stars = star_ledger(dump, last.sky, last.named, found.R_cs)
+    sighted = _sighted(basis, first, last, targets, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
     of_inputs = [
@@ -89,7 +89,7 @@ def assessed(
     )
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
-        *_explanations(basis, last, found, verdict, reliability, looked_for),
+        *_explanations(basis, last, found, verdict, reliability, (targets, stars)),
         *of_inputs,
         *assumed_motion(last.strips, basis.errors),
         *earth_findings(earth, dump.earth_file),
@@ -98,12 +98,13 @@ def assessed(
 
 
 def _sighted(
-    basis: Basis, first: Pass, last: Pass, looked_for: Sequence[LookedFor]
+    basis: Basis, first: Pass, last: Pass, targets: Ledger, stars: Ledger
 ) -> tuple[StripSightings, ...]:
-    """The strips of the last pass, with all that was measured in them by any search, each by itself too."""
+    """The strips of the last pass, with all that was measured in them by any search, each by itself too.
+    The ledgers hold the `targets` and the bright `stars` that they must show.
+    """
     dump, heads = basis.dump, basis.heads
-    stars = sky_counts(last.sky, looked_for)
-    alone = searched_alone(last.tasks, lost_ccds(counts_of(last.matched)), dump.sigma_installation_rad)
+    alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
     tasks = {task.strip.strip_id: task for task in last.tasks}
     parts = (
         (last.tasks, [contradicting_targets(one) for one in last.matched]),
@@ -133,7 +134,7 @@ def _explanations(
     estimate: InstallationEstimate,
     verdict: Verdict,
     reliability: Reliability,
-    looked_for: Sequence[LookedFor],
+    ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
     """Exposures that are exchanged and a convention that is wrong; without either, what `_target_findings`
     says.
@@ -144,7 +145,7 @@ def _explanations(
         convention = wrong_convention(basis)
     if convention or exchanged:
         return [*exchanged, *([convention] if convention else [])]
-    return _target_findings(basis, last, estimate, reliability, verdict.findings, looked_for)
+    return _target_findings(basis, last, estimate, reliability, verdict.findings, ledgers)
 
 
 def _target_findings(
@@ -153,33 +154,37 @@ def _target_findings(
     estimate: InstallationEstimate,
     reliability: Reliability,
     told: Sequence[Finding],
-    looked_for: Sequence[LookedFor],
+    ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
     """Targets and stars that contradict the rest or were not found, and that no common cause
     `told` explains.
     """
-    items = [one.item for one in told]
-    strips = {name.rpartition("/")[0] for one in told for name in one.targets}
-    suspected = suspected_targets(reliability.suspects, estimate.R_cs, last.tasks, last.matched)
-    images = {task.strip.strip_id: task.strip.images for task in last.sky.tasks}
-    stars = sky_counts(last.sky, looked_for)
+    targets, stars = ledgers
+    explained = [subject for finding in told for subject in finding.subjects]
+    strips_told = {subject.strip for finding in told for subject in finding.explains}
+    strips = [*(task.strip for task in last.tasks), *(task.strip for task in last.sky.tasks)]
+    images = {strip.strip_id: strip.images for strip in strips}
     strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
     exchanged = [
         *strips_exchanged,
-        *exchanged_in_ground(last.tasks, last.matched),
+        *exchanged_in_ground(last.tasks, last.matched, targets),
         *exchanged_in_sky(basis.dump, last.sky, last.named, stars, estimate.R_cs),
     ]
-    items += [ccd for one in exchanged for ccd in re.findall(r"CCD \d+", one.item)]
-    if any(one.refutes for one in told):  # what is off or lost under a wrong matrix accuses nothing else
+    if any(finding.refutes for finding in told):  # what is off or lost under a wrong matrix accuses nothing
         return exchanged
-    apart = {key: count for key, count in stars.items() if f"strip {key[0]}" not in items}
-    parts = list(lost_parts(last.tasks, last.matched, looked_for, estimate.R_cs, items))
-    items += [ccd for one in parts for ccd in re.findall(r"CCD \d+", one.item)]
+    explained += [subject for finding in exchanged for subject in finding.subjects]
+    parts = [
+        *lost_groups(targets.take(~targets.within(explained)), OF_TARGETS),
+        *lost_groups(stars.take(~stars.within(explained)), OF_STARS),
+    ]
+    ccds = [subject for part in parts for subject in part.subjects if subject.kind is Kind.CCD]
+    entries = [entry for strip in last.matched for entry in strip.omissions]
+    measured = MeasuredTargets.of(last.tasks, last.matched, estimate.R_cs)
     return [
         *exchanged,
         *parts,
-        *single_targets(list(suspected), counts_of(last.matched), is_explained=bool(told)),
-        *(() if strips_exchanged else lost_targets(last.tasks, last.matched, items)),
-        *lost_stars(images, apart, without_stars(apart), items),
-        *strips_without_stars(basis.dump, last.sky, last.named, stars, strips),
+        *single_targets(reliability.suspects, measured, targets, is_explained=bool(told)),
+        *(() if strips_exchanged else lost_targets(images, entries, targets, [*explained, *ccds])),
+        *lost_stars(images, stars, [*explained, *ccds]),
+        *strips_without_stars(basis.dump, last.sky, last.named, stars, strips_told),
     ]

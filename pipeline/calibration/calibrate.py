@@ -16,15 +16,14 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
+from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.calibration.assessment import assessed
 from boresight.pipeline.calibration.passes import first_and_last_pass, unused_so_far
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
-from boresight.pipeline.diagnosis.reasons import rejection_reason
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
@@ -40,7 +39,7 @@ from boresight.pipeline.stages.sky_side import (
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
-__all__ = ["DumpCalibration", "calibrate_dump", "rejections_of"]
+__all__ = ["DumpCalibration", "calibrate_dump"]
 
 
 @record(kw_only=True)
@@ -60,7 +59,7 @@ class DumpCalibration:
     sighted: tuple[StripSightings, ...] = scalar("the same, with what was measured and left out")
     inputs: tuple[MovedInput, ...] = scalar("what further inputs do to the sighted strips, by prediction")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
-    omissions: tuple[Omission, ...] = scalar("everything that is not used, with reasons")
+    omissions: tuple[Entry, ...] = scalar("everything that is not used, with reasons")
     rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
     n_computed: int = scalar("exposures and strips that were computed in this run")
     n_reused: int = scalar("those that were read from the store")
@@ -126,7 +125,7 @@ def calibrate_dump(
     omissions = (
         *unused_so_far(basis, sky),
         *last.omissions,
-        *rejections_of(found),
+        *found.rejected,
         *unused_rows(dump, last.tasks, last.observed, settings.run.exposure_margin_s),
     )
     said = assessed(basis, first, last, found, omissions)
@@ -150,20 +149,3 @@ def calibrate_dump(
         n_computed=sum(computed),
         n_reused=len(computed) - sum(computed),
     )
-
-
-def rejections_of(estimate: InstallationEstimate) -> list[Omission]:
-    """Omissions for what the estimate itself rejects: outliers, and what exposures do not cover."""
-    return [
-        Omission(
-            r.kind,
-            _full_name(r.exposure_id or r.strip_id, r.name),
-            reason=rejection_reason(r),
-            cause=r.why.value,
-        )
-        for r in estimate.rejected
-    ]
-
-
-def _full_name(of: str, name: str) -> str:
-    return name if of in ("", name) else f"{of}/{name}"

@@ -25,10 +25,11 @@ from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.ledger import Entry
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
-from boresight.pipeline.calibration.calibrate import DumpCalibration, rejections_of
-from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -59,7 +60,7 @@ class JointCalibration:
     verdict: Verdict = scalar("whether the data contradict themselves")
     strips: tuple[StripSightings, ...] = scalar('of all dumps, ids "dump/strip", t_s since the first epoch')
     settings: CalibrationSettings = scalar("of the estimate")
-    omissions: tuple[Omission, ...] = scalar("dumps without a result, observations that the fit rejects")
+    omissions: tuple[Entry, ...] = scalar("dumps without a result, observations that the fit rejects")
 
 
 def open_dumps(
@@ -98,14 +99,14 @@ def dump_names(roots: Sequence[Path]) -> list[str]:
 
 
 def calibrate_jointly(
-    calibrated: Sequence[tuple[NamedDump, DumpCalibration]], failed: Sequence[Omission], settings: Settings
+    calibrated: Sequence[tuple[NamedDump, DumpCalibration]], failed: Sequence[Entry], settings: Settings
 ) -> JointCalibration:
     """One matrix from the strips of all dumps that have one of their own, in the order of time.
 
     `DataNotSufficientError` when there is none.
     """
     if not calibrated:
-        reasons = "; ".join(f"{omission.name}: {omission.reason}" for omission in failed)
+        reasons = "; ".join(f"{entry.subject.name}: {entry.text}" for entry in failed)
         raise DataNotSufficientError(f"none of {len(failed)} dumps could be calibrated: {reasons}")
     first, one = calibrated[0]
     epoch = first.dump.epoch
@@ -139,7 +140,7 @@ def calibrate_jointly(
         reliability=reliability,
         target_files=first.dump.target_files,
     )
-    return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *rejections_of(estimate)))
+    return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *estimate.rejected))
 
 
 def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> list[MovedInput]:

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.ledger import Entry
 from boresight.geometry.record import Floats
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
@@ -38,7 +38,7 @@ def match_strips(
     """Targets matched in strips, and which strips were computed now."""
     outcomes, flags = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
     return [
-        with_points(no_matches(one) if isinstance(one, Omission) else one, task.points)
+        with_points(no_matches(one) if isinstance(one, Entry) else one, task.points)
         for task, one in zip(tasks, outcomes)
     ], flags
 

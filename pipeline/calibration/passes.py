@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.matchings import match_again, match_first
 from boresight.pipeline.diagnosis.causes import cause_of_no_result
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
 from boresight.pipeline.diagnosis.missing import what_is_missing
-from boresight.pipeline.errors import Cause, DataNotSufficientError, Omission
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.coverage import stated_mountings
@@ -42,7 +43,7 @@ class Pass:
     sky: SkySide = scalar("strips of the sky, their attitudes in frame s by the heads' matrices")
     named: tuple[NamedStars, ...] = scalar("named stars of the strips of the sky")
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
-    omissions: tuple[Omission, ...] = scalar("strips, targets and stars that are not used")
+    omissions: tuple[Entry, ...] = scalar("strips, targets and stars that are not used")
     computed: tuple[bool, ...] = scalar("which matchings had to be computed")
 
     @property
@@ -122,7 +123,7 @@ def _one_pass(
     )
 
 
-def unused_so_far(basis: Basis, sky: SkySide) -> list[Omission]:
+def unused_so_far(basis: Basis, sky: SkySide) -> list[Entry]:
     """What was left out before a strip was matched."""
     of_heads = [omission for head in basis.heads for omission in head.omissions]
     return [*basis.dump.omissions, *of_heads, *sky.omissions]
@@ -132,9 +133,9 @@ def _rematch_sigma(estimate: InstallationEstimate, settings: Settings) -> Array:
     return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
 
 
-def _without_targets(matched: Iterable[MatchedTargets]) -> list[Omission]:
+def _without_targets(matched: Iterable[MatchedTargets]) -> list[Entry]:
     return [
-        Omission("strip", m.strip_id, reason="no target was matched in it", cause=Cause.NO_TARGET)
+        Entry(Subject(Kind.STRIP, strip=m.strip_id), Reason.NO_TARGET, "no target was matched in it")
         for m in matched
         if not len(m.target_id)
     ]

@@ -12,10 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
-from boresight.pipeline.diagnosis.left_out import Counts, counts_of
-from boresight.pipeline.diagnosis.sky_losses import as_bright_as_named, star_counts, stars_looked_for
-from boresight.pipeline.errors import Omission
-from boresight.pipeline.files.dump import Dump
+from boresight.geometry.ledger import Entry, Ledger
+from boresight.pipeline.diagnosis.sky_losses import as_bright_as_named, crossings, stars_found
+from boresight.pipeline.files.dump import Dump, Strip
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.sky_side import SkySide
@@ -30,7 +29,9 @@ FEWEST = 3  # targets or stars that are found with the exchange
 Found = Callable[[int, int], int]
 
 
-def exchanged_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+def exchanged_in_ground(
+    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], ledger: Ledger
+) -> Iterator[Finding]:
     """Pairs of CCDs of strips of the ground on which nothing matches, but with the image of the other."""
     for task, one in zip(tasks, matched):
 
@@ -39,10 +40,10 @@ def exchanged_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTar
             if images.shape(a) != images.shape(b):
                 return 0
             outcome = match_strip_targets(replace(task, strip=replace(task.strip, images=images)))
-            return 0 if isinstance(outcome, Omission) else len(outcome.ccd)
+            return 0 if isinstance(outcome, Entry) else len(outcome.ccd)
 
         if len(one.ccd):
-            yield from _findings(task.strip.strip_id, counts_of([one]), found, "targets")
+            yield from _findings(task.strip, ledger, found, "targets")
 
 
 def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
@@ -56,11 +57,12 @@ def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTarget
         seen = 0
         for task, other in ((a, b), (b, a)):
             outcome = match_strip_targets(replace(task, strip=replace(task.strip, images=other.strip.images)))
-            seen += 0 if isinstance(outcome, Omission) else len(outcome.ccd)
+            seen += 0 if isinstance(outcome, Entry) else len(outcome.ccd)
         if seen >= max(FEWEST, 0.5 * (n_a + n_b)):
             yield Finding(
                 cause="files of two strips",
-                item=f"strip {a.strip.strip_id} and strip {b.strip.strip_id}",
+                item=f"{a.strip.subject.words} and {b.strip.subject.words}",
+                subjects=(a.strip.subject, b.strip.subject),
                 text=f"exchanged, {seen} of {n_a + n_b} targets are found, as stated none: check file in "
                 "strips.csv.",
                 file="strips.csv",
@@ -69,31 +71,33 @@ def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTarget
 
 
 def exchanged_in_sky(
-    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, R_cs: Rotation
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
 ) -> Iterator[Finding]:
     """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
-    if not counts:
+    if not len(ledger.ccd):
         return
     bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
     for task, one in zip(side.tasks, named):
 
         def found(a: int, b: int, task: SkyTask = task, stars: StripStars = one.found) -> int:
             other = replace(stars, ccd=np.where(stars.ccd == a, b, np.where(stars.ccd == b, a, stars.ccd)))
-            again = star_counts(task, stars_looked_for(dump, task, other, bright, R_cs))
-            return again[task.strip.strip_id, a][0] + again[task.strip.strip_id, b][0]
+            expected = crossings(task, bright, R_cs)
+            seen = stars_found(dump, task, other, expected)
+            return int(seen[np.isin(expected.ccd, (a, b))].sum())
 
-        own = {key: value for key, value in counts.items() if key[0] == task.strip.strip_id}
-        yield from _findings(task.strip.strip_id, own, found, "bright stars")
+        yield from _findings(task.strip, ledger, found, "bright stars")
 
 
-def _findings(strip_id: str, counts: Counts, found: Found, what: str) -> Iterator[Finding]:
-    empty = [ccd for (_, ccd), (kept, n) in sorted(counts.items()) if n and not kept]
+def _findings(strip: Strip, ledger: Ledger, found: Found, what: str) -> Iterator[Finding]:
+    counts = ledger.of_strip(strip.strip_id).cells()
+    empty = [ccd for (_, ccd), (kept, _) in counts.items() if not kept]
     for a, b in combinations(empty, 2):
-        n, seen = sum(counts[strip_id, ccd][1] for ccd in (a, b)), found(a, b)
+        n, seen = sum(counts[strip.strip_id, ccd][1] for ccd in (a, b)), found(a, b)
         if seen >= max(FEWEST, 0.5 * n):
             yield Finding(
                 cause="files of two CCDs",
-                item=f"CCD {a} and CCD {b} in strip {strip_id}",
+                item=f"CCD {a} and CCD {b} in {strip.subject.words}",
+                subjects=(strip.ccd_subject(a), strip.ccd_subject(b)),
                 text=f"exchanged, {seen} of {n} {what} are found, as stated none: check file in strips.csv.",
                 file="strips.csv",
                 field="file",

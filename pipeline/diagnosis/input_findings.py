@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from boresight.calib.estimate import WhyRejected
 from boresight.calib.finding import Finding
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import motion_is_shown
-from boresight.gct_match.records import Reason, Target
+from boresight.gct_match.records import Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
 from boresight.pipeline.files.star_side import Head
 from boresight.pipeline.stages.coordinate_slips import off_middle_m
@@ -33,14 +31,14 @@ SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees st
 ALIKE = 0.1  # of their distance, by which targets may be apart that lie off their chips alike
 MOST_CHIPS = 256  # that are opened for it
 SHOWN = 4  # most names in the sentence of a finding; "and N more" follows
-WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT)  # refusals of targets whose place is wrong
+# Reasons of targets whose place is wrong.
+WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
 
-def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[Omission]) -> list[Finding]:
+def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[Entry]) -> list[Finding]:
     """All such findings; `tasks` are the strips that were matched and `omissions` what is not used."""
     every = {target.target_id: target for task in tasks for target in task.targets}
-    wrong = {reason.replace("_", " ") for reason in WRONG} | {WhyRejected.TARGET_RESIDUAL.value}
-    without = {one.target_id for one in omissions if one.cause in wrong}
+    without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
         *given_twice(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
@@ -51,80 +49,87 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[O
     ]
 
 
-def given_twice(omissions: Sequence[Omission]) -> Iterator[Finding]:
+def given_twice(entries: Sequence[Entry]) -> Iterator[Finding]:
     """Strips, CCDs, exposures and targets that repeat others, and images that several rows name."""
-    tables = [*TABLES.items(), ("target", "points.csv")]
-    for kind, table in tables:
+    for kind, table in TABLES:
         of_points = table == "points.csv"
-        of_kind = [one for one in omissions if one.kind == kind and (one.file == "points.csv") == of_points]
-        for cause, text in SEVERAL.items():
-            names = [one.name for one in of_kind if one.cause == cause]
-            if names:
+        of_kind = [
+            entry
+            for entry in entries
+            if entry.subject.kind is kind and (entry.file == "points.csv") == of_points
+        ]
+        for reason, text in SEVERAL.items():
+            subjects = tuple(entry.subject for entry in of_kind if entry.reason is reason)
+            if subjects:
+                names = [subject.name for subject in subjects]
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
                 yield Finding(
-                    cause=cause.value,
+                    cause=reason.value,
                     item=f"{len(names)} {kind}{'s' if len(names) > 1 else ''}",
+                    subjects=subjects,
                     text=f"{', '.join(names[:SHOWN])}{more}: {text} {table}.",
                     file=table,
-                    is_fault=kind != "target" or of_points,  # chips may overlap
+                    is_fault=kind is not Kind.TARGET or of_points,  # chips may overlap
                 )
 
 
 # File of a dump that states a kind of thing, for the messages of findings.
-TABLES = {
-    "strip": "strips.csv",
-    "ccd": "strips.csv",
-    "exposure": "exposures.csv",
-    "head": "dump.toml",
-    "target": "targets.csv",
-}
-# What a finding says of items of one cause, before the file to correct.
+TABLES = (
+    (Kind.STRIP, "strips.csv"),
+    (Kind.CCD, "strips.csv"),
+    (Kind.EXPOSURE, "exposures.csv"),
+    (Kind.HEAD, "dump.toml"),
+    (Kind.TARGET, "targets.csv"),
+    (Kind.TARGET, "points.csv"),
+)
+# What a finding says of items of one reason, before the file to correct.
 SEVERAL = {
-    Cause.REPEATED: "not independent of others, so left out; remove from",
-    Cause.SAME_PIXELS: "one image under several times, so none is used; correct file in",
+    Reason.REPEATED: "not independent of others, so left out; remove from",
+    Reason.SAME_PIXELS: "one image under several times, so none is used; correct file in",
 }
 
 
-def outside_chips(omissions: Sequence[Omission]) -> Iterator[Finding]:
-    """Targets that do not lie in their chips, each once."""
-    of_target: dict[str, list[Omission]] = defaultdict(list)
-    for one in omissions:
-        if one.kind == "target" and one.cause == Cause.OUTSIDE_CHIP:
-            of_target[one.target_id].append(one)
+def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
+    """Targets that do not lie in their chips, or not in view of the satellite, each once."""
+    of_target: dict[str, list[Entry]] = defaultdict(list)
+    for entry in entries:
+        if entry.reason in (Reason.OUTSIDE_CHIP, Reason.HIDDEN):
+            of_target[entry.subject.id].append(entry)
     alike: dict[str, list[str]] = defaultdict(list)
     for name, those in of_target.items():
-        slip = re.search(r"([^;]*) would lie in its chip", those[0].reason)
-        alike[re.sub(r" \S+ for \S+", "", slip[1]).strip() if slip else ""].append(name)
-    common = {words: names for words, names in alike.items() if len(names) > FEWEST}
+        alike[those[0].slip].append(name)
+    common = {slip: names for slip, names in alike.items() if len(names) > FEWEST}
     if common and alike.get(""):  # off by what is common, though no slip of digits puts them right
         common[""] = alike[""]
-    for words, names in common.items():
+    for slip, names in common.items():
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         far = "lie far outside their chips" if len(names) > 1 else "lies far outside its chip"
-        fits = f"lie in their chips with {words}" if words else far
+        fits = f"lie in their chips with {slip}" if slip else far
         yield Finding(
             cause="coordinates",
             item=f"{len(names)} target{'s' if len(names) > 1 else ''}",
+            subjects=tuple(Subject(Kind.TARGET, id=name) for name in names),
             text=f"{', '.join(names[:SHOWN])}{more} {fits}: correct lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg",
-            targets=tuple(names),
+            explains=tuple(entry.subject for name in names for entry in of_target[name]),
         )
     told = {name for names in common.values() for name in names}
     for name, those in ((name, those) for name, those in of_target.items() if name not in told):
         yield Finding(
             cause="coordinates or chip",
             item=f"target {name}",
-            text=f"{those[0].reason}.",
-            file="points.csv" if those[0].file == "points.csv" else "targets.csv",
+            subjects=(Subject(Kind.TARGET, id=name),),
+            text=f"{those[0].text}.",
+            file="points.csv" if those[0].reason is Reason.HIDDEN else "targets.csv",
             field="lat_deg, lon_deg",
-            targets=tuple(one.name for one in those if "/" in one.name),
+            explains=tuple(entry.subject for entry in those if entry.subject.strip),
         )
 
 
-def shifted_chips(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding]:
+def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
     """That the coordinates of most targets lie as far outside their chips, in the same direction."""
-    outside = {one.target_id for one in omissions if one.kind == "target" and one.cause == Cause.OUTSIDE_CHIP}
+    outside = {entry.subject.id for entry in entries if entry.reason is Reason.OUTSIDE_CHIP}
     pairs = [pair for pair in zip(dump.targets, dump.chips) if pair[0].target_id in outside]
     if len(pairs) <= max(FEWEST, len(dump.targets) // 2):
         return
@@ -139,22 +144,23 @@ def shifted_chips(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding
             "geo-reference of the chips, lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg, chip",
-            targets=tuple(target.target_id for target, _ in pairs),
+            subjects=tuple(Subject(Kind.TARGET, id=target.target_id) for target, _ in pairs),
         )
 
 
-def _smeared(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding]:
+def _smeared(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
     """Strips of the sky whose stars are not those of the stated TDI stages. By half of the stages a row's
     time differs from a label at their start or end: then the matrix is refuted.
     """
     camera = dump.line_camera
     label_matters = isinstance(camera, LineCamera) and camera.time_of_row != "middle"
-    for one in omissions:
-        if one.cause == Cause.OTHER_SMEAR:
+    for entry in entries:
+        if entry.reason is Reason.OTHER_SMEAR:
             yield Finding(
                 cause="TDI stages",
-                item=f"strip {one.name}",
-                text=f"{one.reason}.",
+                item=entry.subject.words,
+                subjects=(entry.subject,),
+                text=f"{entry.text}.",
                 file="remote_camera.toml",
                 field="tdi_stages, time_of_row",
                 refutes=label_matters,
@@ -164,7 +170,8 @@ def _smeared(dump: Dump, omissions: Sequence[Omission]) -> Iterator[Finding]:
 def _assumed_noise(head: Head) -> Finding:
     return Finding(
         cause="noise of a star camera",
-        item=f"head {head.name}",
+        item=head.subject.words,
+        subjects=(head.subject,),
         text="white noise is assumed: errors that last longer are not in sigma; state them in dump.toml, "
         "or estimate them by `boresight noise --write`.",
         file="dump.toml",
@@ -220,4 +227,9 @@ def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[F
     off = np.abs(np.where(known, above_m - middle, 0.0))
     for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
         text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"
-        yield Finding(cause="height", item=f"target {names[n]}", text=f"{text}; check its height_m.")
+        yield Finding(
+            cause="height",
+            item=f"target {names[n]}",
+            text=f"{text}; check its height_m.",
+            subjects=(Subject(Kind.TARGET, id=names[n]),),
+        )

@@ -11,14 +11,13 @@ from boresight.calib.estimate import NotObservable
 from boresight.calib.finding import Finding
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
+from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.record import Bools, Floats
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import StarCentroids
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
 from boresight.pipeline.stages.head import HeadSightings
-from boresight.pipeline.stages.sky_strip import NAME_UNSURE
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
 __all__ = ["in_view", "misses", "nearest_miss", "targets_out_of_view", "uncertainty_m", "what_is_missing"]
@@ -34,60 +33,65 @@ def what_is_missing(
     reference: HeadSightings,
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
-    omissions: Sequence[Omission],
+    omissions: Sequence[Entry],
 ) -> str:
     """One sentence for the user, the cause first."""
     n_stars = len(reference.stars)  # identified exposures
     n_targets = sum(len(one.target_id) for one in matched)
     counts = f"{n_stars} exposures identified, {n_targets} targets matched in {len(matched)} strips"
-    failed = [o for o in omissions if o.kind == "exposure"]
+    failed = [entry for entry in omissions if entry.subject.kind is Kind.EXPOSURE]
     if failed and n_stars == 0:
         return f"{_no_exposure(dump, settings, failed)}; {counts}"
     if n_stars and not reference.attitudes.usable.any():
         return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
-    if tasks and dump.targets and n_targets == 0 and not any(o.kind == "target" for o in every):
+    if (
+        tasks
+        and dump.targets
+        and n_targets == 0
+        and not any(entry.subject.kind is Kind.TARGET for entry in every)
+    ):
         return f"{_no_target(dump, tasks)}; {counts}"
-    of_targets = [o for o in every if o.kind == "target"]
-    hidden = [o for o in of_targets if o.cause == Cause.OUTSIDE_CHIP and o.file == "points.csv"]
+    of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
+    hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:
         text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "
         text += "the orbit, or that it is of this revolution, and lat_deg and lon_deg in points.csv"
-        return f"{text}; {counts}; {hidden[0].name}: {hidden[0].reason}"
-    lost = [o for o in of_targets if o.cause == "no common rotation"]
+        return f"{text}; {counts}; {hidden[0].subject.name}: {hidden[0].text}"
+    lost = [entry for entry in of_targets if entry.reason is Reason.NO_COMMON_ROTATION]
     if n_targets == 0 and lost and len(lost) < FEW_TARGETS * len(matched):
-        most = max(Counter(o.name.partition("/")[0] for o in lost).values())
+        most = max(Counter(entry.subject.strip for entry in lost).values())
         text = f"too few targets: at most {most} in view of a strip, so few agree on one rotation by chance; "
         text += f"{FEW_TARGETS} or more in view of a strip are needed, near both ends of the swath"
-        return f"{text}; {counts}; not used: target {lost[0].name}: {lost[0].reason}"
-    if stars := [o for o in every if o.kind == "star"]:
+        return f"{text}; {counts}; not used: {lost[0].line}"
+    if stars := [entry for entry in every if entry.subject.kind is Kind.STAR]:
         counts = f"{n_stars} exposures identified, strips of the sky: {len(dump.sky_strips)}"
         return f"{outcome.reason}; {counts}{_unused_stars(stars)}"
-    first = f"; not used: {every[0].kind} {every[0].name}: {every[0].reason}" if every else ""
+    first = f"; not used: {every[0].line}" if every else ""
     return f"{outcome.reason}; {counts}{first}"
 
 
-def _unused_stars(stars: Sequence[Omission]) -> str:
-    causes = Counter(o.cause for o in stars).most_common()
-    text = ", ".join(f"{n} {cause}" for cause, n in causes)
-    if causes[0][0] == NAME_UNSURE:
-        first = next(o for o in stars if o.cause == NAME_UNSURE)
-        text += (
-            f"; {first.name}: {first.reason}; state that error as small as it is, or raise max_name_error "
-        )
+def _unused_stars(stars: Sequence[Entry]) -> str:
+    reasons = Counter(entry.reason for entry in stars).most_common()
+    text = ", ".join(f"{n} {reason}" for reason, n in reasons)
+    if reasons[0][0] is Reason.NAME_UNSURE:
+        first = next(entry for entry in stars if entry.reason is Reason.NAME_UNSURE)
+        text += f"; {first.subject.name}: {first.text}; state that error as small as it is, or raise "
+        text += "max_name_error "
         text += "under [sky_strips] of the settings"
     return f"; stars in them that are not used: {text}"
 
 
-def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Omission]) -> str:
-    causes = ", ".join(f"{n} {cause}" for cause, n in Counter(o.cause for o in failed).most_common())
-    text = f"none of {len(failed)} exposures can be used ({causes}); {failed[0].name}: {failed[0].reason}"
-    names = {o.name for o in failed if o.cause == Cause.NOT_IDENTIFIED}
+def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Entry]) -> str:
+    reasons = Counter(entry.reason for entry in failed).most_common()
+    text = f"none of {len(failed)} exposures can be used ({', '.join(f'{n} {why}' for why, n in reasons)}); "
+    text += f"{failed[0].subject.name}: {failed[0].text}"
+    not_identified = {entry.subject for entry in failed if entry.reason is Reason.NOT_IDENTIFIED}
     tasks = [task for images in dump.star_images for task in star_tasks(dump, images, settings.stars)[0]]
-    tried = [task for task in tasks if task.item.name in names][:MIRROR_TRIALS]
+    tried = [task for task in tasks if task.item.subject in not_identified][:MIRROR_TRIALS]
     if any(map(is_mirrored, tried)):
         return f"{text}; mirrored left to right its stars are identified: the images are mirrored"
-    if names:
+    if not_identified:
         text += "; check focal_length_mm and pixel_size_um of the star camera (`boresight identify IMAGE` "
         text += "measures the focal length), its distortion, the bit depth, and that images are not mirrored"
     return text
@@ -125,7 +129,10 @@ def targets_out_of_view(
     dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
 ) -> list[Finding]:
     """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
-    seen = any(len(one.target_id) or any(o.kind == "target" for o in one.omissions) for one in matched)
+    seen = any(
+        len(one.target_id) or any(entry.subject.kind is Kind.TARGET for entry in one.omissions)
+        for one in matched
+    )
     if seen or not tasks or not dump.targets:
         return []
     misses_m = [np.hypot(*nearest_miss(task, dump.targets)[:2]) for task in tasks]

@@ -83,7 +83,8 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> MovedIn
     solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
     return MovedInput(
         cause="clock of the exposures",
-        item=f"head {head.name}" if solved else "all exposures",
+        item=head.subject.words if solved else "all exposures",
+        subjects=(head.subject,) if solved else (),
         unit="ms",
         words=("too late", "too early"),
         file=solved or "exposures.csv",
@@ -116,7 +117,8 @@ def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]
     for name, velocity in _velocities(dump).items():
         yield MovedInput(
             cause=f"aberration of the attitudes, {name}",
-            item=f"head {head.name}",
+            item=head.subject.words,
+            subjects=(head.subject,),
             unit="times",
             words=("too much", "too little"),
             file="dump.toml",

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.ledger import Kind, Ledger, Reason
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
-from boresight.pipeline.diagnosis.left_out import Counts, lost_ccds
-from boresight.pipeline.diagnosis.loss_groups import LookedFor
+from boresight.pipeline.diagnosis.losses import OF_STARS, lost_ccds
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
@@ -31,18 +31,12 @@ __all__ = [
     "displaced_stars",
     "named_alone",
     "reversed_strips",
-    "sky_counts",
-    "sky_looked_for",
-    "star_counts",
-    "stars_looked_for",
+    "star_ledger",
+    "stars_found",
     "strips_without_stars",
-    "without_stars",
 ]
 
 FEWEST = 3  # stars that agree by themselves
-LOST_SHARE = 0.04  # of a CCD's bright stars that are missing in a good strip: none of 259 were
-
-PROBABILITY_LOST = 1e-3  # that a CCD of good strips is named; three stars of three are enough
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
@@ -106,33 +100,14 @@ def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> Su
     return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
 
 
-def stars_looked_for(
-    dump: Dump, task: SkyTask, found: StripStars, bright: SurveyedStars, R_cs: Rotation
-) -> LookedFor:
-    """All stars that must be in a strip, and whether a detection is where they must be."""
-    expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
-    seen = np.zeros(len(expected.ccd), dtype=bool)
-    part = np.zeros(len(expected.ccd))
+def stars_found(dump: Dump, task: SkyTask, found: StripStars, expected: Crossings) -> Bools:
+    """Which of the stars (N,) that must be in a strip have a detection where they must be."""
+    near_px, seen = _near_px(dump, task), np.zeros(len(expected.ccd), dtype=bool)
     for ccd in task.strip.images.ccds:
         here = expected.ccd == ccd
         off_px = np.abs(expected.xy_px[here, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
         seen[here] = (off_px < near_px).any(axis=1)
-        part[here] = expected.xy_px[here, 0] / (task.camera.n_px(ccd) - 1.0)
-    return LookedFor(
-        strip_id=task.strip.strip_id,
-        ccd=expected.ccd,
-        part=part,
-        magnitude=bright.places.v_mag[expected.star],
-        found=seen,
-    )
-
-
-def star_counts(task: SkyTask, looked: LookedFor) -> Counts:
-    """By strip and CCD: stars with a detection where they must be, and all that must be there."""
-    return {
-        (looked.strip_id, ccd): (int(looked.found[looked.ccd == ccd].sum()), int((looked.ccd == ccd).sum()))
-        for ccd in task.strip.images.ccds
-    }
+    return seen
 
 
 def _near_px(dump: Dump, task: SkyTask) -> float:
@@ -145,34 +120,39 @@ def _near_px(dump: Dump, task: SkyTask) -> float:
     return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
 
 
-def sky_looked_for(
-    dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation
-) -> tuple[LookedFor, ...]:
-    """Bright stars of each strip, found or not; empty where no strip of the sky has a name."""
-    if not any(len(one.rows) for one in named):
-        return ()
+def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Ledger:
+    """Bright stars of each strip, found or not; without rows where no strip of the sky has a name."""
+    strips = tuple(task.strip.strip_id for task in side.tasks)
+    if not any(len(stars.rows) for stars in named):
+        return Ledger.without_rows(Kind.STAR, strips)
     bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
-    return tuple(
-        stars_looked_for(dump, task, one.found, bright, R_cs) for task, one in zip(side.tasks, named)
+    every = [crossings(task, bright, R_cs) for task in side.tasks]
+    found = [
+        stars_found(dump, task, stars.found, expected)
+        for task, stars, expected in zip(side.tasks, named, every)
+    ]
+    star = np.concatenate([expected.star for expected in every])
+    last = [
+        np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)]) for task in side.tasks
+    ]
+    parts = [expected.xy_px[:, 0] / ends[expected.ccd] for ends, expected in zip(last, every)]
+    return Ledger(
+        kind=Kind.STAR,
+        strips=strips,
+        strip=np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every]),
+        ccd=np.concatenate([expected.ccd for expected in every]),
+        id=np.array([f"{bright.name} {n}" for n in bright.places.hip[star].tolist()], dtype=str),
+        part=np.concatenate(parts),
+        magnitude=bright.places.v_mag[star],
+        reason=np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number),
     )
 
 
-def sky_counts(side: SkySide, looked: Sequence[LookedFor]) -> Counts:
-    """Bright stars found, and expected, by strip and CCD."""
-    each = [star_counts(task, one) for task, one in zip(side.tasks, looked)]
-    return {key: count for counts in each for key, count in counts.items()}
-
-
-def without_stars(counts: Counts) -> dict[int, tuple[int, int]]:
-    """CCDs in which too many bright stars are missing: found, expected."""
-    return lost_ccds(counts, LOST_SHARE, PROBABILITY_LOST)
-
-
-def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:
+def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
     """Stars of CCDs in which too many are missing, named by those CCDs alone: all such together or, where
     they do not agree, each by itself.
     """
-    if not (lost := list(without_stars(counts))):
+    if not (lost := lost_ccds(ledger, OF_STARS)):
         return []
     for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
         of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))
@@ -182,12 +162,12 @@ def named_alone(dump: Dump, side: SkySide, counts: Counts) -> list[NamedStars]:
 
 
 def displaced_stars(
-    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, R_cs: Rotation
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
 ) -> list[NamedStars]:
     """Missing stars of single CCDs with the detections, of their brightness and farther off than a right
     matrix allows, that may be them: the tests of inputs say whether one error of the CCD explains several.
     """
-    if not any(n - found >= FEWEST_DISPLACED for found, n in counts.values()):
+    if not any(n - found >= FEWEST_DISPLACED for found, n in ledger.cells().values()):
         return []
     survey = survey_of(dump.star_catalogue)
     bright, every = as_bright_as_named(survey, named), []
@@ -291,7 +271,8 @@ def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
         if not _is_named(dump, only) and (words := _order(dump, only)):
             yield Finding(
                 cause="order of an image",
-                item=f"strip {task.strip.strip_id}",
+                item=task.strip.subject.words,
+                subjects=(task.strip.subject,),
                 text=f"none of its stars named, but {words} they are: check file in strips.csv.",
                 file="strips.csv",
                 field="file",
@@ -300,7 +281,7 @@ def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
 
 
 def strips_without_stars(
-    dump: Dump, side: SkySide, named: Sequence[NamedStars], counts: Counts, explained: Collection[str]
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, explained: Collection[str]
 ) -> Iterator[Finding]:
     """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
     stars agree by themselves contradicts the others, and refutes.
@@ -309,7 +290,7 @@ def strips_without_stars(
     attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
     for n, (task, one) in enumerate(zip(side.tasks, named)):
         strip_id = task.strip.strip_id
-        expected = sum(seen for (name, _), (_, seen) in counts.items() if name == strip_id)
+        expected = len(ledger.of_strip(strip_id).ccd)
         if len(one.rows) or expected < FEWEST or strip_id in explained:
             continue
         only = _only(side, n)
@@ -323,7 +304,8 @@ def strips_without_stars(
             text = f"none of its {expected} brightest stars is where the other strips place it"
         yield Finding(
             cause=cause,
-            item=f"strip {strip_id}",
+            item=task.strip.subject.words,
+            subjects=(task.strip.subject,),
             text=f"{text}: check {file} in strips.csv{attitudes if alone else ''}.",
             file="strips.csv",
             field=file,

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from boresight.calib.estimate import InstallationEstimate
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.missing import misses
-from boresight.pipeline.errors import Cause, Omission
-from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.dump import ChipFile, Dump, Strip
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.head import around_strips
@@ -74,7 +74,7 @@ def rows_together(of_dumps: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
 
 def unused_rows(
     dump: Dump, tasks: Sequence[StripTask], observed: Sequence[MatchedTargets], margin_s: float
-) -> list[Omission]:
+) -> list[Entry]:
     """All of these. `observed` are the targets matched in strips of the ground (`tasks`), and
     the stars of those of the sky; exposures are needed within `margin_s` of a strip.
     """
@@ -85,30 +85,33 @@ def unused_rows(
     ]
 
 
-def unseen_targets(
-    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
-) -> list[Omission]:
+def unseen_targets(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> list[Entry]:
     """Targets that no strip shows: first those that do not lie in their chip either, then by distance."""
     named = {name for one in matched for name in one.target_id.tolist()}
-    named |= {omission.target_id for one in matched for omission in one.omissions}
+    named |= {entry.subject.id for one in matched for entry in one.omissions}
     unseen = [both for both in zip(dump.targets, dump.chips) if both[0].target_id not in named]
     if not unseen:
         return []
     if not tasks:
         reason = "no strip can be used"
-        return [Omission("target", t.target_id, chip.file, reason, Cause.OUT_OF_VIEW) for t, chip in unseen]
+        return [_of_chip(chip, Reason.OUT_OF_VIEW, reason) for _, chip in unseen]
     off_m = np.array([np.hypot(*misses(task, [target for target, _ in unseen])[0].T) for task in tasks])
-    contradicted, others = list[Omission](), list[Omission]()
+    contradicted, others = list[Entry](), list[Entry]()
     for n in np.argsort(off_m.min(axis=0), kind="stable").tolist():
         (target, chip), nearest = unseen[n], int(np.argmin(off_m[:, n]))
         reason = _beside(float(off_m[nearest, n]), tasks[nearest].strip.strip_id)
         looked_at = len(contradicted) + len(others) < MOST_CHIPS
-        if why := contradiction(target, chip, dump.chips) if looked_at else "":
-            text = f"{reason}; {why}"
-            contradicted.append(Omission("target", target.target_id, chip.file, text, Cause.OUTSIDE_CHIP))
+        why, slip = contradiction(target, chip, dump.chips) if looked_at else ("", "")
+        if why:
+            contradicted.append(_of_chip(chip, Reason.OUTSIDE_CHIP, f"{reason}; {why}", slip))
         else:
-            others.append(Omission("target", target.target_id, chip.file, reason, Cause.OUT_OF_VIEW))
+            others.append(_of_chip(chip, Reason.OUT_OF_VIEW, reason))
     return contradicted + others
+
+
+def _of_chip(chip: ChipFile, reason: Reason, detail: str, slip: str = "") -> Entry:
+    """Entry of the target that a chip shows."""
+    return Entry(Subject(Kind.TARGET, id=chip.target_id), reason, detail, chip.file, slip=slip)
 
 
 def _beside(off_m: float, strip_id: str) -> str:
@@ -117,7 +120,7 @@ def _beside(off_m: float, strip_id: str) -> str:
     return f"it lies {off_m / 1e3:.3g} km from the nearest strip, {strip_id}"
 
 
-def unneeded_exposures(dump: Dump, margin_s: float) -> list[Omission]:
+def unneeded_exposures(dump: Dump, margin_s: float) -> list[Entry]:
     """Exposures, or attitudes of a head, further than `margin_s` from every strip."""
     found = []
     for head in dump.heads:
@@ -125,28 +128,28 @@ def unneeded_exposures(dump: Dump, margin_s: float) -> list[Omission]:
             far = ~around_strips(dump, head.source.rows.t_s, margin_s)
             if far.any():
                 reason = f"{far.sum()} of {len(far)} attitudes are more than {margin_s:g} s from every strip"
-                cause = Cause.ATTITUDES_NOT_NEEDED
-                found.append(Omission("head", head.name, head.source.file, reason, cause))
+                entry = Entry(head.subject, Reason.ATTITUDES_NOT_NEEDED, reason, head.source.file)
+                found.append(entry)
             continue
         t_s = np.array([one.t_s for one in head.source.exposures])
         reason = f"more than {margin_s:g} s from every strip (run.exposure_margin_s)"
         found += [
-            head.source.exposures[k].item.because(reason, Cause.NOT_NEEDED)
+            head.source.exposures[k].item.because(Reason.NOT_NEEDED, reason)
             for k in np.flatnonzero(~around_strips(dump, t_s, margin_s)).tolist()
         ]
     return found
 
 
-def without_measurement(strips: Sequence[Strip], observed: Sequence[MatchedTargets]) -> list[Omission]:
+def without_measurement(strips: Sequence[Strip], observed: Sequence[MatchedTargets]) -> list[Entry]:
     """CCDs in which nothing was measured, of strips in which something was."""
     found = []
     of_strip = {one.strip_id: one for one in observed}
     for strip in (one for one in strips if one.strip_id in of_strip):
         one = of_strip[strip.strip_id]
-        lost = Counter(o.name.rpartition(", CCD ")[2] for o in one.omissions if o.kind == "target")
+        lost = Counter(entry.subject.ccd for entry in one.omissions if entry.subject.kind is Kind.TARGET)
         for ccd in sorted(set(strip.ccd_lines) - set(one.ccd.tolist())) if len(one.ccd) else ():
-            n, what = lost[str(ccd)], "star" if strip.kind == "sky" else "target"
+            n, what = lost[ccd], "star" if strip.kind == "sky" else "target"
             reason = f"none of its {n} {what}s was matched" if n else f"no {what} lies in it"
             file = strip.images.names.get(ccd, "")
-            found.append(Omission("ccd", f"{strip.strip_id}/{ccd}", file, reason, Cause.NO_TARGET))
+            found.append(Entry(strip.ccd_subject(ccd), Reason.NO_TARGET, reason, file))
     return found

@@ -1,6 +1,6 @@
 """Open a dump: read and check every text file; build cameras, orbit, Earth rotation and terrain.
 
-Images are not decoded here; one whose header cannot be used becomes an `Omission`. Nothing under `truth/` is
+Images are not decoded here; one whose header cannot be used becomes an `Entry`. Nothing under `truth/` is
 opened. The records hold arrays and paths, so that parts of them can be sent to worker processes.
 """
 
@@ -26,6 +26,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geoid import egm96
 from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.orbit_consistency import find_orbit_fault
@@ -35,7 +36,7 @@ from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
 from boresight.geometry.terrain_tiles import Raster, joined
-from boresight.pipeline.errors import Omission, RawDataError, printable
+from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dates, orbit_covers
@@ -106,6 +107,15 @@ class Strip:
     first_row: dict[int, float] = scalar("row of the strip at which line 0 of a CCD's image lies, by CCD")
     ccd_lines: dict[int, int] = scalar("number of lines of each CCD of the table")
     kind: str = scalar("what the camera looks at: ground or sky", default="ground")
+
+    @property
+    def subject(self) -> Subject:
+        """The strip as a subject."""
+        return Subject(Kind.STRIP, strip=self.strip_id)
+
+    def ccd_subject(self, ccd: int) -> Subject:
+        """One CCD of it as a subject."""
+        return Subject(Kind.CCD, strip=self.strip_id, ccd=ccd)
 
     @property
     def clock(self) -> RowClock:
@@ -187,7 +197,7 @@ class Dump:
     orbit_covers: str = scalar(
         'what the orbit covers, for messages: "orbit.oem covers 2024-11-20T03:39:49 to ..."'
     )
-    omissions: tuple[Omission, ...] = scalar("images that are not used, with the reasons")
+    omissions: tuple[Entry, ...] = scalar("images that are not used, with the reasons")
     listed: dict[str, int] = scalar(
         "how many targets, measured points, strips and exposures of the reference head its tables list"
     )
@@ -197,7 +207,7 @@ class Dump:
         more = ", ..." if len(self.strips) + len(self.sky_strips) > MOST_NAMED else ""
         satellite = f" ({self.satellite})" if self.satellite else ""
         points = f", {sum(len(one.ccd) for one in self.points)} measured points" if self.points else ""
-        unused = [f"{one.kind} {one.name}: {one.reason}" for one in self.omissions[:MOST_NAMED]]
+        unused = [entry.line for entry in self.omissions[:MOST_NAMED]]
         lines = [
             f"dump {self.mission}{satellite} in {self.root}",
             f"{len(self.exposures)} exposures of {len(self.heads)} star cameras",
@@ -359,7 +369,7 @@ def open_dump(
         listed={
             "targets": len(rows),
             "points": sum(len(one.ccd) for one in points),
-            "strips": len(every) + sum(one.kind == "strip" for one in omitted),
+            "strips": len(every) + sum(entry.subject.kind is Kind.STRIP for entry in omitted),
             "exposures": 0 if isinstance(heads[0].source, SolvedAttitudes) else every_head[0].n_exposures,
         },
     )
@@ -575,7 +585,7 @@ def _strips(
     epoch: Epoch,
     remote: schema.RemoteCameraFile | schema.LookCameraFile,
     remote_file: str,
-) -> tuple[tuple[Strip, ...], tuple[Omission, ...]]:
+) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
     rows = read_table(path, schema.StripRow, file)
     if not rows:
         raise RawDataError(file, "rows", "none", "at least one strip")
@@ -588,14 +598,15 @@ def _strips(
             raise RawDataError(file, f"{where}, ccd", str(row.ccd), f"0 to {len(remote.ccds) - 1}")
         of_strip.setdefault(row.id, []).append((where, row, float(t)))
     strips: list[Strip] = []
-    omitted: list[Omission] = []
+    omitted: list[Entry] = []
     for strip_id, members in of_strip.items():
         _check_alike(members, file)
         images, of_images = _strip_images(root, members, file, remote, remote_file)
         omitted += of_images
         if not images.paths and all(row.file for _, row, _ in members):
             name = members[0][1].file
-            omitted.append(Omission("strip", strip_id, name, "none of its images can be read"))
+            unread = "none of its images can be read"
+            omitted.append(Entry(Subject(Kind.STRIP, strip=strip_id), Reason.UNREADABLE, unread, name))
             continue
         strips.append(_strip(strip_id, images, members))
     return tuple(sorted(strips, key=lambda one: (one.t_first_row_s, one.strip_id))), tuple(omitted)
@@ -651,7 +662,7 @@ def _strip_images(
     file: str,
     remote: schema.RemoteCameraFile | schema.LookCameraFile,
     remote_file: str,
-) -> tuple[StripFiles, list[Omission]]:
+) -> tuple[StripFiles, list[Entry]]:
     """The images of a strip whose headers are valid, and omissions for the others."""
     paths: dict[int, Path] = {}
     names: dict[int, str] = {}
@@ -667,7 +678,8 @@ def _strip_images(
         try:
             check_strip_file(image, row.file, lines=lines, samples=samples, bit_depth=remote.bit_depth)
         except RawDataError as error:
-            omitted.append(Omission("ccd", f"{row.id}/{row.ccd}", row.file, str(error)))
+            subject = Subject(Kind.CCD, strip=row.id, ccd=row.ccd)
+            omitted.append(Entry(subject, Reason.UNREADABLE, str(error), row.file))
             continue
         paths[row.ccd], names[row.ccd], shapes[row.ccd] = image, row.file, shape
     return StripFiles(paths, names, shapes), omitted

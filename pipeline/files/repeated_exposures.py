@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtr
 
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Bools, Floats
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.equal_files import equal_files, grouped
 from boresight.pipeline.files.star_side import Exposure, Head, SolvedAttitudes, StarCentroids, StarImages
@@ -25,9 +25,9 @@ CLOSE = 0.1  # of the longer step beside: attitudes closer than this may be one 
 PROBABILITY_COMMON = 1e-6  # that independent errors agree as well as those of attitudes given twice
 
 
-def exposures_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], tuple[Omission, ...]]:
+def exposures_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], tuple[Entry, ...]]:
     """The heads without exposures or attitudes that repeat others, and omissions for these."""
-    once, omitted = [], list[Omission]()
+    once, omitted = [], list[Entry]()
     for head in heads:
         source, omissions = _once(head)
         once.append(replace(head, source=source) if omissions else head)
@@ -35,7 +35,7 @@ def exposures_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], tuple[Omiss
     return tuple(once), tuple(omitted)
 
 
-def _once(head: Head) -> tuple[StarImages | StarCentroids | SolvedAttitudes, list[Omission]]:
+def _once(head: Head) -> tuple[StarImages | StarCentroids | SolvedAttitudes, list[Entry]]:
     if isinstance(head.source, SolvedAttitudes):
         return _attitudes_once(head, head.source)
     return _images_once(head.source)
@@ -43,7 +43,7 @@ def _once(head: Head) -> tuple[StarImages | StarCentroids | SolvedAttitudes, lis
 
 def _images_once(
     source: StarImages | StarCentroids,
-) -> tuple[StarImages | StarCentroids, list[Omission]]:
+) -> tuple[StarImages | StarCentroids, list[Entry]]:
     exposures = source.exposures
     if isinstance(source, StarCentroids):
         lists = {k: one.xy_px.tobytes() for k, one in enumerate(source.lists) if one is not None}
@@ -52,8 +52,8 @@ def _images_once(
         equal = equal_files({k: one.path for k, one in enumerate(exposures)})
     twice = overlapping(exposures)
     wrong = _same_pixels(exposures, [[k for k in group if k not in twice] for group in equal])
-    omitted = [exposures[k].item.because(why, Cause.REPEATED) for k, why in twice.items()]
-    omitted += [exposures[k].item.because(why, Cause.SAME_PIXELS) for k, why in wrong.items()]
+    omitted = [exposures[k].item.because(Reason.REPEATED, why) for k, why in twice.items()]
+    omitted += [exposures[k].item.because(Reason.SAME_PIXELS, why) for k, why in wrong.items()]
     left = [k for k in range(len(exposures)) if k not in twice and k not in wrong]
     once = replace(source, exposures=tuple(exposures[k] for k in left))
     if isinstance(once, StarCentroids):
@@ -85,13 +85,13 @@ def _same_pixels(exposures: Sequence[Exposure], groups: Sequence[Sequence[int]])
     return why
 
 
-def _attitudes_once(head: Head, source: SolvedAttitudes) -> tuple[SolvedAttitudes, list[Omission]]:
+def _attitudes_once(head: Head, source: SolvedAttitudes) -> tuple[SolvedAttitudes, list[Entry]]:
     repeated = common_errors(source.rows, head.noise.white_covariance_s)
     if not repeated.any():
         return source, []
     reason = f"{repeated.sum()} of {len(repeated)} attitudes of {source.file} follow another one closely and "
     reason += "have the same error: each is counted once"
-    omission = Omission("head", head.name, source.file, reason, Cause.REPEATED)
+    omission = Entry(head.subject, Reason.REPEATED, reason, source.file)
     return replace(source, rows=_rows(source.rows, ~repeated)), [omission]
 
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Bools
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.ground_points import StripPoints
 
 __all__ = ["points_once"]
@@ -17,7 +17,7 @@ SAME_PX = 0.01  # image positions of two measurements, whose noise is larger, ar
 SAME_M = 0.1  # ... at points of the ground that are so near
 
 
-def points_once(points: Sequence[StripPoints], file: str) -> tuple[tuple[StripPoints, ...], list[Omission]]:
+def points_once(points: Sequence[StripPoints], file: str) -> tuple[tuple[StripPoints, ...], list[Entry]]:
     """The points of each strip without repetitions, and an omission for each of these; the first id stays."""
     kept, omitted = [], []
     for one in points:
@@ -25,12 +25,11 @@ def points_once(points: Sequence[StripPoints], file: str) -> tuple[tuple[StripPo
         again = first != np.arange(len(first))
         kept.append(one.take(~again) if again.any() else one)
         omitted += [
-            Omission(
-                "target",
-                f"{one.strip_id}/{one.targets[n].target_id}",
-                file,
+            Entry(
+                Subject(Kind.TARGET, strip=one.strip_id, id=one.targets[n].target_id),
+                Reason.REPEATED,
                 f"the same measurement as {one.targets[first[n]].target_id}",
-                Cause.REPEATED,
+                file,
             )
             for n in np.flatnonzero(again).tolist()
         ]

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats
-from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.equal_files import equal_files
 
 if TYPE_CHECKING:
@@ -29,25 +30,25 @@ SAME_GROUND = 0.5  # least correlation of windows of the same ground; of indepen
 Image = tuple[str, int]  # strip and CCD
 
 
-def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], tuple[Omission, ...]]:
+def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
     """The strips without CCDs that repeat those of another one, and omissions for these.
 
     `RawDataError` for two strips with the same times that show different ground. `file` is their table.
     """
     twice = _same_times(strips, file)
-    why = {key: (reason, Cause.REPEATED) for key, reason in twice.items()}
-    why |= {key: (reason, Cause.SAME_PIXELS) for key, reason in _same_files(strips, twice).items()}
+    why = {key: (reason, Reason.REPEATED) for key, reason in twice.items()}
+    why |= {key: (reason, Reason.SAME_PIXELS) for key, reason in _same_files(strips, twice).items()}
     once, omitted = [], []
     for strip in strips:
         own = {ccd: why[strip.strip_id, ccd] for ccd in strip.ccd_lines if (strip.strip_id, ccd) in why}
         names = strip.images.names
         if len(own) == len(strip.ccd_lines):
-            ccd, (reason, cause) = min(own.items())
-            omitted.append(Omission("strip", strip.strip_id, names.get(ccd, ""), reason, cause))
+            ccd, (detail, reason) = min(own.items())
+            omitted.append(Entry(strip.subject, reason, detail, names.get(ccd, "")))
             continue
         omitted += [
-            Omission("ccd", f"{strip.strip_id}/{ccd}", names.get(ccd, ""), reason, cause)
-            for ccd, (reason, cause) in own.items()
+            Entry(strip.ccd_subject(ccd), reason, detail, names.get(ccd, ""))
+            for ccd, (detail, reason) in own.items()
         ]
         left = {ccd: lines for ccd, lines in strip.ccd_lines.items() if ccd not in own}
         once.append(replace(strip, ccd_lines=left, images=strip.images.of(left)) if own else strip)

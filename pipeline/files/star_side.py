@@ -20,11 +20,12 @@ from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
@@ -63,9 +64,9 @@ class Exposure:
     exposure_s: float = scalar("exposure time, s")
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """Kind, id and file of what is processed, without a reason."""
-        return Omission("exposure", self.exposure_id, self.file)
+        return Entry(Subject(Kind.EXPOSURE, exposure=self.exposure_id), file=self.file)
 
 
 @record
@@ -127,6 +128,11 @@ class Head:
     noise_is_assumed: bool = scalar("that noise is neither stated nor estimated", default=False)
     interpolation: Interpolation = scalar("between its attitudes")
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
+
+    @property
+    def subject(self) -> Subject:
+        """The head as a subject."""
+        return Subject(Kind.HEAD, head=self.name)
 
     @property
     def line_of_sight_s(self) -> Floats:

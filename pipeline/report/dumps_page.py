@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
@@ -29,7 +28,7 @@ __all__ = ["write_dumps_report"]
 def write_dumps_report(result: Path) -> Path:
     """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
     installation = read_json(result / "installation.json")
-    omissions = read_parquet(result / "sightings" / "omissions.parquet").to_pylist()
+    omissions = read_sightings(result, "ledger", "kind name reason").to_pylist()
     joint = _matrix(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
     budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}

@@ -39,6 +39,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
+from boresight.geometry.ledger import State
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
@@ -57,7 +58,7 @@ from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
-from boresight.pipeline.report.ground_map import USED, ground_table, scene_json, scene_pictures, scenes_of
+from boresight.pipeline.report.ground_map import ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
@@ -185,7 +186,7 @@ def _accuracy(dump: Dump, calibration: DumpCalibration, ground: pa.Table) -> dic
     found = improvements(calibration.strips, estimate.R_cs, calibration.settings, camera)
     u_c = end_looks(camera)
     return {
-        "accuracy": accuracy_by_strip(ground, USED),
+        "accuracy": accuracy_by_strip(ground, State.USED),
         "new_strip": predicted_accuracy(
             estimate.cov_theta,
             range_m,

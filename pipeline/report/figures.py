@@ -12,6 +12,7 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import State
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.report.drawing import (
@@ -28,7 +29,6 @@ from boresight.pipeline.report.drawing import (
     new_figure,
     rule_axes,
 )
-from boresight.pipeline.report.ground_map import REJECTED, USED
 from boresight.pipeline.report.observations import ExposureCard, TargetCard
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.strip_stars import StripStarRow
@@ -216,7 +216,7 @@ def _residual_panel(
     spots = []
     for axes, (which, y) in zip(panels, both.items()):
         rule_axes(axes, label if axes is panels[-1] else "", which)
-        used = [row.row for row in rows if row.state == USED]
+        used = [row.row for row in rows if row.state == State.USED]
         axes.axhline(0.0, color=MUTED, linewidth=1.0)
         reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
         axes.set_ylim(-reach, reach)
@@ -232,7 +232,7 @@ def _residual_panel(
             )
             for row in rows
         ]
-    beyond = sum(1 for row in rows if row.state == REJECTED)
+    beyond = sum(1 for row in rows if row.state == State.REJECTED)
     text = f"Residuals of {len(rows)} {of} against {name.removeprefix('star-')}; marks as on {marks}."
     text += f" {beyond} rejected: open marks, at the edge where they lie beyond it." if beyond else ""
     return drawn(figure, f"residual-{name}", text, text, spots)

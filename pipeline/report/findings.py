@@ -13,17 +13,12 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.calib.finding import Finding
+from boresight.geometry.ledger import Kind, State, Subject
 from boresight.geometry.line_camera import end_looks
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.report.ground_map import (
-    OUT_OF_VIEW,
-    UNMATCHED,
-    USED,
-    MapScene,
-    StripOnGround,
-)
+from boresight.pipeline.report.ground_map import MapScene, StripOnGround
 
 __all__ = ["findings"]
 
@@ -39,7 +34,7 @@ def findings(
     dump: Dump, calibration: DumpCalibration, scenes: Sequence[MapScene], ground: pa.Table
 ) -> list[Finding]:
     """What looks wrong in the images and targets of a calibration, the most specific first; may be empty."""
-    rows = [row for row in ground.to_pylist() if row["state"] != OUT_OF_VIEW]
+    rows = [row for row in ground.to_pylist() if row["state"] != State.OUT_OF_VIEW]
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
     share = _share_of_swath(dump, calibration)
     return [
@@ -53,9 +48,9 @@ def _looks(one: StripOnGround, rows: Sequence[Mapping[str, Any]]) -> dict[str, l
     """What the strip shows at targets that were used and at those that were not matched; nothing is read
     where all were matched.
     """
-    seen: dict[str, list[Look]] = {USED: [], UNMATCHED: []}
+    seen: dict[str, list[Look]] = {State.USED: [], State.UNMATCHED: []}
     own = [row for row in rows if row["strip_id"] == one.strip_id and np.isfinite(row["line_px"])]
-    if all(row["state"] != UNMATCHED for row in own):
+    if all(row["state"] != State.UNMATCHED for row in own):
         return seen
     for row in own:
         if row["state"] in seen:
@@ -67,18 +62,22 @@ def _looks(one: StripOnGround, rows: Sequence[Mapping[str, Any]]) -> dict[str, l
 
 def clouds(strip_id: str, seen: Mapping[str, Sequence[Look]]) -> Iterator[Finding]:
     """Unmatched targets where the strip is brighter and flatter than at the targets that were matched."""
-    if len(seen[USED]) < FEWEST or not seen[UNMATCHED]:
+    if len(seen[State.USED]) < FEWEST or not seen[State.UNMATCHED]:
         return
-    brightness, contrast = np.median([look[1:] for look in seen[USED]], axis=0)
-    cloudy = [name for name, b, c in seen[UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast]
+    strip = Subject(Kind.STRIP, strip=strip_id)
+    brightness, contrast = np.median([look[1:] for look in seen[State.USED]], axis=0)
+    cloudy = [
+        name for name, b, c in seen[State.UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast
+    ]
     if cloudy:
         more = f" and {len(cloudy) - SHOWN} more" if len(cloudy) > SHOWN else ""
         yield Finding(
             cause="cloud or snow",
-            item=f"strip {strip_id}",
+            item=strip.words,
+            subjects=(strip,),
             text=f"it is bright and without contrast at {len(cloudy)} target{'s' if len(cloudy) > 1 else ''} "
             f"that {'were' if len(cloudy) > 1 else 'was'} not matched: {', '.join(cloudy[:SHOWN])}{more}.",
-            targets=tuple(f"{strip_id}/{name}" for name in cloudy),
+            explains=tuple(Subject(Kind.TARGET, strip=strip_id, id=name) for name in cloudy),
             is_fault=False,
         )
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import State
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
 from boresight.pipeline.report.observations import TargetCard
 from boresight.pipeline.report.saved import Number, Saved, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
@@ -86,7 +86,9 @@ def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
     """The first screen of a saved result with the rows of its targets."""
     findings = _findings(saved, targets)
     explained = {row.link for one in findings for row in one.rows}
-    unused = [row for row in targets if row.state in (REJECTED, UNMATCHED) and row.link not in explained]
+    unused = [
+        row for row in targets if row.state in (State.REJECTED, State.UNMATCHED) and row.link not in explained
+    ]
     sigma_arcsec = tuple(
         saved.number(f"covariance_rad2.{i}.{i}", ".4f", scale=1.0 / ARCSEC, root=True) for i in range(3)
     )
@@ -172,12 +174,13 @@ def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, .
 
 
 def _findings(saved: Saved, targets: Sequence[TargetCard]) -> tuple[Found, ...]:
-    rows: dict[str, list[TargetCard]] = {}
+    rows: dict[tuple[str, str], list[TargetCard]] = {}
     for row in targets:
-        rows.setdefault(f"{row.strip_id}/{row.target_id}", []).append(row)
+        rows.setdefault((row.strip_id, row.target_id), []).append(row)
     found = []
     for one in saved.context["findings"]:
-        those = tuple(row for name in one["targets"] for row in rows.get(name, ()))
+        names = dict.fromkeys((subject["strip"], subject["id"]) for subject in one["explains"])
+        those = tuple(row for name in names for row in rows.get(name, ()))
         texts = {name: one[name] for name in ("cause", "item", "text", "is_fault")}
         found.append(Found(**texts, rows=those, shown=those[:MOST_ITEMS]))
     return tuple(found)
@@ -195,7 +198,7 @@ def _items(unused: Sequence[TargetCard]) -> tuple[Items, ...]:
 
 
 def _rejected(saved: Saved) -> tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]:
-    rows: list[dict[str, Any]] = saved.omissions.to_pylist()
+    rows: list[dict[str, Any]] = saved.ledger.to_pylist()
     kinds = Counter(row["kind"] for row in rows)
     order = ("strip", "ccd", "exposure", "chip", "target", "star")
     return tuple(

@@ -23,11 +23,12 @@ from scipy.sparse.csgraph import connected_components
 from boresight.calib.estimate import TargetResiduals
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
+from boresight.geometry.ledger import Entry, Kind, State, Subject
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.calibration.calibrate import DumpCalibration
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
@@ -47,7 +48,7 @@ __all__ = [
 ]
 
 # States of a target in a strip, as the tables of the evidence and the map name them.
-USED, REJECTED, UNMATCHED, OUT_OF_VIEW = STATES = ("used", "rejected", "not matched", "not in view")
+STATES = (State.USED, State.REJECTED, State.UNMATCHED, State.OUT_OF_VIEW)
 MOST_SIDE_PX = 420  # of a picture
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
@@ -203,43 +204,38 @@ def _rows_of_strip(one: StripOnGround, calibration: DumpCalibration) -> Iterator
     matched = next(m for m in calibration.matched if m.strip_id == strip_id)
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist())
     row_of = {(t, c): n for n, (s, t, c) in enumerate(keys) if s == strip_id}
-    why = {o.name: o for o in calibration.omissions if o.kind == "target"}
+    why = {entry.subject: entry for entry in calibration.omissions}
     names = list(zip(matched.target_id.tolist(), matched.ccd.tolist()))
     rows = np.array([row_of.get(key, -1) for key in names], dtype=np.int64)
     residuals_m = _residuals_m(one, matched, rows, found)
     for n, (target, ccd) in enumerate(names):
         row = int(rows[n])
         used = row >= 0 and bool(found.kept[row])
-        omission = why.get(f"{strip_id}/{target}", Omission("target", target))
-        state, cause = (USED, "") if used else (REJECTED, str(omission.cause))
+        subject = Subject(Kind.TARGET, strip=strip_id, ccd=int(ccd), id=target)
+        entry, state = (why.get(subject, Entry(subject)), State.REJECTED)
+        if used:
+            entry, state = Entry(subject), State.USED
         numbers = dict(zip((f"residual_{axis}_m" for axis in RESIDUALS), residuals_m[n].tolist()))
         if row >= 0:
             size = float(np.linalg.norm(residuals_m[n, :2]))
             numbers |= {"residual_m": size, "sigmas": float(np.sqrt(found.statistic[row]))}
-        reason = "" if used else omission.reason
-        yield _row(one, target, ccd, state, cause, reason, matched.xy_px[n]) | numbers
+        yield _row(one, entry, state, matched.xy_px[n]) | numbers
     p_e = one.p_e
-    for omission in matched.omissions:
-        if omission.kind not in ("target", "chip"):
+    for entry in matched.omissions:
+        subject = entry.subject
+        if subject.kind not in (Kind.TARGET, Kind.CHIP):
             continue
-        target, _, number = omission.name.removeprefix(f"{strip_id}/").partition(", CCD ")
-        ccd = int(number) if number else -1
         xy_px: Floats = np.full(2, np.nan)
-        if ccd >= 0:
-            xy_px = np.concatenate(one.model.pixels_from_ground(ccd, p_e[target][None]))
-        yield _row(one, target, ccd, UNMATCHED, str(omission.cause), omission.reason, xy_px)
+        if subject.ccd >= 0:
+            xy_px = np.concatenate(one.model.pixels_from_ground(subject.ccd, p_e[subject.id][None]))
+        yield _row(one, entry, State.UNMATCHED, xy_px)
 
 
 def _row(
-    one: StripOnGround | None,
-    target_id: str,
-    ccd: int = -1,
-    state: str = OUT_OF_VIEW,
-    cause: str = "",
-    reason: str = "",
-    xy_px: Floats | None = None,
+    one: StripOnGround | None, entry: Entry, state: State, xy_px: Floats | None = None
 ) -> dict[str, object]:
-    texts = (one.strip_id if one else "", target_id, state, cause, reason)
+    ccd = entry.subject.ccd
+    texts = one.strip_id if one else "", entry.subject.id, state.value, entry.reason.value, entry.text
     row: dict[str, object] = {**dict.fromkeys(NUMBERS, np.nan), **dict(zip(TEXTS, texts)), "ccd": ccd}
     if one is not None and xy_px is not None and np.isfinite(xy_px).all():
         t_s = float(one.model.instants_of_lines(ccd, xy_px[1:])[0])
@@ -291,7 +287,8 @@ def _out_of_view(scene: MapScene, dump: Dump, named: set[str]) -> list[dict[str,
         return []
     x, y = scene.plane_m(p_e[near]).T
     inside = near[(x > west) & (x < east) & (y > south) & (y < north)]
-    return [_row(None, targets[n].target_id) for n in inside[:MOST_OUT_OF_VIEW]]
+    names = [targets[n].target_id for n in inside[:MOST_OUT_OF_VIEW]]
+    return [_row(None, Entry(Subject(Kind.TARGET, id=name)), State.OUT_OF_VIEW) for name in names]
 
 
 def _placed(

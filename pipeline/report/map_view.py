@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from boresight.geometry.ledger import State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.check_points import CheckPoint, check_points_on_map
-from boresight.pipeline.report.ground_map import REJECTED, UNMATCHED
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
@@ -90,7 +90,7 @@ def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
         top = (n // columns) * cell_h + CAPTION + 0.5 * (size[1] - (north - south)) * scale
         origins.append((left - west * scale, top + north * scale))
     place = {n: (ox, oy) for n, (ox, oy) in enumerate(origins)}
-    causes = Counter(row.why or row.state for row in rows if row.state in (REJECTED, UNMATCHED))
+    causes = Counter(row.why or row.state for row in rows if row.state in (State.REJECTED, State.UNMATCHED))
     numbers = {cause: str(n) for n, (cause, _) in enumerate(causes.most_common(), start=1)}
     stretch = _stretch(column(saved.ground, "residual_m"))
     points = check_points_on_map(saved)
@@ -206,7 +206,7 @@ def _spot(
     ox, oy = place[at["scene"]]
     x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
     dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
-    number = numbers.get(row.why or row.state, "") if row.state in (REJECTED, UNMATCHED) else ""
+    number = numbers.get(row.why or row.state, "") if row.state in (State.REJECTED, State.UNMATCHED) else ""
     return SpotView(
         row=row,
         x=round(x, 2),

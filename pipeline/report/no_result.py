@@ -24,6 +24,7 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
     begin = min(strip.t_first_row_s for strip in every)
     end = max(strip.t_first_row_s + strip.lines * strip.row_period_s for strip in every)
     exposures = sum(head.n_exposures for head in dump.heads)
+    rows = [entry.row for entry in error.omissions]
     text = template("no_result.html.j2").render(
         mission=dump.mission,
         satellite=dump.satellite,
@@ -31,9 +32,9 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
         counts={"exposures": exposures, "strips": len(dump.strips), "targets": len(dump.targets)},
         cause=cause,
         rest=rest,
-        kinds=sorted(Counter((o.kind, str(o.cause)) for o in error.omissions).items()),
-        omissions=error.omissions[:MOST_ROWS],
-        omissions_in_all=len(error.omissions),
+        kinds=sorted(Counter((row["kind"], row["cause"]) for row in rows).items()),
+        omissions=rows[:MOST_ROWS],
+        omissions_in_all=len(rows),
         version=__version__,
     )
     path = result / "report.html"

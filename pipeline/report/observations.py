@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from boresight.geometry.ledger import Kind, State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
-from boresight.pipeline.report.ground_map import OUT_OF_VIEW, REJECTED, UNMATCHED, USED
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.saved import Number, Saved
 from boresight.pipeline.results.summary import REASON_WORDS
@@ -135,13 +135,13 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
     sighted = {_key(row): n for n, row in enumerate(saved.targets.select(KEYS).to_pylist())}
     sigmas = np.nan_to_num(column(saved.ground, "sigmas"), nan=np.inf)
     order = sorted(range(len(table)), key=lambda n: (RANK[table[n]["state"]], -sigmas[n]))
-    used = [n for n in order if table[n]["state"] == USED]
+    used = [n for n in order if table[n]["state"] == State.USED]
     shown, printed = set(used[:most_pictures]), set(used[:MOST_PRINTED])
     rows = []
     for n in order:
         row, key = table[n], _key(table[n])
         pictures = None
-        if key in matched and (row["state"] != USED or n in shown):
+        if key in matched and (row["state"] != State.USED or n in shown):
             pictures = _pictures(saved, "matches", matched[key])
         elif key in unmatched:
             pictures = _pictures(saved, "unmatched", unmatched[key])
@@ -155,7 +155,7 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
                 colour=colour,
                 numbers=_numbers(saved, n, sighted.get(key)),
                 pictures=pictures,
-                printed=n in printed or row["state"] in (REJECTED, UNMATCHED),
+                printed=n in printed or row["state"] in (State.REJECTED, State.UNMATCHED),
             )
         )
     return tuple(rows)
@@ -163,7 +163,7 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
 
 # Columns by which rows of two tables belong together, the order of states in tables, and forms of numbers.
 KEYS = ["strip_id", "target_id", "ccd"]
-RANK = {REJECTED: 0, UNMATCHED: 1, USED: 2, OUT_OF_VIEW: 3}
+RANK = {State.REJECTED: 0, State.UNMATCHED: 1, State.USED: 2, State.OUT_OF_VIEW: 3}
 FORMS = {
     "residual_m": ".2f",
     "sigmas": ".2f",
@@ -245,12 +245,11 @@ def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:
         return ()
     stars: dict[str, list[str]] = {}
     reasons: dict[str, tuple[str, str]] = {}
-    for row in saved.omissions.to_pylist():
-        if row["kind"] == "star":
-            exposure, _, star = row["name"].rpartition("/")
-            stars.setdefault(exposure, []).append(f"HIP {star}: {row['reason']}")
-        elif row["kind"] == "exposure":
-            reasons[row["name"]] = (row["cause"], row["reason"])
+    for row in saved.ledger.to_pylist():
+        if row["kind"] == Kind.STAR:
+            stars.setdefault(row["exposure"], []).append(f"HIP {row['id']}: {row['reason']}")
+        elif row["kind"] == Kind.EXPOSURE:
+            reasons[row["exposure"]] = (row["cause"], row["reason"])
     table, names = "sightings/exposures", saved.exposures.column("exposure_id").to_pylist()
     usable = saved.exposures.column("usable").to_pylist()
     forms = {"t_s": ".2f", "stars": ".0f", "chi2": ".1f", "dof": ".0f"}

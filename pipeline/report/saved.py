@@ -15,7 +15,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation
-from boresight.pipeline.results.sightings_tables import read_sightings
+from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
 __all__ = ["Number", "Saved", "number_from", "read_saved"]
@@ -51,7 +51,7 @@ class Saved:
     stars: pa.Table = scalar("sightings/stars.parquet, plotted columns")
     exposures: pa.Table = scalar("sightings/exposures.parquet, plotted columns")
     targets: pa.Table = scalar("sightings/targets.parquet")
-    omissions: pa.Table = scalar("sightings/omissions.parquet")
+    ledger: pa.Table = scalar("sightings/ledger.parquet")
     inputs: pa.Table = scalar("evidence/inputs.parquet")
     convergence: pa.Table = scalar("evidence/convergence.parquet")
     angles: pa.Table = scalar("evidence/angles.parquet")
@@ -103,8 +103,8 @@ def read_saved(result: Path) -> Saved:
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
         raise RawDataError(str(result / "evidence"), "folder", "missing or incomplete", again)
     tables = {name: read_sightings(result, name, names) for name, names in _SIGHTINGS.items()}
-    for name in ("targets", "omissions"):
-        tables[name] = read_parquet(result / "sightings" / f"{name}.parquet")
+    tables["targets"] = read_parquet(result / "sightings" / "targets.parquet")
+    tables["ledger"] = read_sightings(result, "ledger", " ".join(COLUMNS["ledger"]))
     tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
     tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
     for column in get_type_hints(MatchPictures):

@@ -10,12 +10,13 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.gct_match.predict.template import chip_sides_px, predict_template
+from boresight.geometry.ledger import State
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, surface_of
 from boresight.pipeline.files.record_tables import ITEMS
 from boresight.pipeline.files.table_files import arrow_rows
-from boresight.pipeline.report.ground_map import UNMATCHED, MapScene, StripOnGround
+from boresight.pipeline.report.ground_map import MapScene, StripOnGround
 from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
 from boresight.pipeline.stages.strip import read_chip
 
@@ -34,7 +35,7 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
     surface = surface_of(dump.terrain)
     rows: list[dict[str, Any]] = []
     for row in ground.to_pylist():
-        if row["state"] != UNMATCHED or row["ccd"] < 0 or len(rows) == MOST:
+        if row["state"] != State.UNMATCHED or row["ccd"] < 0 or len(rows) == MOST:
             continue
         pictures = _pictures(strips[row["strip_id"]], row, surface)
         if pictures is not None:

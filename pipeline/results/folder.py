@@ -6,7 +6,7 @@
     sightings/targets.parquet    every matched target: measured and known direction, residual
     sightings/passes.parquet     when each strip was taken, where in the orbit, by which camera
     sightings/strips.parquet     normal equations (F, F theta) of every strip: all that a later merge needs
-    sightings/omissions.parquet  what is not used, and why
+    sightings/ledger.parquet     what became of what is not used, and why
     work/                        finished exposures and strips, for a run that is started again
     run.json                     times and counts of the run that wrote the rest
     requirement.json             the accuracy required, where one was given

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import pyarrow as pa
 
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 
 __all__ = ["COLUMNS", "read_sightings", "sightings_schema"]
@@ -27,7 +28,9 @@ COLUMNS = MappingProxyType(
         | {"weight": _NUMBER, "detectable_rad": _NUMBER, "detectable_m": _NUMBER},
         "passes": {"strip_id": _TEXT, "utc_middle": _TEXT, "argument_of_latitude_rad": _NUMBER}
         | {"camera": _TEXT},
-        "omissions": dict.fromkeys(("kind", "name", "file", "reason", "cause"), _TEXT),
+        "ledger": dict.fromkeys(("kind", "name", "file", "reason", "cause", "state", "strip"), _TEXT)
+        | {"ccd": _WHOLE, "id": _TEXT, "exposure": _TEXT, "head": _TEXT, "camera": _TEXT, "dump": _TEXT}
+        | {"statistic": _NUMBER, "limit": _NUMBER},
     }
 )  # docs/result-format.md says what each means
 
@@ -40,4 +43,7 @@ def sightings_schema(table: str) -> pa.Schema:
 def read_sightings(result: Path, table: str, names: str) -> pa.Table:
     """Columns of a table of a result, names separated by spaces; `RawDataError` where it is damaged."""
     path = result / "sightings" / f"{table}.parquet"
+    if table == "ledger" and not path.is_file() and path.with_name("omissions.parquet").is_file():
+        again = "a result of format 2: `calibrate` into this folder writes it, finished work is kept"
+        raise RawDataError(str(path), "file", "a result of format 1 (sightings/omissions.parquet)", again)
     return read_parquet(path, {name: COLUMNS[table][name] for name in names.split()})

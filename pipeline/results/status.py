@@ -6,17 +6,18 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from boresight.geometry.ledger import Entry
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.calibration.matchings import is_settled
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_folder_of
 from boresight.pipeline.results.reading import read_findings
-from boresight.pipeline.results.sightings_tables import read_sightings
+from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import read_meta, read_unit
@@ -27,7 +28,7 @@ from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "saved_omissions", "status_lines"]
 
-OUTCOMES = (StarSightings, MatchedTargets, StripStars, Omission)  # records that a finished unit may hold
+OUTCOMES = (StarSightings, MatchedTargets, StripStars, Entry)  # records that a finished unit may hold
 
 
 @record
@@ -51,7 +52,7 @@ class RunStatus:
     finished: bool = scalar("whether installation.json is there")
     outcome: str = scalar("outcome of the verdict; empty where there is none")
     stages: tuple[StageStatus, ...] = scalar("in the order of the calculation")
-    omissions: tuple[Omission, ...] = scalar("what is not used so far")
+    omissions: tuple[dict[str, Any], ...] = scalar("what is not used so far, rows of the ledger")
     findings: tuple[dict[str, Any], ...] = scalar("what the report asks to look at", default=())
     unknown: str = scalar("why it is not known what is missing; empty where it is known", default="")
     dumps: tuple[RunStatus, ...] = scalar("of a joint result: the runs of its dumps", default=())
@@ -67,14 +68,13 @@ def run_status(result: Path) -> RunStatus:
     work = result / "work"
     if not work.is_dir() and not (result / "installation.json").is_file():
         raise RawDataError(str(result), "folder", "no run", "a folder that `boresight calibrate` wrote")
-    stages, omissions = [], list[Omission]()
+    stages, omissions = [], list[dict[str, Any]]()
     for folder in sorted(path for path in work.iterdir() if path.is_dir()) if work.is_dir() else []:
         stage, failed = _stage(folder)
         stages.append(stage)
         omissions += failed
     if (result / "installation.json").is_file():
-        saved = saved_omissions(result)
-        return _status(result, stages, saved if saved is not None else omissions)
+        return _status(result, stages, saved_omissions(result))
     try:
         return _status(
             result, _with_missing(stages, open_dump(dump_folder_of(result), allow_stale_eop=True)), omissions
@@ -129,7 +129,7 @@ def _none(folder: Path) -> RunStatus:
 def _status(
     result: Path,
     stages: list[StageStatus] | tuple[()],
-    omissions: list[Omission] | None,
+    omissions: list[dict[str, Any]],
     *,
     unknown: str = "",
     dumps: tuple[RunStatus, ...] = (),
@@ -142,43 +142,39 @@ def _status(
         finished=path.is_file(),
         outcome=str(verdict.get("outcome", "")) if isinstance(verdict, dict) else "",
         stages=tuple(stages),
-        omissions=tuple(omissions or ()),
+        omissions=tuple(omissions),
         findings=tuple(read_findings(result)) if path.is_file() else (),
         unknown=unknown,
         dumps=dumps,
     )
 
 
-def _stage(folder: Path) -> tuple[StageStatus, list[Omission]]:
-    done, damaged, failed, settled = [], 0, list[Omission](), []
+def _stage(folder: Path) -> tuple[StageStatus, list[dict[str, Any]]]:
+    done, damaged, failed, settled = [], 0, list[dict[str, Any]](), []
     for path in sorted(folder.glob("*.parquet")):
         if (unit := read_unit(path)) is None:
             damaged += 1
             continue
         done.append(name := path.name.rsplit(".", 2)[0])
         outcome = record_from_table(OUTCOMES, unit, read_meta(unit))
-        if isinstance(outcome, Omission):
-            failed.append(outcome)
+        if isinstance(outcome, Entry):
+            failed.append(outcome.row)
         elif isinstance(outcome, MatchedTargets):
-            failed += outcome.omissions
+            failed += [entry.row for entry in outcome.omissions]
             settled += [name] if is_settled(outcome, Settings().run.settled_px) else []
     return StageStatus(folder.name, tuple(done), damaged, len(failed), (), tuple(settled)), failed
 
 
-def saved_omissions(result: Path) -> list[Omission] | None:
-    """What a finished result does not use; None where it has no table of that."""
-    path = result / "sightings" / "omissions.parquet"
-    if not path.is_file():
-        return None
-    rows = read_sightings(result, "omissions", "kind name file reason cause").to_pylist()
-    return [Omission(**{name: str(value) for name, value in row.items()}) for row in rows]
+def saved_omissions(result: Path) -> list[dict[str, Any]]:
+    """What a finished result does not use, a row each (`Entry.row`)."""
+    return read_sightings(result, "ledger", " ".join(COLUMNS["ledger"])).to_pylist()
 
 
 def _with_missing(stages: list[StageStatus], dump: Dump) -> list[StageStatus]:
     """The stages with the units of the dump that are not finished; at least exposures and both matchings."""
     found = {stage.stage: stage for stage in stages}
     tasks = [task for images in dump.star_images for task in star_tasks(dump, images, Settings().stars)[0]]
-    exposures = [task.item.name for task in tasks]
+    exposures = [task.item.subject.name for task in tasks]
     strips = [strip.strip_id for strip in dump.strips if covers(dump, strip)]
     wanted = {"exposures": exposures}
     if strips:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -14,13 +13,13 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.ledger import Kind, Reason
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.reasons import doubts
 from boresight.pipeline.diagnosis.unused_rows import rows_together
-from boresight.pipeline.errors import Cause, Omission
+from boresight.pipeline.diagnosis.words import doubts
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import blind_spots_json, ground_m_per_rad, verdict_json
@@ -43,20 +42,18 @@ Array = NDArray[np.float64]
 # Most reasons why something is not used that the console lists without --verbose.
 MOST_REASONS = 8
 # Told after what went wrong.
-UNNEEDED = (Cause.OUT_OF_VIEW, Cause.NOT_NEEDED, Cause.ATTITUDES_NOT_NEEDED, Cause.NO_TARGET)
+UNNEEDED = (Reason.OUT_OF_VIEW, Reason.NOT_NEEDED, Reason.ATTITUDES_NOT_NEEDED, Reason.NO_TARGET)
 # Most blind spots that the console names; installation.json has all.
 MOST_BLIND = 6
-# Regular expression of the size at the beginning of a reason such as "4.2 sigma from ...".
-SIGMAS = re.compile(r"([0-9.]+) sigma ")
-REASON_WORDS = {  # of causes that counts alone do not explain
-    "target residual": "gross error",
-    "low correlation": "cloud or change",
-    "no correlation": "cloud or change",
-    "not converged": "cloud or change",
-    "few valid pixels": "cloud, no data or image edge",
-    "one grey value": "one grey value: dead or saturated",
-    "probably wrong": "not found reliably",
-    "no common rotation": "not found (no common rotation)",
+REASON_WORDS: dict[str, str] = {  # of reasons that counts alone do not explain
+    Reason.TARGET_RESIDUAL: "gross error",
+    Reason.LOW_CORRELATION: "cloud or change",
+    Reason.NO_CORRELATION: "cloud or change",
+    Reason.NOT_CONVERGED: "cloud or change",
+    Reason.FEW_VALID_PIXELS: "cloud, no data or image edge",
+    Reason.ONE_GREY_VALUE: "one grey value: dead or saturated",
+    Reason.PROBABLY_WRONG: "not found reliably",
+    Reason.NO_COMMON_ROTATION: "not found (no common rotation)",
 }
 
 
@@ -66,7 +63,7 @@ def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, 
     lines += blind_lines(blind_spots_json(found.verdict))
     lines += _estimate_lines(found.estimate, found.strips, found.camera)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
-    return "\n".join(lines + omission_lines(found.omissions))
+    return "\n".join(lines + omission_lines([entry.row for entry in found.omissions]))
 
 
 def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibration) -> str:
@@ -83,7 +80,7 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
     camera = next(iter(of_dumps.values())).camera
     lines += _estimate_lines(joint.estimate, joint.strips, camera)
     lines += _doubt_lines(joint.estimate, ())
-    return "\n".join(lines + omission_lines(joint.omissions))
+    return "\n".join(lines + omission_lines([entry.row for entry in joint.omissions]))
 
 
 def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
@@ -221,31 +218,33 @@ def _row(name: str, values: Array, form: str) -> str:
     return f"{name:26s}" + "".join(f"{format(value, form):>14s}" for value in values)
 
 
-def omission_lines(omissions: Sequence[Omission], most: int | None = MOST_REASONS) -> list[str]:
-    """What is not used: counts by kind and cause, then the reasons of the first `most` (None: of all),
-    targets and stars last.
+def omission_lines(rows: Sequence[Mapping[str, Any]], most: int | None = MOST_REASONS) -> list[str]:
+    """What is not used, rows of the ledger: counts by kind and cause, then the reasons of the first `most`
+    (None: of all), targets and stars last.
     """
-    if not omissions:
+    if not rows:
         return [f"{'not used':26s}nothing"]
-    by_kind = {kind: [o for o in omissions if o.kind == kind] for kind in sorted({o.kind for o in omissions})}
+    kinds = sorted({row["kind"] for row in rows})
+    by_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in kinds}
     lines: list[str] = []
     for kind, those in by_kind.items():
         name = "" if lines else "not used"
         lines.append(f"{name:26s}{len(those)} {kind}{'s' if len(those) > 1 else ''}: {_causes(those)}")
-    shown = [o for o in omissions if o.kind not in ("star", "target")] + by_kind.get("target", [])
-    shown.sort(key=lambda o: o.cause in UNNEEDED)
+    shown = [row for row in rows if row["kind"] not in (Kind.STAR, Kind.TARGET)]
+    shown += by_kind.get("target", [])
+    shown.sort(key=lambda row: row["cause"] in UNNEEDED)
     shown += by_kind.get("star", []) if most is None else []
-    lines += [f"  {o.kind} {o.name}: {o.reason}" for o in shown[:most]]
+    lines += [f"  {row['kind']} {row['name']}: {row['reason']}" for row in shown[:most]]
     if most is not None and shown[most:]:
         lines.append(f"  and {len(shown) - most} more, see report.html or `boresight status`")
     return lines
 
 
-def _causes(omissions: Sequence[Omission]) -> str:
+def _causes(rows: Sequence[Mapping[str, Any]]) -> str:
     """Counts by cause in words; of gross errors also the largest, in sigmas."""
-    counts = Counter(REASON_WORDS.get(o.cause, str(o.cause)) for o in omissions)
-    found = (SIGMAS.match(o.reason) for o in omissions if o.cause == "target residual")
-    largest = max((float(match[1]) for match in found if match), default=None)
+    counts = Counter(REASON_WORDS.get(row["cause"], row["cause"]) for row in rows)
+    gross = [row["statistic"] for row in rows if row["cause"] == Reason.TARGET_RESIDUAL]
+    largest = float(np.sqrt(max(gross))) if gross else None
     sized = f" (up to {largest:.1f} sigma)" if largest is not None and counts["gross error"] > 1 else ""
     sized = f" ({largest:.1f} sigma)" if largest is not None and not sized else sized
     return ", ".join(

@@ -21,6 +21,7 @@ from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.installation import euler_zxy_from_theta
+from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor, edge_tangent
 from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats
@@ -29,7 +30,6 @@ from boresight.pipeline import __version__
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_together
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
@@ -91,7 +91,7 @@ def write_sightings(result: Path, calibration: DumpCalibration) -> None:
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
-    _write_groups(tables / "omissions.parquet", [_omissions_table(calibration.omissions)])
+    _write_groups(tables / "ledger.parquet", [_ledger_table(calibration.omissions)])
     _write_groups(tables / "reliability.parquet", [_tests_table(calibration.verdict)])
 
 
@@ -120,7 +120,7 @@ def write_joint_result(
     _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
-    _write_groups(tables / "omissions.parquet", [_omissions_table(joint.omissions)])
+    _write_groups(tables / "ledger.parquet", [_ledger_table(joint.omissions)])
     _write_groups(tables / "reliability.parquet", [_tests_table(joint.verdict)])
     camera = next(iter(of_dumps.values())).camera
     content = _installation(
@@ -215,7 +215,7 @@ def _installation(
     }
     several = _heads(estimate) if len(estimate.heads) > 1 else {}
     bias = {} if estimate.bias is None else {"common_bias": plain(estimate.bias)}
-    groups = [list(group) for group in estimate.targets.doubtful]
+    groups = [[f"{each.strip}/{each.id}" for each in group] for group in estimate.targets.doubtful]
     doubtful = {"doubtful_targets": groups} if groups else {}
     earth = _predicted_earth(estimate)
     return {field: values[field] for field in FIELDS} | several | bias | earth | doubtful
@@ -335,9 +335,9 @@ def _tests_table(verdict: Verdict) -> pa.Table:
     return pa.table(texts | values | {"effect_rad": effect})
 
 
-def _omissions_table(omissions: Sequence[Omission]) -> pa.Table:
-    texts = {name: [str(getattr(one, name)) for one in omissions] for name in COLUMNS["omissions"]}
-    return pa.table({name: arrow_array(values, pa.string()) for name, values in texts.items()})
+def _ledger_table(entries: Sequence[Entry]) -> pa.Table:
+    """One row for each observation that is not used."""
+    return arrow_rows([entry.row for entry in entries], sightings_schema("ledger"))
 
 
 def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.content import Identity, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.run.digests import digest, files_in
@@ -32,7 +32,7 @@ class Task(Protocol):
     """Everything that one outcome of a stage depends on. `item` names what is processed, without a reason."""
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """What is processed."""
 
 
@@ -58,7 +58,7 @@ class StageRunner:
     ) -> tuple[list[Any], list[bool]]:
         """Outcomes of the function `stage` in the order of its tasks, and which had to be computed.
 
-        An outcome is of a type that `stage` is declared to return, `Omission` among them: this is also what
+        An outcome is of a type that `stage` is declared to return, `Entry` among them: this is also what
         an unforeseen error becomes. `folder` is that of the entries in the store. With `in_parts` the stage
         gets, after its task, an executor for parts of it: fewer tasks than processes are divided.
         """
@@ -88,7 +88,7 @@ class Cached:
         if self.store is None:
             return Unit(self._computed(task), True)
         code = program_digest(self.stage.__module__, __name__)
-        name, key = task.item.name, digest(self.stage.__name__, code, task)
+        name, key = task.item.subject.name, digest(self.stage.__name__, code, task)
         records = get_args(get_type_hints(self.stage)["return"])
         if (kept := self.store.read(self.folder, name, key)) is not None:
             return Unit(record_from_table(records, kept, read_meta(kept)), False, _contents(task))
@@ -101,7 +101,7 @@ class Cached:
             return self.stage(task, *self.more)
         except UNFORESEEN as error:
             reason = internal_error(error, self.stage.__name__)
-            return task.item.because(reason, Cause.INTERNAL_ERROR)
+            return task.item.because(Reason.INTERNAL_ERROR, reason)
 
 
 def _contents(task: Task) -> tuple[tuple[Path, Identity, str], ...]:

@@ -33,6 +33,7 @@ class Slip:
     lat_deg: float = scalar("latitude, °")
     lon_deg: float = scalar("longitude, °")
     words: str = scalar('what would have to be read: "lon_deg 102.91 for 102.19 (digits exchanged)"')
+    kind: str = scalar('the same without the values: "lon_deg (digits exchanged)"')
 
 
 def slips(lat_deg: float, lon_deg: float) -> list[Slip]:
@@ -43,9 +44,15 @@ def slips(lat_deg: float, lon_deg: float) -> list[Slip]:
     found = []
     for kind, change in (("digits exchanged", _exchanged), ("sign", _negated), ("one digit", _one_digit)):
         if kind == "one digit":
-            found.append(Slip(lon_deg, lat_deg, "lat_deg and lon_deg exchanged"))
-        found += [Slip(float(one), lon_deg, _words("lat_deg", one, lat, kind)) for one in change(lat)]
-        found += [Slip(lat_deg, float(one), _words("lon_deg", one, lon, kind)) for one in change(lon)]
+            both = "lat_deg and lon_deg exchanged"
+            found.append(Slip(lon_deg, lat_deg, both, both))
+        of_lat, of_lon = f"lat_deg ({kind})", f"lon_deg ({kind})"
+        found += [
+            Slip(float(meant), lon_deg, _words("lat_deg", meant, lat, kind), of_lat) for meant in change(lat)
+        ]
+        found += [
+            Slip(lat_deg, float(meant), _words("lon_deg", meant, lon, kind), of_lon) for meant in change(lon)
+        ]
     return [one for one in found if abs(one.lat_deg) <= 90.0 and -180.0 <= one.lon_deg <= 360.0]
 
 
@@ -55,21 +62,24 @@ def likeliest(candidates: Sequence[Slip], fits: Callable[[Floats], Bools]) -> Sl
     return next((one for one, good in zip(candidates, fits(places).tolist()) if good), None)
 
 
-def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) -> str:
-    """How a target's coordinates contradict its chip, with what would put them right; empty where they lie in
-    it, or it cannot be read. `others` are the chips of all targets.
+def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) -> tuple[str, str]:
+    """How a target's coordinates contradict its chip, with what would put them right, and the kind of slip
+    that does (`Slip.kind`); empty where they lie in it, or it cannot be read. `others` are the chips of all
+    targets.
     """
     place = _place(chip)
     lat, lon, _ = np.degrees(geodetic_from_ecef(target.p_e[None], WGS84))
     here = np.column_stack([lat, lon])
     if place is None or place.contains(here)[0]:
-        return ""
+        return "", ""
     if slip := likeliest(slips(*here[0].tolist()), place.contains):
-        return f"{slip.words} would lie in its chip; correct targets.csv"
+        return f"{slip.words} would lie in its chip; correct targets.csv", slip.kind
     for other in others[:MOST_CHIPS]:
         if other.file != chip.file and (theirs := _place(other)) and theirs.contains(here)[0]:
-            return f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
-    return f"{_apart_km(here[0], place):.3g} km from the middle of its chip; correct its coordinates or chip"
+            text = f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
+            return text, ""
+    apart_km = _apart_km(here[0], place)
+    return f"{apart_km:.3g} km from the middle of its chip; correct its coordinates or chip", ""
 
 
 def off_middle_m(target: Target, chip: ChipFile) -> tuple[float, float]:

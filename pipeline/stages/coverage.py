@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump, Strip
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -28,34 +28,34 @@ __all__ = [
 
 def carriers(
     dump: Dump, heads: Sequence[HeadSightings], margin_s: float
-) -> dict[str, tuple[HeadSightings, Ints] | Omission]:
+) -> dict[str, tuple[HeadSightings, Ints] | Entry]:
     """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
     reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
     without that nothing ties its matrix to theirs.
     """
-    found: dict[str, tuple[HeadSightings, Ints] | Omission] = {}
+    found: dict[str, tuple[HeadSightings, Ints] | Entry] = {}
     strips = (*dump.strips, *dump.sky_strips)
     by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
-    able = heads if any(not isinstance(rows, Omission) for rows in by_reference) else heads[:1]
+    able = heads if any(not isinstance(rows, Entry) for rows in by_reference) else heads[:1]
     for strip, own in zip(strips, by_reference):
-        if not isinstance(own, Omission):
+        if not isinstance(own, Entry):
             found[strip.strip_id] = (heads[0], own)
             continue
         others = [(one, attitudes_around(dump, strip, one, margin_s)) for one in able[1:]]
-        covering = ((one, rows) for one, rows in others if not isinstance(rows, Omission))
+        covering = ((one, rows) for one, rows in others if not isinstance(rows, Entry))
         found[strip.strip_id] = next(covering, own)
     return found
 
 
 def covered_strips(
-    strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Omission]
-) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Omission]]:
+    strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Entry]
+) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
     """Strips with what `carriers` found for them, head and rows (K,) of its exposures, and the omissions of
     all others.
     """
     pairs = [(strip, covering[strip.strip_id]) for strip in strips]
-    omitted = [carrier for _, carrier in pairs if isinstance(carrier, Omission)]
-    return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Omission)], omitted
+    omitted = [carrier for _, carrier in pairs if isinstance(carrier, Entry)]
+    return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Entry)], omitted
 
 
 def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
@@ -78,7 +78,7 @@ def attitudes_in_s(
     return turn_to_reference(head.head.name, reference.head.name, mountings) * R_hi
 
 
-def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Omission:
+def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Entry:
     """Rows (K,) of a head's usable exposures around a strip, or why it is not covered."""
     first, last = dump.span_s(strip)
     times = np.array([s.t_s for s in head.stars])
@@ -91,7 +91,7 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
         reason = rows_not_covered(times[near], first, last)
         if reason and (able := _others_that_cover(dump, first, last)):
             reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
-    return Omission("strip", strip.strip_id, "", reason, Cause.NOT_COVERED) if reason else near
+    return Entry(strip.subject, Reason.NOT_COVERED, reason) if reason else near
 
 
 def rows_not_covered(times: Floats, first: float, last: float) -> str:

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import OrbitGapError
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
-from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
@@ -56,21 +57,19 @@ class StarTask:
     settings: StarSettings = scalar("thresholds of detection and identification")
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """Kind, id and file of what is processed, without a reason."""
         return self.exposure.item
 
 
-def star_tasks(
-    dump: Dump, images: StarImages, settings: StarSettings
-) -> tuple[list[StarTask], list[Omission]]:
+def star_tasks(dump: Dump, images: StarImages, settings: StarSettings) -> tuple[list[StarTask], list[Entry]]:
     """A task for each exposure of a head that the orbit covers, and an omission for each other one."""
     if settings.saturation_dn is None:
         settings = replace(settings, saturation_dn=float(2**images.bit_depth - 1))
     tasks, omitted = [], []
     for exposure in images.exposures:
         observer = _observer(dump, exposure)
-        if isinstance(observer, Omission):
+        if isinstance(observer, Entry):
             omitted.append(observer)
             continue
         tasks.append(
@@ -85,13 +84,13 @@ def star_tasks(
     return tasks, omitted
 
 
-def _observer(dump: Dump, exposure: Exposure) -> Observer | Omission:
+def _observer(dump: Dump, exposure: Exposure) -> Observer | Entry:
     try:
         p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
     except OrbitGapError:
         utc = dump.epoch.utc_from_seconds(exposure.t_s)[0][:23]
         reason = f"{dump.orbit_covers}, not its time {utc} (utc_mid)"
-        return exposure.item.because(reason, Cause.NOT_COVERED)
+        return exposure.item.because(Reason.NOT_COVERED, reason)
     return Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0])
 
 
@@ -106,23 +105,23 @@ class CentroidTask:
     settings: StarSettings = scalar("thresholds of identification")
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """Kind, id and file of what is processed, without a reason."""
         return self.exposure.item
 
 
 def centroid_tasks(
     dump: Dump, source: StarCentroids, settings: StarSettings
-) -> tuple[list[CentroidTask], list[Omission]]:
+) -> tuple[list[CentroidTask], list[Entry]]:
     """A task for each exposure with centroids that the orbit covers, and an omission for each other one."""
     tasks, omitted = [], []
     for exposure, stars in zip(source.exposures, source.lists):
         if stars is None:
             reason = "the list of centroids has no star of it"
-            omitted.append(exposure.item.because(reason, Cause.NOT_IDENTIFIED))
+            omitted.append(exposure.item.because(Reason.NOT_IDENTIFIED, reason))
             continue
         observer = _observer(dump, exposure)
-        if isinstance(observer, Omission):
+        if isinstance(observer, Entry):
             omitted.append(observer)
             continue
         tasks.append(
@@ -139,14 +138,14 @@ def centroid_tasks(
     return tasks, omitted
 
 
-def sight_exposure_centroids(task: CentroidTask) -> StarSightings | Omission:
+def sight_exposure_centroids(task: CentroidTask) -> StarSightings | Entry:
     """Directions of the identified stars of a list of centroids; an omission where none are identified."""
     index = _index_of(task.camera, task.observer)
     found = sight_centroids(
         task.exposure.exposure_id, task.stars, task.camera, index, task.observer, task.settings
     )
     if isinstance(found, NotIdentified):
-        return task.item.because(f"not identified: {found.reason}", Cause.NOT_IDENTIFIED)
+        return task.item.because(Reason.NOT_IDENTIFIED, f"not identified: {found.reason}")
     return found
 
 
@@ -161,17 +160,17 @@ def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> ND
     )
 
 
-def sight_exposure(task: StarTask) -> StarSightings | Omission:
+def sight_exposure(task: StarTask) -> StarSightings | Entry:
     """Directions of the identified stars of one exposure; an omission where the image cannot be read or its
     stars are not identified.
     """
     try:
         image = exposure_image(task.exposure, task.camera, task.bit_depth)
     except RawDataError as error:
-        return task.item.because(str(error))
+        return task.item.because(Reason.UNREADABLE, str(error))
     sightings = _sighted(task, image)
     if isinstance(sightings, NotIdentified):
-        return task.item.because(f"not identified: {sightings.reason}", Cause.NOT_IDENTIFIED)
+        return task.item.because(Reason.NOT_IDENTIFIED, f"not identified: {sightings.reason}")
     return sightings
 
 

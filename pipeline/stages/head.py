@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
+from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import (
@@ -19,7 +20,6 @@ from boresight.geometry.sightings import (
     exposure_without_stars,
     solved_attitudes,
 )
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
 from boresight.pipeline.run.settings import Settings
@@ -44,7 +44,7 @@ class HeadSightings:
         "K", "in order of time; without stars where the head solved them"
     )
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
-    omissions: tuple[Omission, ...] = scalar("what cannot be used, with the reasons")
+    omissions: tuple[Entry, ...] = scalar("what cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")
 
 
@@ -62,7 +62,7 @@ def sight_head(
         tasks, uncovered = star_tasks(dump, head.source, settings.stars)
         outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
     stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
-    failed = [one for one in outcomes if isinstance(one, Omission)]
+    failed = [one for one in outcomes if isinstance(one, Entry)]
     return HeadSightings(
         head=head,
         stars=tuple(stars),
@@ -85,12 +85,12 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
     rows, omissions = source.rows, []
     if rows.n_invalid:
         reason = f"{rows.n_invalid} of {len(rows.t_s) + rows.n_invalid} attitudes are marked invalid"
-        omissions.append(Omission("head", head.name, reason=reason, cause=Cause.MARKED_INVALID))
+        omissions.append(Entry(head.subject, Reason.MARKED_INVALID, reason))
     near = around_strips(dump, rows.t_s, margin_s)
     covered = near & covered_instants(dump.orbit, rows.t_s, near)
     if lost := int((near & ~covered).sum()):
         reason = f"the orbit has no states for {lost} of its {int(near.sum())} attitudes around strips"
-        omissions.append(Omission("head", head.name, reason=reason, cause=Cause.NOT_COVERED))
+        omissions.append(Entry(head.subject, Reason.NOT_COVERED, reason))
     at = np.flatnonzero(covered)
     t_s = rows.t_s[at]
     R_si = source.with_all_aberration(at, dump.epoch, dump.orbit)

@@ -10,8 +10,8 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Bools, Floats
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.stages.coordinate_slips import likeliest, slips
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 
@@ -20,7 +20,7 @@ __all__ = ["fitting_slip", "without_hidden_points"]
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
 
 
-def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
+def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Entry]]:
     """The task without measured points that lie beyond the satellite's horizon, or so near to it that their
     refraction is not defined, and an omission for each.
     """
@@ -40,12 +40,12 @@ def without_hidden_points(task: StripTask) -> tuple[StripTask, list[Omission]]:
     for n in np.flatnonzero(hidden).tolist():
         target = points.targets[n]
         slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n])
-        name = f"{task.strip.strip_id}/{target.target_id}"
         where = (
             "beyond the horizon" if beyond[n] else "so low that its refraction is not known, near the horizon"
         )
         reason = f"{where} of the satellite{slip or '; correct points.csv'}"
-        found.append(Omission("target", name, "points.csv", reason, Cause.OUTSIDE_CHIP))
+        subject = Subject(Kind.TARGET, strip=task.strip.strip_id, id=target.target_id)
+        found.append(Entry(subject, Reason.HIDDEN, reason, "points.csv"))
     return replace(task, points=points.take(~hidden)), found
 
 

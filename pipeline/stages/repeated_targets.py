@@ -12,8 +12,9 @@ from scipy.spatial import cKDTree
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats
-from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
 from boresight.pipeline.files.image_files import grid_place
 
@@ -30,7 +31,7 @@ def targets_once(dump: Dump, settings: MatchSettings) -> Dump:
     if not why:
         return dump
     omitted = [
-        Omission("target", dump.targets[n].target_id, dump.chips[n].file, why[n], Cause.REPEATED)
+        Entry(Subject(Kind.TARGET, id=dump.targets[n].target_id), Reason.REPEATED, why[n], dump.chips[n].file)
         for n in sorted(why)
     ]
     left = [n for n in range(len(dump.targets)) if n not in why]

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.slow_motion import FEWEST_SHOW
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.run.settings import Settings
@@ -46,7 +46,7 @@ class SkySide:
 
     tasks: tuple[SkyTask, ...] = array("S", "strips that orbit and star exposures cover")
     found: tuple[StripStars, ...] = array("S", "detections in the same strips")
-    omissions: tuple[Omission, ...] = scalar("strips that cannot be used, with the reasons")
+    omissions: tuple[Entry, ...] = scalar("strips that cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
@@ -76,7 +76,7 @@ def find_in_sky_strips(
     return SkySide(
         tasks=tuple(tasks[n] for n in good),
         found=tuple(outcomes[n] for n in good),
-        omissions=(*omitted, *(one for one in outcomes if isinstance(one, Omission))),
+        omissions=(*omitted, *(one for one in outcomes if isinstance(one, Entry))),
         computed=tuple(computed),
     )
 
@@ -123,7 +123,7 @@ def named_sightings(
 
 def _tasks(
     dump: Dump, heads: Sequence[HeadSightings], settings: Settings
-) -> tuple[list[SkyTask], list[Omission]]:
+) -> tuple[list[SkyTask], list[Entry]]:
     """A task for each strip of the sky that orbit and star exposures cover, an omission for each other."""
     tasks = []
     margin, camera = settings.run.exposure_margin_s, dump.line_camera

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineSensor, end_looks
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
@@ -25,7 +26,7 @@ from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, isotropic_covariance
 from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
-from boresight.pipeline.errors import Cause, Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
@@ -41,7 +42,6 @@ from boresight.star_id.strip_stars.strip_names import (
 from boresight.star_id.strip_stars.trace import Motion
 
 __all__ = [
-    "NAME_UNSURE",
     "NOT_STATED_PX",
     "NamedStars",
     "SkyTask",
@@ -52,8 +52,6 @@ __all__ = [
     "strip_motion",
 ]
 
-# Cause of a star that is not used since its identification may be wrong, in lists and counts.
-NAME_UNSURE = "name unsure"
 _NODES = 33  # lines at which the motion of the image points is given
 NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors (set by hand)
 _OF_STAGES = "check tdi_stages and time_of_row in remote_camera.toml"
@@ -82,9 +80,9 @@ class SkyTask:
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """Kind, id and file of what is processed, without a reason."""
-        return Omission("strip", self.strip.strip_id)
+        return Entry(self.strip.subject)
 
     @property
     def epoch(self) -> Epoch:
@@ -117,7 +115,7 @@ class NamedStars:
     rows: np.ndarray  # (N,) those with names
     places: SurveyedStars  # (N,) the same stars in the catalogue
     probability_wrong: Floats  # (N,) of each name
-    omissions: tuple[Omission, ...]
+    omissions: tuple[Entry, ...]
 
     @property
     def names(self) -> Texts:
@@ -125,25 +123,25 @@ class NamedStars:
         return np.array([f"{self.places.name} {n}" for n in self.places.places.hip.tolist()], dtype=str)
 
 
-def find_sky_stars(task: SkyTask) -> StripStars | Omission:
+def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     """Detections in a strip of the sky, or why it cannot be one that is evaluated."""
     motion = strip_motion(task, task.R_cs0)
     if reason := _impossible(task, motion):
-        return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
+        return task.item.because(Reason.NOT_A_SKY_STRIP, reason)
     if too_long := _too_long(task, motion.usual):
         return too_long
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
     try:
         found = find_strip_stars(task.strip.images, motion, task.settings, saturation)
     except RawDataError as error:
-        return Omission("strip", task.strip.strip_id, error.file, str(error))
+        return Entry(task.strip.subject, Reason.UNREADABLE, str(error), error.file)
     if not len(found.ccd):
         pixels = sum(lines * samples for lines, samples in task.strip.images.shapes.values())
-        return task.item.because(f"no star in its {pixels:.3g} pixels", Cause.NOT_IDENTIFIED)
+        return task.item.because(Reason.NOT_IDENTIFIED, f"no star in its {pixels:.3g} pixels")
     smear = float(motion.usual.smear_rows.max())
     if smear > _LEAST_SMEAR and found.gain_e_per_dn < 1.1 * LEAST_GAIN:
         reason = f"{task.stages} stages would smear its stars over {smear:.0f} rows; they are not"
-        return task.item.because(f"{reason}: {_OF_STAGES}", Cause.OTHER_SMEAR)
+        return task.item.because(Reason.OTHER_SMEAR, f"{reason}: {_OF_STAGES}")
     return found
 
 
@@ -171,7 +169,7 @@ def name_sky_stars(
         voted = vote_for_rotation(seen, field, settings.brightest, settings.max_false_alarm_probability)
         if isinstance(voted, NoRotation):
             reason = _not_identified(task, found, field, R_cs, voted)
-            return _none_named(task, found, stars, task.item.because(reason, Cause.NOT_IDENTIFIED))
+            return _none_named(task, found, stars, task.item.because(Reason.NOT_IDENTIFIED, reason))
         theta, root = voted.theta_rad, voted.theta_root
     named = name_stars(
         seen,
@@ -186,16 +184,17 @@ def name_sky_stars(
     use = np.flatnonzero(single & sharp & sure)
     omitted = []
     for k in np.flatnonzero(~(single & sharp & sure)).tolist():
-        cause = "not one star in linear motion" if not single[k] else "saturated or blended"
-        reason = cause
+        reason = Reason.NOT_ONE_STAR if not single[k] else Reason.NOT_A_SHARP_STAR
+        detail = reason.value
         if single[k] and sharp[k]:
-            cause, place = NAME_UNSURE, seen.take(named.row[k : k + 1])
-            reason = _unsure(named.probability_wrong[k], place, root, scatter_px, task.camera.pixel_rad)
-        name = f"{task.strip.strip_id}/{stars.name} {stars.places.hip[named.star[k]]}"
-        omitted.append(Omission("star", name, "", reason, cause))
+            reason, place = Reason.NAME_UNSURE, seen.take(named.row[k : k + 1])
+            detail = _unsure(named.probability_wrong[k], place, root, scatter_px, task.camera.pixel_rad)
+        name, ccd = f"{stars.name} {stars.places.hip[named.star[k]]}", int(found.ccd[named.row[k]])
+        subject = Subject(Kind.STAR, strip=task.strip.strip_id, ccd=ccd, id=name)
+        omitted.append(Entry(subject, reason, detail))
     if not len(use):
         reason = f"none of its {len(found.ccd)} detections is a star of {stars.name} that can be used"
-        omitted.append(task.item.because(reason, Cause.NO_TARGET))
+        omitted.append(task.item.because(Reason.NO_TARGET, reason))
     return NamedStars(
         strip_id=task.strip.strip_id,
         found=found,
@@ -280,18 +279,18 @@ def _impossible(task: SkyTask, motion: StripMotion) -> str:
     return ""
 
 
-def _too_long(task: SkyTask, usual: Motion) -> Omission | None:
+def _too_long(task: SkyTask, usual: Motion) -> Entry | None:
     """A strip whose stars the TDI stages smear too far to be found."""
     if (smear := float(usual.smear_rows.max())) <= task.settings.max_smear_rows:
         return None
     if usual.rate[0] < 0.0:
         reason = f"its stars move against the motion of the charge, {smear:.0f} rows in {task.stages} stages"
-        return task.item.because(f"{reason}: {_OF_STAGES}", Cause.OTHER_SMEAR)
+        return task.item.because(Reason.OTHER_SMEAR, f"{reason}: {_OF_STAGES}")
     reason = (
         f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
         f"{task.stages} stages; scan with the stages at a pixel a row, or with fewer of them"
     )
-    return task.item.because(reason, Cause.NOT_A_SKY_STRIP)
+    return task.item.because(Reason.NOT_A_SKY_STRIP, reason)
 
 
 def _directions(
@@ -395,7 +394,7 @@ def _not_identified(
     return f"its stars are not those of the catalogue: {counts}"
 
 
-def _none_named(task: SkyTask, found: StripStars, stars: SurveyedStars, omission: Omission) -> NamedStars:
+def _none_named(task: SkyTask, found: StripStars, stars: SurveyedStars, omission: Entry) -> NamedStars:
     none = np.zeros(0, dtype=np.int64)
     return NamedStars(
         strip_id=task.strip.strip_id,

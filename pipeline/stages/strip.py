@@ -21,20 +21,21 @@ from scipy.spatial.transform import Rotation
 from boresight.gct_match.match import keep_whole, match_strip
 from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Chip, Reason, Refusal, StripMatches, Target, TargetMatch
+from boresight.gct_match.records import Chip, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar, shape_of
 from boresight.geometry.sightings import GroundSightings
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
 from boresight.pipeline.files.image_files import read_grid
@@ -43,7 +44,6 @@ from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, Places, match_pictures
 
 __all__ = [
-    "Contradicting",
     "MatchedTargets",
     "StripTask",
     "compass",
@@ -93,20 +93,9 @@ class StripTask:
     carrier: str = scalar("head whose attitudes these are; empty: the reference head", default="")
 
     @property
-    def item(self) -> Omission:
+    def item(self) -> Entry:
         """Kind, id and file of what is processed, without a reason."""
-        return Omission("strip", self.strip.strip_id)
-
-
-@record(kw_only=True)
-class Contradicting:
-    """A position that was measured, and that contradicts those of the other targets of its strip."""
-
-    target_id: str = scalar("id of the target in the dump")
-    ccd: int = scalar("CCD of the camera, from 0")
-    xy_px: tuple[float, ...] = scalar("(sample, line)")
-    cov_px: tuple[float, ...] = scalar("covariance, px²: xx, xy, yy")
-    distance: float = scalar("from where the others predict it, in standard errors")
+        return Entry(self.strip.subject)
 
 
 @record(kw_only=True)
@@ -122,12 +111,16 @@ class MatchedTargets:
     probability_wrong: Floats = array("N", "probability that the position is a false match")
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
-    omissions: tuple[Omission, ...] = scalar("chips that could not be read, targets that were rejected")
+    omissions: tuple[Entry, ...] = scalar("chips that could not be read, targets that were rejected")
     farthest_px: float = scalar(
         "largest distance along an axis of a position from where its template was predicted; 0: no template",
         default=0.0,
     )
-    contradicting: tuple[Contradicting, ...] = scalar("positions that do not agree with these", default=())
+
+    @property
+    def contradicting(self) -> tuple[Entry, ...]:
+        """Targets whose positions were measured and contradict those of the other targets of the strip."""
+        return tuple(entry for entry in self.omissions if entry.xy_px)
 
 
 def pushbroom_of(task: StripTask) -> Pushbroom:
@@ -143,7 +136,7 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
     )
 
 
-def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Omission:
+def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Entry:
     """Positions of the targets of one strip; none and an omission where an image of the strip is damaged.
 
     `parts` reads the images of a wide search.
@@ -160,22 +153,9 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
     result, omitted = strip_matches(task, parts, keep) if task.targets else (None, [])
     if result is None:
         return _matched(task.strip.strip_id, (), omitted)
-    rejected = [_omission(task, refusal) for refusal in result.refused if not refusal.is_out_of_view]
-    matched = _matched(task.strip.strip_id, result.matches, [*omitted, *rejected], pictures)
-    others = [_contradicting(one.match, one.value) for one in result.refused if one.match is not None]
-    return replace(matched, contradicting=tuple(others))
-
-
-def _contradicting(match: TargetMatch, distance: float) -> Contradicting:
-    (xx, xy), (_, yy) = match.cov_px.tolist()
-    x, y = match.xy_px.tolist()
-    return Contradicting(
-        target_id=match.target_id,
-        ccd=match.ccd,
-        xy_px=(x, y),
-        cov_px=(xx, xy, yy),
-        distance=distance,
-    )
+    in_view = (refusal for refusal in result.refused if refusal.state is not State.OUT_OF_VIEW)
+    unmatched = [_not_matched(task, refusal) for refusal in in_view]
+    return _matched(task.strip.strip_id, result.matches, [*omitted, *unmatched], pictures)
 
 
 def measured_points(
@@ -208,19 +188,19 @@ def measured_points(
 def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
     """The positions of a strip that contradict the others, as matched targets of it."""
     rows, n = matched.contradicting, len(matched.contradicting)
-    xx, xy, yy = np.array([one.cov_px for one in rows], dtype=float).reshape(n, 3).T
+    xx, xy, yy = np.array([entry.cov_px for entry in rows], dtype=float).reshape(n, 3).T
     return measured_points(
         matched.strip_id,
-        np.array([one.target_id for one in rows], dtype=str),
-        np.array([one.ccd for one in rows], dtype=np.int64),
-        np.array([one.xy_px for one in rows], dtype=float).reshape(n, 2),
+        np.array([entry.subject.id for entry in rows], dtype=str),
+        np.array([entry.subject.ccd for entry in rows], dtype=np.int64),
+        np.array([entry.xy_px for entry in rows], dtype=float).reshape(n, 2),
         np.stack([xx, xy, xy, yy], axis=1).reshape(n, 2, 2),
     )
 
 
-def no_matches(omission: Omission) -> MatchedTargets:
+def no_matches(strip: Entry) -> MatchedTargets:
     """The outcome for a strip that cannot be used."""
-    return _matched(omission.name, (), [omission])
+    return _matched(strip.subject.strip, (), [strip])
 
 
 def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
@@ -239,7 +219,7 @@ def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
 def _matched(
     strip_id: str,
     matches: Sequence[TargetMatch],
-    omissions: Sequence[Omission],
+    omissions: Sequence[Entry],
     pictures: Mapping[tuple[str, int], MatchPictures] = MappingProxyType({}),
 ) -> MatchedTargets:
     matches, n = sorted(matches, key=lambda m: (m.target_id, m.ccd)), len(matches)
@@ -273,18 +253,18 @@ class _Chips(Sequence[Chip]):
 
 def strip_matches(
     task: StripTask, parts: Executor = IN_ORDER, keep: Callable[[TargetMatch], TargetMatch] = keep_whole
-) -> tuple[StripMatches | None, list[Omission]]:
+) -> tuple[StripMatches | None, list[Entry]]:
     """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. `keep`
     returns what is kept of a match.
     """
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
     readable, omitted = [], []
-    for n, (target, file) in enumerate(zip(task.targets, task.chips)):
+    for n, file in enumerate(task.chips):
         try:
             read(n)
             readable.append(n)
         except RawDataError as error:
-            omitted.append(Omission("chip", target.target_id, file.file, str(error)))
+            omitted.append(_unreadable(file, error))
 
     def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
         return parts.map(function, items, lambda n, outcome: None)
@@ -301,7 +281,7 @@ def strip_matches(
         )
         result = match_strip(scene, each=map_parts, keep=keep)
     except RawDataError as error:
-        omitted.append(Omission("strip", task.strip.strip_id, error.file, str(error)))
+        omitted.append(Entry(task.strip.subject, Reason.UNREADABLE, str(error), error.file))
         return None, omitted
     return result, omitted
 
@@ -317,15 +297,19 @@ def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
     return replace(matched, predicted_px=predicted_px)
 
 
-def unreadable_chips(files: Sequence[ChipFile]) -> list[Omission]:
+def unreadable_chips(files: Sequence[ChipFile]) -> list[Entry]:
     """Chips that cannot be read, with the reasons."""
     omitted = []
     for file in files:
         try:
             read_chip(file)
         except RawDataError as error:
-            omitted.append(Omission("chip", file.target_id, file.file, str(error)))
+            omitted.append(_unreadable(file, error))
     return omitted
+
+
+def _unreadable(file: ChipFile, error: RawDataError) -> Entry:
+    return Entry(Subject(Kind.CHIP, id=file.target_id), Reason.UNREADABLE, str(error), file.file)
 
 
 def read_chip(file: ChipFile) -> Chip:
@@ -335,32 +319,35 @@ def read_chip(file: ChipFile) -> Chip:
     return Chip(file.target_id, np.where(valid, grid.values, 0.0), grid.transform, grid.crs, valid)
 
 
-def _omission(task: StripTask, refusal: Refusal) -> Omission:
-    strip = task.strip
-    on_ccd = refusal.ccd >= 0
-    file, where = (strip.images.names.get(refusal.ccd, ""), f", CCD {refusal.ccd}") if on_ccd else ("", "")
-    name = f"{strip.strip_id}/{refusal.target_id}{where}"
-    reason = refusal.sentence
+def _not_matched(task: StripTask, refusal: Entry) -> Entry:
+    """The matcher's entry with strip, file and what its place or chip tells."""
+    strip, subject = task.strip, refusal.subject
+    detail, slip = "", ""
     if refusal.reason is Reason.INCONSISTENT:
-        reason += (
-            f"; its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
+        detail = (
+            f"its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
         )
     elif refusal.reason is Reason.OUTSIDE_CHIP:
-        n = next(n for n, one in enumerate(task.targets) if one.target_id == refusal.target_id)
-        reason += f"; {contradiction(task.targets[n], task.chips[n], task.chips)}"
-    return Omission("target", name, file, reason, refusal.reason.replace("_", " "))
+        n = next(n for n, target in enumerate(task.targets) if target.target_id == subject.id)
+        detail, slip = contradiction(task.targets[n], task.chips[n], task.chips)
+    return replace(
+        refusal,
+        subject=replace(subject, strip=strip.strip_id),
+        detail=detail,
+        file=strip.images.names.get(subject.ccd, ""),
+        slip=slip,
+    )
 
 
-def _displaced_m(task: StripTask, refusal: Refusal) -> tuple[float, float]:
+def _displaced_m(task: StripTask, refusal: Entry) -> tuple[float, float]:
     """How far the stated place of an inconsistent target lies east and north of the one that the strip
     shows, m.
     """
-    p_e = next(one.p_e for one in task.targets if one.target_id == refusal.target_id)
-    sample, line = pushbroom_of(task).pixels_from_ground(refusal.ccd, p_e[None])
+    name, ccd = refusal.subject.id, refusal.subject.ccd
+    p_e = next(target.p_e for target in task.targets if target.target_id == name)
+    sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[None])
     off_x, off_y = refusal.more
-    return displaced_m(
-        task, refusal.target_id, refusal.ccd, (float(sample[0]) + off_x, float(line[0]) + off_y)
-    )
+    return displaced_m(task, name, ccd, (float(sample[0]) + off_x, float(line[0]) + off_y))
 
 
 def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, ...]) -> tuple[float, float]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.ledger import Entry
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.run.executor import Executor, InOrder
@@ -43,7 +43,7 @@ def strip_tasks(
     sigma_rad: Array,
     mountings: Mapping[str, Rotation],
     settings: Settings,
-) -> tuple[list[StripTask], list[Omission]]:
+) -> tuple[list[StripTask], list[Entry]]:
     """A task for each strip that orbit and star exposures cover, and an omission for each other one.
 
     `R_cs` with 1-sigma (3,) predicts where targets lie. Where another head carries the strip, its attitudes
@@ -104,7 +104,7 @@ def matched_strips(
 
 def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
-) -> tuple[list[StripTask], list[Omission]]:
+) -> tuple[list[StripTask], list[Entry]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
     dump = targets_once(dump, settings.match)
     heads, tasks, uncovered = _before_launch(dump, settings, executor or InOrder())
@@ -126,7 +126,7 @@ def strips_with_stars(
 
 def _before_launch(
     dump: Dump, settings: Settings, executor: Executor
-) -> tuple[list[HeadSightings], list[StripTask], list[Omission]]:
+) -> tuple[list[HeadSightings], list[StripTask], list[Entry]]:
     """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,
     with the pre-launch matrices, and an omission for each other one.
     """

@@ -6,8 +6,9 @@ import logging
 from collections import Counter
 from typing import Any
 
+from boresight.geometry.ledger import Entry
 from boresight.geometry.sightings import StarSightings
-from boresight.pipeline.errors import Omission, printable
+from boresight.pipeline.errors import printable
 from boresight.pipeline.stages.strip import MatchedTargets
 
 __all__ = ["log_unit"]
@@ -25,13 +26,13 @@ def log_unit(stage: str, outcome: Any, computed: bool) -> None:
 
 
 def _lines(outcome: Any) -> list[str]:
-    if isinstance(outcome, Omission):
-        return [f"{outcome.name}: not used, {outcome.reason}"]
+    if isinstance(outcome, Entry):
+        return [f"{outcome.subject.name}: not used, {outcome.text}"]
     if isinstance(outcome, StarSightings):
         return [f"{outcome.exposure_id}: {len(outcome.hip)} stars"]
     if isinstance(outcome, MatchedTargets):
-        causes = Counter(str(one.cause) for one in outcome.omissions)
+        reasons = Counter(entry.reason for entry in outcome.omissions)
         text = f"{outcome.strip_id}: {len(outcome.target_id)} targets matched"
-        text += "".join(f", {n} {cause}" for cause, n in causes.most_common())
-        return [text, *(f"{one.name}: {one.reason}" for one in outcome.omissions)]
+        text += "".join(f", {n} {reason}" for reason, n in reasons.most_common())
+        return [text, *(f"{entry.subject.name}: {entry.text}" for entry in outcome.omissions)]
     return [type(outcome).__name__]

@@ -8,13 +8,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calib.calibration import _noise_scale, calibrate_strips
-from boresight.calib.estimate import InstallationEstimate, NotObservable, WhyRejected
+from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.information import solve_total
 from boresight.calib.joint_solution import Problem, linear_solution
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.ledger import Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -92,7 +93,7 @@ def test_gross_errors_are_left_out_and_said_so():
     )  # one may fall near its true place
     assert len(stars - truth.wrong_stars) <= 0.004 * 8 * 10 * 40  # false alarms: 0.1 % asked for
     for r in estimate.rejected:
-        assert r.why in (WhyRejected.STAR_RESIDUAL, WhyRejected.TARGET_RESIDUAL)
+        assert r.reason in (Reason.STAR_RESIDUAL, Reason.TARGET_RESIDUAL)
         assert r.statistic > r.limit == estimate.rejection.limit
 
 

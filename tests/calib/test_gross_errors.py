@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib import gross_errors
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.gross_errors import rejection_test, snoop
 from boresight.calib.joint_solution import (
     Linearised,
@@ -22,6 +22,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -52,7 +53,7 @@ def reordered(strip, order):
 
 def rejected(estimate):
     assert isinstance(estimate, InstallationEstimate)
-    return {(r.strip_id, r.name) for r in estimate.rejected if r.why is WhyRejected.TARGET_RESIDUAL}
+    return {(r.subject.strip, r.subject.id) for r in estimate.rejected if r.reason is Reason.TARGET_RESIDUAL}
 
 
 def test_rejected_targets_depend_neither_on_order_nor_on_the_iteration_limit():
@@ -149,7 +150,9 @@ def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named():
         estimate = calibrate_strips(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
         instead = [one for one in estimate.rejected if one.kind == "target" and one.name != culprit[1]]
         assert all("/".join(culprit) in one.rivals for one in instead)
-        assert all("/".join(culprit) in group for group in estimate.targets.doubtful)
+        assert all(
+            culprit in [(each.strip, each.id) for each in group] for group in estimate.targets.doubtful
+        )
         doubtful += len(estimate.targets.doubtful)
         others += bool(instead)
     assert doubtful >= 1 and others <= 3
@@ -189,7 +192,9 @@ def test_targets_that_contradict_each_other_have_the_weight_that_their_probabili
     expected = every.copy()
     expected[[first, other]] = good * estimate.rejection.limit / falls[[first, other]]
     np.testing.assert_allclose(estimate.targets.weight, expected, rtol=1e-3)  # sums over steps of one sigma
-    assert estimate.targets.doubtful == (("strip0001/strip0001/003", "strip0001/strip0001/004"),)
+    ((first_target, second_target),) = estimate.targets.doubtful
+    assert {first_target.id, second_target.id} == {"strip0001/003", "strip0001/004"}
+    assert first_target.strip == second_target.strip == "strip0001"
     assert not rejected(estimate) and (estimate.n_targets, estimate.dof) == (36, 2 * 35 - 3)
     assert np.all(np.diag(estimate.cov_theta) > np.diag(whole.solution.covariance))
 

@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.estimate import InstallationEstimate, WhyRejected
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.sightings import isotropic_covariance
-from boresight.pipeline.diagnosis.reasons import rejection_reason
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips
 
@@ -188,6 +188,9 @@ def test_a_star_of_a_scan_that_contradicts_the_others_is_rejected_as_a_star():
     wrong = replace(first, ground=replace(first.ground, u_c=u_c))
     estimate = calibrate_strips([wrong, second], R_CS0, CalibrationSettings())
     assert isinstance(estimate, InstallationEstimate)
-    (rejected,) = [one for one in estimate.rejected if one.why is WhyRejected.TARGET_RESIDUAL]
-    assert (rejected.kind, rejected.name) == ("star", str(first.ground.target_id[3]))
-    assert "from the position that the other stars predict" in rejection_reason(rejected)
+    (rejected,) = [one for one in estimate.rejected if one.reason is Reason.TARGET_RESIDUAL]
+    expected = Subject(
+        Kind.STAR, strip=first.strip_id, ccd=int(first.ground.ccd[3]), id=str(first.ground.target_id[3])
+    )
+    assert rejected.subject == expected
+    assert "from the position that the other stars predict" in rejected.text

@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.estimate import InstallationEstimate, Rejected, WhyRejected
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Check, CheckKind, VerdictSettings, assess
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
@@ -96,5 +97,5 @@ def test_many_rejected_targets_have_the_probability_of_as_many_or_more() -> None
     assert found.p_value == pytest.approx(sum(binom.pmf(k, 30, 0.15) for k in range(7, 31)))
 
 
-def _rejected(n: int) -> Rejected:
-    return Rejected(strip_id="s", kind="target", name=f"t{n}", why=WhyRejected.TARGET_RESIDUAL)
+def _rejected(n: int) -> Entry:
+    return Entry(Subject(Kind.TARGET, strip="s", id=f"t{n}"), Reason.TARGET_RESIDUAL)

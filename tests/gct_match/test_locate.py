@@ -12,9 +12,10 @@ from scipy import ndimage
 
 from boresight.gct_match.imaging.views import normalised, view_of
 from boresight.gct_match.locate import locate, locate_template
-from boresight.gct_match.records import Reason, Refusal, TemplateMatch
+from boresight.gct_match.records import TemplateMatch, not_matched
 from boresight.gct_match.search.correlation import self_similarity
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.ledger import Entry, Reason
 
 MARGIN = 16
 SETTINGS = MatchSettings()
@@ -35,7 +36,7 @@ def estate(rng: np.random.Generator, side: int) -> NDArray:
     return np.clip(out + 5.0 / grain.std() * grain, 0.0, 255.0).astype(np.float32)
 
 
-def looked_for(template: NDArray, window: NDArray, settings: MatchSettings) -> TemplateMatch | Refusal:
+def looked_for(template: NDArray, window: NDArray, settings: MatchSettings) -> TemplateMatch | Entry:
     middle = (np.array(template.shape[::-1]) - 1.0) / 2.0
     here = MARGIN, MARGIN
     views = (view_of(image, image > 0.0) for image in (template, window))
@@ -52,7 +53,7 @@ def test_look_alikes_of_an_estate_are_told_apart_by_how_well_they_can_be_placed(
         template, window = pair_of(one, here).template, pair_of(two, there).window
         assert isinstance(looked_for(template, window, TRUSTING), TemplateMatch)  # all else speaks for it
         outcome = looked_for(template, window, SETTINGS)
-        assert isinstance(outcome, Refusal)
+        assert isinstance(outcome, Entry)
         assert outcome.reason is Reason.SELF_SIMILAR
         right = looked_for(template, pair_of(one, here).window, SETTINGS)
         assert isinstance(right, TemplateMatch)
@@ -92,7 +93,7 @@ def test_pixels_that_are_nan_are_not_used(invented: NDArray):
 def test_a_template_that_is_not_found_is_refused_with_reason_and_numbers(invented: NDArray):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     outside = locate_template(pair.template, pair.window, (400.0, 20.0))
-    assert not outside and isinstance(outside, Refusal)
+    assert not outside and isinstance(outside, Entry)
     assert outside.reason is Reason.FEW_VALID_PIXELS
     assert str(outside).startswith("0% of the template's pixels are valid") and "40% are needed" in str(
         outside
@@ -108,9 +109,10 @@ def test_arrays_that_cannot_be_matched_are_named(shape: tuple[int, ...], radius:
         locate_template(np.zeros(shape), np.zeros((128, 128)), (64.0, 64.0), radius)
 
 
-def test_every_reason_has_a_sentence():
-    for reason in Reason:
-        said = Refusal(reason, 0.5, 0.25, (3.0, 4.0, 5.0)).sentence
+def test_every_reason_of_the_matcher_has_a_sentence():
+    first, last = Reason.OUTSIDE_REACH.number, Reason.INCONSISTENT.number
+    for reason in list(Reason)[first : last + 1]:
+        said = not_matched(reason, 0.5, 0.25, (3.0, 4.0, 5.0)).text
         assert said and "nan" not in said
 
 
@@ -143,6 +145,6 @@ def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     start = (pair.offset_px[0] + 31.5, pair.offset_px[1] + 31.5)
     refused = locate_template(pair.template, pair.window, start, settings=replace(SETTINGS, **limits))
-    assert isinstance(refused, Refusal) and refused.reason is reason
+    assert isinstance(refused, Entry) and refused.reason is reason
     assert refused.limit == next(iter(limits.values()))
     assert np.isfinite(refused.value)

@@ -19,11 +19,12 @@ from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Chip, Reason, StripMatches, Target
+from boresight.gct_match.records import Chip, StripMatches, Target
 from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.search_plan import _GRID, SearchPlan, _on_grid, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.ledger import Reason
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
 
@@ -106,13 +107,14 @@ def test_targets_compared_in_groups_are_those_that_agree_together(
 ):
     """Of very many, those that follow one another in time are compared: time and memory grow with them."""
     monkeypatch.setattr(consistency, "_MOST_TOGETHER", 5)
-    matches = [*outcome.matches, *(r.match for r in outcome.refused if r.match is not None)]
+    matches = list(outcome.matches)
     wrong = replace(matches[3], xy_px=matches[3].xy_px + np.array([20.0, 0.0]))  # px; 0.5 px may differ
     scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
     kept, refused, theta = consistency.consistent_matches(
         scene, [*matches[:3], wrong, *matches[4:]], case.theta
     )
-    assert [one.target_id for one in refused] == [wrong.target_id] and refused[0].match is wrong
+    assert [entry.subject.id for entry in refused] == [wrong.target_id]
+    assert refused[0].xy_px == tuple(wrong.xy_px.tolist())
     assert [one.target_id for one in kept] == [m.target_id for m in matches if m.target_id != wrong.target_id]
     assert theta[:2] == pytest.approx(case.theta[:2], abs=1e-6)  # rad: as from all together
     assert theta[2] == pytest.approx(case.theta[2], abs=2e-4)
@@ -185,7 +187,7 @@ def test_chip_of_another_place_is_refused_among_good_ones(case: Case):
     chips[4] = replace(chips[4], image=chips[5].image)
     outcome = matched(case, chips=chips)
     assert "t04" not in {match.target_id for match in outcome.matches}
-    assert "t04" in {refusal.target_id for refusal in outcome.refused}
+    assert "t04" in {refusal.subject.id for refusal in outcome.refused}
     assert len(outcome.matches) >= len(case.targets) - 1
 
 
@@ -193,7 +195,7 @@ def test_target_on_a_lake_is_refused_with_the_reason(case: Case):
     chips = list(case.chips)
     water = np.random.default_rng(5).normal(20.0, 1.5, chips[3].image.shape)
     chips[3] = replace(chips[3], image=water.astype(np.float32))
-    refused = {refusal.target_id: refusal.reason for refusal in matched(case, chips=chips).refused}
+    refused = {refusal.subject.id: refusal.reason for refusal in matched(case, chips=chips).refused}
     assert refused["t03"] is Reason.TOO_LITTLE_TEXTURE
 
 
@@ -206,8 +208,8 @@ def test_chip_of_an_absurd_pixel_size_is_refused_by_name_and_the_others_kept(cas
     outcome = matched(case, chips=chips)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    refused = {refusal.target_id: refusal for refusal in outcome.refused}
-    assert refused["t03"].reason is Reason.CHIP_TOO_SMALL and "pixel size" in refused["t03"].sentence
+    refused = {refusal.subject.id: refusal for refusal in outcome.refused}
+    assert refused["t03"].reason is Reason.CHIP_TOO_SMALL and "pixel size" in refused["t03"].text
     assert len({match.target_id for match in outcome.matches}) == len(case.targets) - 1
     assert peak < 100e6  # bytes: the strip's coarse pictures and candidates
 
@@ -259,7 +261,7 @@ def test_target_outside_the_strip_is_listed(case: Case):
             MatchSettings(),
         )
     )
-    reasons = {refusal.target_id: refusal.reason for refusal in outcome.refused}
+    reasons = {refusal.subject.id: refusal.reason for refusal in outcome.refused}
     assert reasons["far"] is Reason.OUTSIDE_REACH
 
 

@@ -22,10 +22,11 @@ from typer.testing import CliRunner
 
 from boresight.calib.verdict import Outcome
 from boresight.features.table import features
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.console.feature import Job
 from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
 from boresight.pipeline.console.spine import SPINE
-from boresight.pipeline.errors import Omission, RawDataError
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.unit_log import log_unit
 
@@ -85,6 +86,10 @@ def test_help_lists_every_command_under_its_job_with_its_whole_summary(width: in
     assert not listed
 
 
+def exposure(name: str) -> Entry:
+    return Entry(Subject(Kind.EXPOSURE, exposure=name))
+
+
 def test_verbose_says_what_became_of_each_unit_and_why() -> None:
     def units() -> Answer:
         """Work.
@@ -92,7 +97,7 @@ def test_verbose_says_what_became_of_each_unit_and_why() -> None:
         Example: boresight units
         """
         StageRunner().run(named, [Named("e1"), Named("e2\x1b[2J")], folder="exposures")
-        log_unit("exposures", Omission("exposure", "e3").because("cut"), False)
+        log_unit("exposures", exposure("e3").because(Reason.UNREADABLE, "cut"), False)
         return Answer()
 
     program = typer.Typer()
@@ -113,12 +118,12 @@ class Named:
     name: str
 
     @property
-    def item(self) -> Omission:
-        return Omission("exposure", self.name)
+    def item(self) -> Entry:
+        return exposure(self.name)
 
 
-def named(task: Named) -> Omission:
-    return task.item.because("too dark")
+def named(task: Named) -> Entry:
+    return task.item.because(Reason.UNREADABLE, "too dark")
 
 
 def test_a_log_file_has_everything_with_its_time_and_is_appended_to(tmp_path: Path) -> None:

@@ -181,7 +181,7 @@ def test_names_in_a_result_of_others_never_reach_the_terminal(
     """A result folder that somebody sent, with escape characters in its tables and JSON."""
     result = tmp_path / "result"
     shutil.copytree(finished[1], result)
-    path = result / "sightings" / "omissions.parquet"
+    path = result / "sightings" / "ledger.parquet"
     table = pq.read_table(path)
     row = {name: "\x1b]0;title\x07 \u202e \x1b[2J" for name in table.schema.names}
     pq.write_table(pa.Table.from_pylist([row], table.schema).replace_schema_metadata(), path)

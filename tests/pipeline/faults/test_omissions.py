@@ -46,7 +46,7 @@ def damaged(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactor
 
 def test_each_damaged_image_is_an_omission_with_its_reason(damaged: tuple[Path, dict]) -> None:
     folder, said = damaged
-    table = pq.read_table(folder / "result/sightings/omissions.parquet").to_pylist()
+    table = pq.read_table(folder / "result/sightings/ledger.parquet").to_pylist()
     rows = {row["file"]: row for row in table if row["kind"] in ("exposure", "ccd", "strip", "chip")}
     assert set(rows) == set(said)
     for file, (kind, reason) in said.items():

@@ -71,8 +71,8 @@ def test_name_that_other_programs_would_interpret_is_a_name(name: str, handmade:
             open_dump(handmade)
         return
     (omission,) = open_dump(handmade).omissions
-    assert (omission.name, omission.file) == ("s1/0", name)
-    assert omission.reason == f"{name}: file: found no such file, expected an image"
+    assert (omission.subject.name, omission.file) == ("s1/0", name)
+    assert omission.text == f"{name}: file: found no such file, expected an image"
 
 
 @pytest.mark.parametrize("file", ["exposures/0.png", "strips/0.tif", "chips/0.tif", "targets.csv"])

@@ -16,7 +16,8 @@ from handmade import write_handmade_dump, write_strip
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
-from boresight.pipeline.errors import Cause, RawDataError
+from boresight.geometry.ledger import Reason
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.repeated_exposures import common_errors
@@ -46,8 +47,8 @@ def later(utc: str, ms: int) -> str:
 
 
 def reasons(dump: Dump) -> dict[str, str]:
-    assert {o.cause for o in dump.omissions} <= {Cause.REPEATED, Cause.SAME_PIXELS}
-    return {f"{o.kind} {o.name}": o.reason for o in dump.omissions}
+    assert {o.reason for o in dump.omissions} <= {Reason.REPEATED, Reason.SAME_PIXELS}
+    return {f"{o.subject.kind} {o.subject.name}": o.text for o in dump.omissions}
 
 
 @pytest.mark.parametrize("name", ["mini", "sky"])

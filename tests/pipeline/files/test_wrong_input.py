@@ -189,8 +189,8 @@ def test_bad_strip_image_is_left_out_with_its_reason_and_the_rest_goes_on(name: 
     damage(handmade)
     dump = open_dump(handmade)
     (omission,) = dump.omissions
-    assert (omission.kind, omission.name, omission.file) == ("ccd", "s1/0", "strips/0.tif")
-    assert re.search(reason, omission.reason), omission.reason
+    assert (omission.subject.kind, omission.subject.name, omission.file) == ("ccd", "s1/0", "strips/0.tif")
+    assert re.search(reason, omission.text), omission.text
     assert dump.strips[0].images.ccds == (1,)
 
 
@@ -199,7 +199,11 @@ def test_strip_without_any_readable_image_is_left_out_as_a_whole(handmade: Path)
         remove(f"strips/{ccd}.tif")(handmade)
     dump = open_dump(handmade)
     assert dump.strips == ()
-    assert [(o.kind, o.name) for o in dump.omissions] == [("ccd", "s1/0"), ("ccd", "s1/1"), ("strip", "s1")]
+    assert [(o.subject.kind, o.subject.name) for o in dump.omissions] == [
+        ("ccd", "s1/0"),
+        ("ccd", "s1/1"),
+        ("strip", "s1"),
+    ]
 
 
 def test_leap_second_inside_a_strip_is_time_like_any_other(tmp_path: Path) -> None:

@@ -8,30 +8,24 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from ledgers import ledger_of
 from pytest import approx
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.gct_match.locate import locate_template
-from boresight.gct_match.records import Reason, Refusal
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.input_findings import heights
-from boresight.pipeline.diagnosis.target_findings import (
-    Suspected,
-    _excluded,
-    lost_strip,
-    lost_targets,
-    single_targets,
-)
-from boresight.pipeline.errors import Omission
+from boresight.pipeline.diagnosis.losses import _excluded, lost_strip, lost_targets
+from boresight.pipeline.diagnosis.suspects import single_targets
 from boresight.pipeline.files.dump import open_dump, surface_of
 from boresight.pipeline.report.findings import (
     clouds,
     spread,
 )
-from boresight.pipeline.report.ground_map import UNMATCHED, USED
 from boresight.pipeline.report.unmatched import _pictures
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
@@ -39,7 +33,7 @@ from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
 NAMES = [f"t{n}" for n in range(12)]
 
 
-def row(strip_id, target_id, *, ccd=0, state=UNMATCHED, cause="low correlation", **more):
+def row(strip_id, target_id, *, ccd=0, state=State.UNMATCHED, cause="low correlation", **more):
     numbers = dict.fromkeys(("residual_m", "residual_east_m", "residual_north_m"), np.nan)
     texts = {"strip_id": strip_id, "target_id": target_id, "state": state, "cause": cause, "reason": "why"}
     return numbers | texts | {"ccd": ccd} | more
@@ -74,78 +68,108 @@ def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
 
 def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
     used = [(f"u{n}", 100.0, 20.0) for n in range(3)]
-    seen = {USED: used, UNMATCHED: [("white", 240.0, 3.0), ("dark", 10.0, 1.0), ("town", 240.0, 60.0)]}
+    seen = {
+        State.USED: used,
+        State.UNMATCHED: [("white", 240.0, 3.0), ("dark", 10.0, 1.0), ("town", 240.0, 60.0)],
+    }
     (cloud,) = clouds("s1", seen)
-    assert cloud.item == "strip s1" and cloud.targets == ("s1/white",) and not cloud.is_fault
-    assert list(clouds("s1", seen | {UNMATCHED: [("dark", 10.0, 1.0)]})) == []
-    assert list(clouds("s1", seen | {USED: used[:2]})) == []  # too few to know what the ground looks like
+    assert (
+        cloud.item == "strip s1"
+        and [target.id for target in cloud.explains] == ["white"]
+        and not cloud.is_fault
+    )
+    assert list(clouds("s1", seen | {State.UNMATCHED: [("dark", 10.0, 1.0)]})) == []
+    assert (
+        list(clouds("s1", seen | {State.USED: used[:2]})) == []
+    )  # too few to know what the ground looks like
 
 
-def suspected(strip_id, target_id, distance=9.0, ccd=0):
-    return Suspected(
-        strip_id=strip_id,
-        target_id=target_id,
-        ccd=ccd,
-        distance=distance,
-        east_m=-30.0,
-        north_m=1.0,
-        sigma_m=2.5,
+def target(strip_id, name, ccd=0):
+    return Subject(Kind.TARGET, strip=strip_id, ccd=ccd, id=name)
+
+
+def suspected(strip_id, name, distance=9.0, ccd=0):
+    return SimpleNamespace(subject=target(strip_id, name, ccd), distance=distance)
+
+
+class Measured:
+    """Targets of chips, each stated 30 m too far west."""
+
+    def __init__(self, suspects):
+        self.xy_px = {suspect.subject: (10.0, 20.0) for suspect in suspects}
+
+    def is_point(self, subject):
+        return False
+
+    def displaced(self, suspect):
+        return -30.0, 1.0, 2.5
+
+
+def single(suspects, ledger, **more):
+    return list(single_targets(suspects, Measured(suspects), ledger, **more))
+
+
+def ledger_of_rows(*rows):
+    """A ledger of rows: strip, CCD, id and reason."""
+    strips, ccds, names, reasons = zip(*rows)
+    return ledger_of(strips, ccds, reasons, names)
+
+
+def in_view(strips, ccds, n):
+    """A ledger of targets that were all found, n in each CCD of each strip."""
+    return ledger_of_rows(
+        *((s, ccd, f"v{k}", Reason.NONE) for s in strips for ccd in range(ccds) for k in range(n))
     )
 
 
+THREE = ("s1", "s2", "s3")
+
+
 def test_a_single_target_that_contradicts_the_rest_is_named_once_with_its_place():
-    (found,) = single_targets([suspected("s1", "t1"), suspected("s2", "t1", 12.0)], {})
-    assert found.item == "target t1 (strips s1, s2)" and found.targets == ("s1/t1", "s2/t1")
+    (found,) = single([suspected("s1", "t1"), suspected("s2", "t1", 12.0)], in_view(THREE, 1, 4))
+    assert found.item == "target t1 (strips s1, s2)"
+    assert found.explains == (target("s1", "t1"), target("s2", "t1"))
     assert found.is_fault and not found.refutes
     assert "about 30 m west of the true place (12.0 σ)" in found.text
     assert found.value == approx(30.0, abs=0.1) and found.sigma == approx(2.5, abs=0.01)
 
 
 def test_many_targets_of_a_strip_are_one_finding():
-    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
     off = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
-    (found,) = single_targets(off, seen)
-    assert found.item == "10 targets in strip s1" and len(found.targets) == 10
-    assert list(single_targets(off, seen, is_explained=True)) == []
+    (found,) = single(off, in_view(THREE, 3, 4))
+    assert found.item == "10 targets in strip s1" and len(found.explains) == 10
+    assert single(off, in_view(THREE, 3, 4), is_explained=True) == []
 
 
 def test_targets_that_are_off_in_all_strips_are_one_finding_that_accuses_no_strip():
-    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
     off = [suspected(f"s{k}", f"t{n}", ccd=n % 3) for k in (1, 2, 3) for n in range(9 + k)]
-    (found,) = single_targets(off, seen)
-    assert found.item == "33 targets of all strips" and len(found.targets) == 33
+    (found,) = single(off, in_view(THREE, 3, 4))
+    assert found.item == "33 targets of all strips" and len(found.explains) == 33
     assert "x_offset_mm" in found.text and "targets.csv" in found.text
     assert len(f"{found.cause} {found.item} {found.text}".split()) <= MOST_WORDS
-    assert list(single_targets(off, seen, is_explained=True)) == []
+    assert single(off, in_view(THREE, 3, 4), is_explained=True) == []
 
 
 def test_many_targets_of_a_ccd_are_one_finding_about_its_look_directions():
-    seen = {(strip, ccd): (4, 4) for strip in ("s1", "s2", "s3") for ccd in range(3)}
     off = [suspected(f"s{k}", f"t{n}", ccd=2) for k in (1, 2, 3) for n in range(3)]
-    found, other = single_targets([*off, suspected("s2", "t9", ccd=1)], seen)
-    assert found.item == "CCD 2" and len(found.targets) == 9 and "rotation_mrad" in found.text
+    found, other = single([*off, suspected("s2", "t9", ccd=1)], in_view(THREE, 3, 4))
+    assert found.item == "CCD 2" and len(found.explains) == 9 and "rotation_mrad" in found.text
     assert other.item == "target t9 (strip s2)"
 
 
 def test_all_targets_of_two_ccds_in_one_strip_are_one_finding_about_its_images():
-    seen = {(strip, ccd): (6, 6) for strip in ("s1", "s2", "s3") for ccd in range(4)}
     off = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
-    (found,) = single_targets(off, seen)
-    assert found.item == "CCD 1 and CCD 2 in strip s2" and len(found.targets) == 11
+    (found,) = single(off, in_view(THREE, 4, 6))
+    assert found.item == "CCD 1 and CCD 2 in strip s2" and len(found.explains) == 11
     assert found.file == "strips.csv" and "exchanged" in found.text
 
 
 def strip_of(name, lost, found):
-    """A strip with targets lost, by CCD and cause, and found, by CCD."""
-    omissions = [
-        Omission("target", f"{name}/x{n}, CCD {ccd}", "", "why", cause) for n, (ccd, cause) in enumerate(lost)
+    """Rows of a strip with targets lost, by CCD and reason, and found, by CCD."""
+    return [
+        *((name, ccd, f"x{n}", reason) for n, (ccd, reason) in enumerate(lost)),
+        *((name, ccd, f"y{n}", Reason.NONE) for n, ccd in enumerate(found)),
     ]
-    return SimpleNamespace(
-        strip_id=name,
-        target_id=np.array([f"y{n}" for n in range(len(found))]),
-        ccd=np.array(found),
-        omissions=tuple(omissions),
-    )
 
 
 class Images:
@@ -163,30 +187,32 @@ class Images:
         return np.arange(6400.0) % (1 if ccd in self.flat else 50)
 
 
-def task_of(name, flat=()):
-    return SimpleNamespace(strip=SimpleNamespace(strip_id=name, images=Images(flat)))
+def lost(rows, explained=(), flat=None):
+    images = {name: Images((flat or {}).get(name, ())) for name, *_ in rows}
+    entries = [Entry(target(name, key, ccd), reason) for name, ccd, key, reason in rows]
+    return list(lost_targets(images, entries, ledger_of_rows(*rows), list(explained)))
 
 
 def test_ccds_of_which_no_target_is_found_are_one_finding_and_half_of_them_refute():
-    tasks = [task_of(name) for name in "abc"]
-    one = [strip_of(name, [(2, "low correlation")] * 3, [0, 1, 3] * 3) for name in "abc"]
-    (found,) = lost_targets(tasks, one, [])
-    assert found.item == "CCD 2" and not found.refutes and len(found.targets) == 9
+    cloudy = Reason.LOW_CORRELATION
+    one = [row for name in "abc" for row in strip_of(name, [(2, cloudy)] * 3, [0, 1, 3] * 3)]
+    (found,) = lost(one)
+    assert found.item == "CCD 2" and not found.refutes and len(found.explains) == 9
     assert "0 of 9 targets found, 27 on other CCDs" in found.text
-    assert list(lost_targets(tasks, one, ["CCD 2"])) == []  # a cause with its size is named already
-    two = [strip_of(name, [(0, "low correlation"), (2, "low correlation")] * 3, [1, 3] * 3) for name in "abc"]
-    (both,) = lost_targets(tasks, two, [])
+    assert lost(one, [Subject(Kind.CCD, ccd=2)]) == []  # a cause with its size is named already
+    two = [row for name in "abc" for row in strip_of(name, [(0, cloudy), (2, cloudy)] * 3, [1, 3] * 3)]
+    (both,) = lost(two)
     assert both.item == "CCDs 0, 2" and both.refutes
-    cloud = [strip_of("a", [(2, "low correlation")] * 3, [0, 1, 3]), strip_of("b", [], [0, 1, 2, 3] * 3)]
-    assert list(lost_targets(tasks, cloud, [])) == []
+    cloud = [*strip_of("a", [(2, cloudy)] * 3, [0, 1, 3]), *strip_of("b", [], [0, 1, 2, 3] * 3)]
+    assert lost(cloud) == []
 
 
 def test_an_image_of_one_grey_value_is_a_dead_detector_where_it_is_one():
-    tasks = [task_of("a", flat=(2,)), task_of("b")]
-    strips = [strip_of("a", [(2, "one grey value")], [0, 1]), strip_of("b", [(3, "one grey value")], [0])]
-    (dead,) = lost_targets(tasks, strips, [])
+    grey = Reason.ONE_GREY_VALUE
+    rows = [*strip_of("a", [(2, grey)], [0, 1]), *strip_of("b", [(3, grey)], [0])]
+    (dead,) = lost(rows, flat={"a": (2,)})
     assert (dead.cause, dead.item) == ("dead detector or empty file", "CCD 2 in strip a")
-    assert dead.targets == ("a/x0",) and not dead.refutes
+    assert dead.explains == (target("a", "x0", 2),) and not dead.refutes
 
 
 def test_displacements_are_told_by_the_compass():
@@ -206,7 +232,8 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(finished):
     true_e = p_e - 60.0 * east + 25.0 * north  # the chip lies 60 m east and 25 m south of it
     pixels = [np.concatenate(model.pixels_from_ground(ccd, p[None])) for p in (true_e, p_e)]
     off = tuple((pixels[0] - pixels[1]).tolist())
-    refusal = Refusal(Reason.INCONSISTENT, 9.0, 4.0, off, name, ccd)
+    subject = Subject(Kind.TARGET, ccd=ccd, id=name)
+    refusal = Entry(subject, Reason.INCONSISTENT, value=9.0, limit=4.0, more=off)
     assert _displaced_m(task, refusal) == approx((60.0, -25.0), abs=0.05)  # m: the ground is not a plane
 
 
@@ -240,8 +267,9 @@ def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allow
 
 
 def test_a_strip_without_any_match_is_empty_or_another_one():
-    assert lost_strip("s2", ("s2/a",), all_flat=True).cause == "empty images"
-    other = lost_strip("s2", ("s2/a",), all_flat=False)
+    strip = Subject(Kind.STRIP, strip="s2")
+    assert lost_strip(strip, [target("s2", "a")], all_flat=True).cause == "empty images"
+    other = lost_strip(strip, [target("s2", "a")], all_flat=False)
     assert other.item == "strip s2" and "mirrored" in other.text and "utc_first_row" in other.text
 
 
@@ -255,12 +283,11 @@ def test_a_strip_window_of_one_grey_value_is_refused_as_such():
     template = np.random.default_rng(1).uniform(0.0, 255.0, (64, 64))
     refused = locate_template(template, np.full((200, 240), 3.0), start_px=(114, 90))
     assert not refused and refused.reason is Reason.ONE_GREY_VALUE
-    assert refused.sentence.startswith("the strip has the grey value 3 ")
+    assert refused.text.startswith("the strip has the grey value 3 ")
 
 
 def test_a_chip_that_is_too_small_names_its_target_and_strip():
-    reason = "the chip covers 12.0 px, at least 32.0 are needed"
-    omissions = [Omission("target", "s07/quarry, CCD 2", "", reason, "chip too small")]
-    (found,) = _excluded(omissions)
-    assert (found.item, found.targets) == ("target quarry (strip s07)", ("s07/quarry",))
-    assert found.cause == "pixel size of the chip" and found.text == f"{reason}."
+    entry = Entry(target("s07", "quarry", 2), Reason.CHIP_TOO_SMALL, value=12.0, limit=32.0)
+    (found,) = _excluded([entry])
+    assert found.item == "target quarry (strip s07)" and found.explains == (entry.subject,)
+    assert found.cause == "pixel size of the chip" and found.text == f"{entry.text}."

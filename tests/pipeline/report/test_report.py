@@ -231,7 +231,7 @@ def test_every_detection_is_marked_by_its_state(page: Page, finished):
 
 
 def test_what_was_rejected_is_listed_with_its_reason(html: str, page: Page, finished):
-    omissions = pq.read_table(finished[1] / "sightings/omissions.parquet").to_pylist()
+    omissions = pq.read_table(finished[1] / "sightings/ledger.parquet").to_pylist()
     listed = " ".join(page.texts[n] for n, a in page.all("section") if a.get("id") == "omitted")
     for omission in omissions:
         assert omission["name"] in listed and omission["reason"] in listed
@@ -320,7 +320,7 @@ def test_required_accuracy_is_kept_and_compared_with_each_axis(finished, tmp_pat
 
 def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
     saved = read_saved(finished[1])
-    names = ("angles", "matches", "omissions", "inputs", "convergence")
+    names = ("angles", "matches", "ledger", "inputs", "convergence")
     empty = {name: getattr(saved, name).slice(0, 0) for name in names}
     bare = replace(
         saved, **empty, detections=saved.detections.slice(0, 0).replace_schema_metadata(None), run={}

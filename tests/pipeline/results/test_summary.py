@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.estimate import Rejected, WhyRejected
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.calibration.calibrate import rejections_of
-from boresight.pipeline.errors import Cause, Omission
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.results.summary import (
     _seen,
     calibration_summary,
@@ -144,8 +142,12 @@ def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
     assert "do not use" not in calibration_summary(calibration())
 
 
+def target(name: str) -> Subject:
+    return Subject(Kind.TARGET, strip="s1", id=name)
+
+
 def test_targets_that_the_data_do_not_tell_apart_are_named() -> None:
-    doubtful = SimpleNamespace(doubtful=(("s1/t3", "s1/t9"),))
+    doubtful = SimpleNamespace(doubtful=(tuple(target(name) for name in ("t3", "t9")),))
     text = calibration_summary(calibration(targets=doubtful))
     assert "one target in doubt       s1/t3 or s1/t9 is wrong; the data do not tell which" in text
     assert "doubt" not in calibration_summary(calibration())
@@ -159,15 +161,13 @@ def test_targets_that_the_data_do_not_tell_apart_are_named() -> None:
 
 
 def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
-    rejected = [
-        Rejected(strip_id="s1", kind="target", name="t3", why=WhyRejected.TARGET_RESIDUAL, statistic=26.0),
-        Rejected(strip_id="s1", exposure_id="e4", kind="star", name="71683", why=WhyRejected.STAR_RESIDUAL),
-    ]
-    found = calibration()
+    found, star = calibration(), Subject(Kind.STAR, exposure="e4", id="71683")
+    unreadable = "e9.png: file: found no such file, expected an image"
     found.omissions = (
-        *rejections_of(SimpleNamespace(rejected=rejected)),  # type: ignore[arg-type]
-        Omission("target", "s1/t7", "", "correlation 0.31, at least 0.6 is needed", "low correlation"),
-        Omission("exposure", "e9", "e9.png", "e9.png: file: found no such file, expected an image"),
+        Entry(target("t3"), Reason.TARGET_RESIDUAL, value=26.0, limit=13.8),
+        Entry(star, Reason.STAR_RESIDUAL, value=30.0, limit=13.8, more=(20.0, 21.0)),
+        Entry(target("t7"), Reason.LOW_CORRELATION, value=0.31, limit=0.6),
+        Entry(Subject(Kind.EXPOSURE, exposure="e9"), Reason.UNREADABLE, unreadable, "e9.png"),
     )
     text = calibration_summary(found)
     assert "not used                  1 exposure: 1 file not usable" in text
@@ -175,12 +175,6 @@ def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
     assert "2 targets: 1 gross error (5.1 sigma), 1 cloud or change" in text
     assert "  exposure e9: e9.png: file: found no such file, expected an image" in text
     assert "  target s1/t3: 5.1 sigma from the position that the other targets predict" in text
-    assert {o.cause for o in found.omissions} == {
-        "target residual",
-        "large residual",
-        "low correlation",
-        Cause.UNREADABLE,
-    }
 
 
 def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at() -> None:

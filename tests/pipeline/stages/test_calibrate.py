@@ -143,7 +143,7 @@ def test_tables_hold_what_the_summary_counts(whole: Path) -> None:
     assert sum(targets.column("kept").to_pylist()) == content["targets"]
     kept = stars.read().column("kept").to_pylist()
     assert sum(kept) == content["stars"]
-    told = pq.read_table(whole / "sightings/omissions.parquet").column("kind").to_pylist()
+    told = pq.read_table(whole / "sightings/ledger.parquet").column("kind").to_pylist()
     assert told.count("star") == len(kept) - sum(kept) > 0  # stars of usable exposures that were rejected
 
 
@@ -189,7 +189,7 @@ def test_bad_exposure_is_left_out_with_its_reason_and_only_it_is_made_again(
     cv2.imwrite(str(one_strip / "exposures" / names[1]), black)
     cv2.imwrite(str(one_strip / "exposures" / names[2]), black[:100])
     after = calibrate_dump(open_dump(one_strip), Settings(), store, InOrder())
-    left_out = {o.name: o.reason for o in after.omissions if o.kind == "exposure"}
+    left_out = {o.subject.name: o.text for o in after.omissions if o.subject.kind == "exposure"}
     ids = [name.removesuffix(".png") for name in names]
     assert "byte 20000: found end of file, expected the rest of the PNG chunk" in left_out[ids[0]]
     assert "stars" in left_out[ids[1]] and "needed" in left_out[ids[1]]
@@ -223,7 +223,7 @@ def test_fault_in_one_exposure_is_that_exposures_own(
 
     monkeypatch.setattr(boresight.pipeline.stages.exposure, "sight_stars", fragile)
     found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
-    (left_out,) = [o for o in found.omissions if o.kind == "exposure"]
+    (left_out,) = [o for o in found.omissions if o.subject.kind == "exposure"]
     assert left_out.name.endswith("5")
     assert (
         "internal error in sight_exposure: ValueError: an unforeseen matrix; please report" in left_out.reason

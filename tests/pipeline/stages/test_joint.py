@@ -27,6 +27,7 @@ from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.installation import theta_between
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import (
     _check_nothing_twice,
@@ -34,7 +35,7 @@ from boresight.pipeline.calibration.joint import (
     dump_names,
     open_dumps,
 )
-from boresight.pipeline.errors import DataNotSufficientError, Omission, RawDataError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_findings, read_saved_result
@@ -282,7 +283,7 @@ def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
         stopped_run(out / folder, [dump], joint / name)
     told = ran("calibrate", dumps[0], blind, dumps[2], "--out", out, "--workers", 1, "--no-report")
     assert "jointly from 2 dumps" in told and "0 targets matched in 1 strips" in told
-    omissions = pq.read_table(out / "sightings/omissions.parquet").to_pylist()
+    omissions = pq.read_table(out / "sightings/ledger.parquet").to_pylist()
     assert [(row["kind"], row["name"]) for row in omissions if row["kind"] == "dump"] == [("dump", "blind")]
     assert not (out / "blind/installation.json").exists()
     assert json.loads((out / "drift.json").read_text())["results"] == [NAMES[0], NAMES[2]]
@@ -294,7 +295,10 @@ def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
 
 
 def test_no_dump_that_suffices_is_no_result() -> None:
-    failed = [Omission("dump", "a", "", "0 strips"), Omission("dump", "b", "", "no stars")]
+    failed = [
+        Entry(Subject(Kind.DUMP, dump=name), Reason.NOT_CALIBRATED, text)
+        for name, text in (("a", "0 strips"), ("b", "no stars"))
+    ]
     with pytest.raises(DataNotSufficientError, match=r"none of 2 dumps .* a: 0 strips; b: no stars"):
         calibrate_jointly([], failed, Settings())
 

@@ -144,7 +144,7 @@ def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded):
     for n, (one, R_cs) in enumerate(zip(installation["heads"], matrices)):
         off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
         assert np.all(np.abs(off) < 0.1 * sigma(installation, n)), (one["name"], off)
-    assert not [one for one in calibrate_dump(dump).omissions if one.kind == "strip"]
+    assert not [one for one in calibrate_dump(dump).omissions if one.subject.kind == "strip"]
 
 
 def sigma(installation: dict, head: int) -> np.ndarray:

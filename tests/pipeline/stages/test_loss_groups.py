@@ -1,17 +1,25 @@
 """Losses by halves of CCDs, of the field and of the stars of a strip."""
 
-import numpy as np
+from dataclasses import replace
 
-from boresight.pipeline.diagnosis.loss_groups import LookedFor, lost_halves
+import numpy as np
+from ledgers import ledger_of
+
+from boresight.geometry.ledger import Kind, Reason, Subject
+from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_groups
 
 
 def looked(name, rng, lost, n=20):
-    """A strip of four CCDs of `n` stars each; `lost` says of (ccd, part, magnitude) which are lost."""
+    """Rows of a strip of four CCDs of `n` stars each; `lost` says which (ccd, part, magnitude) are lost."""
     ccd, part = np.repeat(np.arange(4), n), rng.uniform(size=4 * n)
     magnitude = rng.uniform(3.0, 8.0, 4 * n)
-    return LookedFor(
-        strip_id=name, ccd=ccd, part=part, magnitude=magnitude, found=~lost(ccd, part, magnitude)
-    )
+    return [name] * len(ccd), ccd, np.where(lost(ccd, part, magnitude), 1, 0), part, magnitude
+
+
+def ledger_of_strips(strips):
+    names, ccd, lost, part, magnitude = ([value for strip in strips for value in strip[k]] for k in range(5))
+    reasons = [Reason.NOT_IN_PLACE if gone else Reason.NONE for gone in lost]
+    return ledger_of(names, ccd, reasons, part=part, magnitude=magnitude, kind=Kind.STAR)
 
 
 def chance(rng, share):
@@ -19,8 +27,8 @@ def chance(rng, share):
     return lambda ccd, part, magnitude: rng.uniform(size=len(ccd)) < share
 
 
-def told(strips, share=0.04, probability=1e-3, **options):
-    return [one.item for one in lost_halves(strips, share, probability, "stars", **options)]
+def told(strips, limits=OF_STARS):
+    return [finding.item for finding in lost_groups(ledger_of_strips(strips), limits)]
 
 
 def test_of_two_thousand_good_strips_no_more_than_the_stated_rate_is_told():
@@ -48,16 +56,17 @@ def test_what_one_strip_of_the_ground_lost_may_be_a_cloud():
     rng = np.random.default_rng(3)
     cloud = looked("a", rng, lambda ccd, part, magnitude: ccd + part < 2.0)
     clear = looked("b", rng, chance(rng, 0.0))
-    assert told([cloud, clear], 0.3, 1e-4, fewest_strips=2) == []
+    assert told([cloud, clear], OF_TARGETS) == []
     again = [looked(name, rng, lambda ccd, part, magnitude: ccd + part < 1.9) for name in "ab"]
-    assert "first half of the field" in told(again, 0.3, 1e-4, fewest_strips=2)
+    assert "first half of the field" in told(again, OF_TARGETS)
 
 
 def test_a_ccd_without_any_star_is_no_half_of_the_field():
     """4 of 9 stars are left in the first half of the field, all of the lost ones on CCD 1."""
     ccd = np.repeat(np.arange(4), (4, 5, 5, 5))
-    one = LookedFor(
-        strip_id="s", ccd=ccd, part=np.full(19, 0.4), magnitude=np.full(19, np.nan), found=ccd != 1
-    )
-    assert told([one]) == []
-    assert one.without(["CCD 1", "strip s"]).ccd.tolist() == [0] * 4 + [2] * 5 + [3] * 5
+    reasons = [Reason.NOT_IN_PLACE if number == 1 else Reason.NONE for number in ccd]
+    ledger = ledger_of(["s"] * 19, ccd, reasons, part=0.4, kind=Kind.STAR)
+    assert list(lost_groups(ledger, OF_STARS)) == []
+    left = ledger.take(~ledger.within([Subject(Kind.CCD, ccd=1), Subject(Kind.CCD, strip="other", ccd=2)]))
+    assert left.ccd.tolist() == [0] * 4 + [2] * 5 + [3] * 5
+    assert not replace(ledger, strips=("t",)).within([Subject(Kind.STRIP, strip="s")]).any()

@@ -11,10 +11,10 @@ import pytest
 from fixture_strips import FIXTURE
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration import passes
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.matchings import is_settled, match_again, match_first, match_strips
-from boresight.pipeline.errors import Omission
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
@@ -98,7 +98,10 @@ def test_strips_are_matched_again_where_a_target_was_refused_or_lay_far_from_its
     before = [
         all_searched[0],
         replace(all_searched[1], farthest_px=2.1),
-        replace(all_searched[2], omissions=(Omission("target", "s03/t01", reason="low correlation"),)),
+        replace(
+            all_searched[2],
+            omissions=(Entry(Subject(Kind.TARGET, strip="s03", id="t01"), Reason.LOW_CORRELATION),),
+        ),
     ]
     found, computed = match_again(tasks, before, 2.0, StageRunner(), "matching-2")
     assert np.array_equal(found[0].xy_px, before[0].xy_px)

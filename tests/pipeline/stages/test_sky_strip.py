@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 import rasterio
 from command_line import app
+from ledgers import ledger_of_cells
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.geometry.ledger import Reason
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.exchanged_files import exchanged_in_sky
-from boresight.pipeline.diagnosis.left_out import lost_ccds
+from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds
 from boresight.pipeline.diagnosis.sky_losses import (
-    LOST_SHARE,
     named_alone,
     reversed_strips,
-    sky_counts,
-    sky_looked_for,
+    star_ledger,
     strips_without_stars,
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -83,7 +83,7 @@ def strip_images(dump, change):
 def why(dump):
     with pytest.raises(DataNotSufficientError) as raised:
         calibrate_dump(open_dump(dump))
-    return " ".join(o.reason for o in raised.value.omissions if o.kind == "strip")
+    return " ".join(o.text for o in raised.value.omissions if o.subject.kind == "strip")
 
 
 def test_a_dump_of_the_sky_alone_gives_the_matrix_with_an_honest_covariance(calibration):
@@ -129,7 +129,7 @@ def test_a_strip_of_the_sky_called_ground_is_refused_and_so_is_ground_called_sky
     store = UnitStore(shutil.copytree(demo / "demo-result" / "work", tmp_path / "work"))
     found = calibrate_dump(open_dump(mini), store=store)
     assert found.n_computed < 10  # most units of the two strips that stay are those of the demo
-    reasons = [o.reason for o in found.omissions if o.name == "s03"]
+    reasons = [o.text for o in found.omissions if o.subject.name == "s03"]
     assert len(reasons) == 1 and "looks at the Earth" in reasons[0]
     assert len(found.strips) == 2
 
@@ -211,8 +211,8 @@ def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump):
 def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibration):
     dump, side, named = open_dump(SKY), calibration.sky, calibration.named
     counts = counted(dump, side, named, calibration)
-    seen = [found for found, _ in counts.values()]
-    expected = [n for _, n in counts.values()]
+    seen = [found for found, _ in counts.cells().values()]
+    expected = [n for _, n in counts.cells().values()]
     assert sum(expected) >= 15 and sum(seen) == sum(expected)  # no star of this sky is lost
     assert list(strips_without_stars(dump, side, named, counts, [])) == []
 
@@ -225,7 +225,7 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     (one,) = named
     gone = replace_named(one, shifted.found[0], one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
     counts = counted(dump, shifted, [gone], calibration)
-    assert lost_ccds(counts, LOST_SHARE).keys() == {1, 2}
+    assert lost_ccds(counts, OF_STARS) == [1, 2]
     (alone,) = named_alone(dump, shifted, counts)  # by its own vote, for the test of its place
     assert set(alone.found.ccd[alone.rows].tolist()) == {1, 2} and len(alone.rows) >= 3
 
@@ -236,7 +236,7 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     assert told.item == "CCD 1 and CCD 2 in strip sky01" and told.file == "strips.csv"
 
     empty = replace_named(one, exchanged, one.rows[:0])  # a strip without any name, beside one that has them
-    none = {(strip_id, ccd): (0, n) for (strip_id, ccd), (_, n) in counts.items()}
+    none = nothing_found(counts)
     beside = (
         replace(side, tasks=side.tasks * 2, found=side.found * 2, computed=side.computed * 2),
         [empty, one],
@@ -246,7 +246,7 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     ]
 
     empty = replace_named(one, found, one.rows[:0])
-    counts = {key: (0, n) for key, (_, n) in counted(dump, side, named, calibration).items()}
+    counts = nothing_found(counted(dump, side, named, calibration))
     (told,) = strips_without_stars(dump, side, [empty], counts, [])
     assert told.refutes and "agree by themselves" in told.text  # named by its own vote: contradicts
     assert list(strips_without_stars(dump, side, [empty], counts, ["sky01"])) == []  # a cause explains it
@@ -269,9 +269,9 @@ def test_a_star_counts_as_found_within_the_errors_that_are_stated(calibration):
         moved = found.xy_px + np.where(found.ccd == 3, shift_px, 0.0)[:, None] * [1.0, 0.0]
         off = replace_named(one, replace(found, xy_px=moved), one.rows)
         counts = counted(dump, side, [off], calibration)
-        kept[shift_px], expected = counts["sky01", 3]
+        kept[shift_px], expected = counts.cells()["sky01", 3]
         assert expected >= 2
-        assert all(n == of for (_, ccd), (n, of) in counts.items() if ccd != 3)
+        assert all(n == of for (_, ccd), (n, of) in counts.cells().items() if ccd != 3)
     assert kept == {2.5: expected, 7.0: 0}
 
 
@@ -288,9 +288,14 @@ def test_two_exposures_let_stars_lie_as_far_off_as_the_satellite_may_move(calibr
     assert scatter_px(dump, two) == pytest.approx(np.hypot(scatter_px(dump, task), moved_px))
 
 
+def nothing_found(ledger):
+    """The ledger with every star missing."""
+    return replace(ledger, reason=np.full(len(ledger.ccd), Reason.NOT_IN_PLACE.number))
+
+
 def counted(dump, side, named, calibration):
-    """Bright stars found, and expected, by strip and CCD."""
-    return sky_counts(side, sky_looked_for(dump, side, named, calibration.estimate.R_cs))
+    """Bright stars that the strips must show, found or not."""
+    return star_ledger(dump, side, named, calibration.estimate.R_cs)
 
 
 def replace_named(one, found, rows):
@@ -308,8 +313,13 @@ def replace_named(one, found, rows):
 
 def test_what_several_ccds_lost_counts_together():
     cloud = {("s", 0): (1, 3), ("s", 1): (2, 3), ("s", 2): (3, 3), ("s", 3): (2, 3)}
-    assert lost_ccds(cloud) == {}
+    assert lost_ccds(ledger_of_cells(cloud)) == []
     few = {("s", 0): (0, 3), ("s", 1): (5, 5), ("s", 2): (0, 4), ("s", 3): (4, 4)}
-    assert lost_ccds({**few, ("s", 2): (4, 4)}, LOST_SHARE) == {}  # three stars of one CCD may be chance
-    assert lost_ccds(few, LOST_SHARE) == {0: (0, 3), 2: (0, 4)}
-    assert lost_ccds({("s", ccd): (0, 5) for ccd in range(4)}) == {}  # a strip that shows nothing
+    three = ledger_of_cells({**few, ("s", 2): (4, 4)})
+    assert lost_ccds(three, OF_STARS_OF_TARGETS) == []  # three stars of one CCD may be chance
+    assert lost_ccds(ledger_of_cells(few), OF_STARS_OF_TARGETS) == [0, 2]
+    nothing = ledger_of_cells({("s", ccd): (0, 5) for ccd in range(4)})
+    assert lost_ccds(nothing) == []  # a strip that shows nothing
+
+
+OF_STARS_OF_TARGETS = replace(OF_STARS, probability=OF_TARGETS.probability)

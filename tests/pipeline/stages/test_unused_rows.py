@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from boresight.calib.finding import MOST_WORDS
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.diagnosis.input_findings import outside_chips
 from boresight.pipeline.diagnosis.unused_rows import (
@@ -19,7 +20,6 @@ from boresight.pipeline.diagnosis.unused_rows import (
     unseen_targets,
     without_measurement,
 )
-from boresight.pipeline.errors import Cause, Omission
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.writing import verdict_json
@@ -69,7 +69,7 @@ def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
     found = {one.name: one for one in unseen_targets(dump, tasks, matched)}
     assert set(found) == set(more)
     for name, (_, _, _, text) in SLIPPED.items():
-        assert text in found[name].reason and found[name].cause == Cause.OUTSIDE_CHIP, found[name]
+        assert text in found[name].text and found[name].reason is Reason.OUTSIDE_CHIP, found[name]
     assert found["exchanged"].reason.startswith("it lies in a gap between the CCDs of strip s01; ")
     assert 7950 < float(found["south"].reason.split()[2]) < 8050  # km: twice 36 degrees of latitude
     for finding in outside_chips(list(found.values())):
@@ -80,12 +80,11 @@ def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
 def test_coordinates_that_are_off_together_accuse_no_target_that_a_slip_does_not_explain() -> None:
     """All 0.36 km off: of most a changed digit would put them right, of one none does."""
 
-    def outside(name: str, reason: str) -> Omission:
-        return Omission("target", f"s01/{name}, CCD 0", "", f"19 px outside; {reason}", Cause.OUTSIDE_CHIP)
+    def outside(name: str, slip: str) -> Entry:
+        subject = Subject(Kind.TARGET, strip="s01", ccd=0, id=name)
+        return Entry(subject, Reason.OUTSIDE_CHIP, "19 px outside", slip=slip)
 
-    digit = "lon_deg 102.913 for 102.917 (one digit) would lie in its chip; correct targets.csv"
-    far = "0.366 km from the middle of its chip; correct its coordinates or chip"
-    off = [*(outside(f"t{n}", digit) for n in range(5)), outside("t9", far)]
+    off = [*(outside(f"t{n}", "lon_deg (one digit)") for n in range(5)), outside("t9", "")]
     assert [one.item for one in outside_chips(off)] == ["5 targets", "1 target"]
     assert [one.item for one in outside_chips(off[-1:])] == ["target t9"]
 
@@ -100,7 +99,7 @@ def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
     strip = replace(calibration.tasks[0].strip, ccd_lines=dict.fromkeys(range(4), 40))
     tasks = [replace(calibration.tasks[0], strip=strip)]
     (one,) = unseen_targets(dump, tasks, [far])
-    assert one.cause == Cause.OUT_OF_VIEW and "strip, s01" in one.reason
+    assert one.reason is Reason.OUT_OF_VIEW and "strip, s01" in one.text
     assert list(outside_chips([one])) == []
 
 
@@ -135,7 +134,7 @@ def test_rows_that_nothing_needs_are_counted(
     partly = verdict_json(calibration.verdict, [Rows("targets", 35, 36), Rows("strips", 3, 3)])
     assert partly["sentence"].endswith("; used: 35 of 36 targets")
     assert unneeded_exposures(dump, 1.0) == []
-    assert [one.name for one in unneeded_exposures(dump, 0.3)] == [
+    assert [one.subject.name for one in unneeded_exposures(dump, 0.3)] == [
         "e0001",
         "e0014",
     ]  # 0.4 s outside the strip
@@ -147,6 +146,9 @@ def test_a_ccd_without_a_measurement_has_its_reason(calibration: DumpCalibration
     elsewhere = replace(matched, ccd=np.where(matched.ccd == 2, 1, matched.ccd))
     (empty,) = without_measurement([task.strip], [elsewhere])
     assert (empty.name, empty.reason) == ("s01/2", "no target lies in it")
-    lost = tuple(Omission("target", f"s01/t{n}, CCD 2", reason="cloud") for n in range(3))
+    lost = tuple(
+        Entry(Subject(Kind.TARGET, strip="s01", ccd=2, id=f"t{n}"), Reason.LOW_CORRELATION, "cloud")
+        for n in range(3)
+    )
     (cloudy,) = without_measurement([task.strip], [replace(elsewhere, omissions=lost)])
     assert cloudy.reason == "none of its 3 targets was matched"

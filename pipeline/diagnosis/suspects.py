@@ -1,0 +1,230 @@
+"""Single targets that contradict the rest: where each lies, and what several of them have in common."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import xlogy
+
+from boresight.calib.finding import Finding
+from boresight.calib.reliability import Contradiction
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.ledger import Kind, Ledger, Subject
+from boresight.pipeline.stages.point_slips import fitting_slip
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
+
+__all__ = ["MeasuredTargets", "single_targets"]
+
+FEWEST = 3  # targets that make a pattern
+SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
+# Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
+GROUP_PENALTY = 3.0
+SHOWN = 4  # names in a sentence
+
+
+@dataclass(frozen=True)
+class MeasuredTargets:
+    """Where strips of the ground show their targets."""
+
+    tasks: Mapping[str, StripTask]  # strips by id, with the estimated matrix
+    xy_px: Mapping[Subject, tuple[float, ...]]  # (sample, line) by target
+
+    @classmethod
+    def of(
+        cls, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], R_cs: Rotation
+    ) -> MeasuredTargets:
+        """Targets that were matched, and those that contradict the others of their strips."""
+        xy_px: dict[Subject, tuple[float, ...]] = {}
+        for strip in matched:
+            for name, ccd, place in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
+                xy_px[Subject(Kind.TARGET, strip=strip.strip_id, ccd=ccd, id=name)] = tuple(place)
+            xy_px |= {entry.subject: entry.xy_px for entry in strip.contradicting}
+        return cls({task.strip.strip_id: replace(task, R_cs=R_cs) for task in tasks}, xy_px)
+
+    def is_point(self, subject: Subject) -> bool:
+        """Whether a target is a point that others measured: without a chip."""
+        points = self.tasks[subject.strip].points.targets
+        return any(target.target_id == subject.id for target in points)
+
+    def slip(self, subject: Subject) -> str:
+        """What would have to be read for the coordinates of a measured point, behind a semicolon."""
+        task = self.tasks[subject.strip]
+        (point,) = [target for target in task.points.targets if target.target_id == subject.id]
+        return fitting_slip(task, point, subject.ccd, np.array(self.xy_px[subject]))
+
+    def displaced(self, suspect: Contradiction) -> tuple[float, float, float]:
+        """How far a stated place lies east and north of the true one, and the 1-sigma of that distance, m."""
+        subject = suspect.subject
+        task, xy_px = self.tasks[subject.strip], self.xy_px[subject]
+        stated_m = np.array(displaced_m(task, subject.id, subject.ccd, xy_px))
+        ccd, line = np.array([subject.ccd]), np.array([xy_px[1]])
+        t_s = np.asarray(pushbroom_of(task).instants_of_lines(ccd, line))
+        every = (*task.targets, *task.points.targets)
+        p_e = next(target.p_e for target in every if target.target_id == subject.id)
+        lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
+        axes_i = task.orbit.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
+        off_m, covariance = suspect.displaced_m(
+            stated_m, (task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i)[:, :2]
+        )
+        along = off_m / max(float(np.hypot(*off_m)), 1e-9)
+        return float(off_m[0]), float(off_m[1]), float(np.sqrt(along @ covariance @ along))
+
+
+def single_targets(
+    suspects: Sequence[Contradiction],
+    measured: MeasuredTargets,
+    ledger: Ledger,
+    *,
+    is_explained: bool = False,
+) -> Iterator[Finding]:
+    """A finding for each target of the ground that is off and, where more than three of a strip, of a CCD or
+    of a CCD in one strip are, one for that group; none for groups where a common cause is found already. The
+    ledger holds all targets in view.
+    """
+    rest = [suspect for suspect in suspects if suspect.subject in measured.xy_px]
+    in_strips, in_ccds = defaultdict[str, list[Subject]](list), dict[int, list[Subject]]()
+    for group in _groups([suspect.subject for suspect in rest], ledger):
+        those = [suspect.subject for suspect in rest if _holds(group, suspect.subject)]
+        rest = [suspect for suspect in rest if not _holds(group, suspect.subject)]
+        if is_explained:
+            continue
+        if group.ccd < 0:
+            yield _of_strip(group.strip, those, of_points=measured.is_point(those[0]))
+        elif group.strip:
+            in_strips[group.strip] += those
+        else:
+            in_ccds[group.ccd] = those
+    if in_ccds:
+        first = next(iter(in_ccds.values()))[0]
+        yield _of_ccds(in_ccds, of_points=measured.is_point(first))
+    for strip_id, those in in_strips.items():
+        yield _of_cells(strip_id, those, of_points=measured.is_point(those[0]))
+    of_target: dict[str, list[Contradiction]] = defaultdict(list)
+    for suspect in rest:
+        of_target[suspect.subject.id].append(suspect)
+    yield from (_of_target(those, measured) for those in of_target.values())
+
+
+def _of_target(those: Sequence[Contradiction], measured: MeasuredTargets) -> Finding:
+    """One target that is off, in one strip or in several."""
+    worst = max(those, key=lambda suspect: suspect.distance)
+    subject, strips = worst.subject, [suspect.subject.strip for suspect in those]
+    east_m, north_m, sigma_m = measured.displaced(worst)
+    is_point = measured.is_point(subject)
+    file, what = ("points.csv", "it lies") if is_point else ("targets.csv", "its chip or coordinates lie")
+    advice = measured.slip(subject) if is_point else ""
+    advice = advice or f": check {file}{'' if is_point else ' and the chip'}"
+    return Finding(
+        cause="coordinates" if is_point else "coordinates or chip",
+        item=f"target {subject.id} (strip{'s' if len(strips) > 1 else ''} {', '.join(strips)})",
+        subjects=tuple(replace(suspect.subject, ccd=-1) for suspect in those),
+        text=f"{what} about {compass(east_m, north_m)} of the true place ({worst.distance:.1f} σ){advice}.",
+        value=float(np.hypot(east_m, north_m)),
+        sigma=sigma_m,
+        unit="m",
+        file=file,
+        field="lat_deg, lon_deg",
+        explains=tuple(suspect.subject for suspect in those),
+    )
+
+
+EVERY = Subject(Kind.TARGET)  # the group of all targets
+
+
+def _holds(group: Subject, target: Subject) -> bool:
+    return group == EVERY or group.holds(target)
+
+
+def _groups(suspected: Sequence[Subject], ledger: Ledger) -> list[Subject]:
+    """What more than three targets that are off have in common: all, strips, CCDs or CCDs in one strip,
+    whichever explains most. The gain of a group is that of the likelihood if it has a share of its own, less
+    a penalty.
+    """
+    kinds: list[set[Subject]] = [
+        {EVERY},
+        {Subject(Kind.STRIP, strip=target.strip) for target in suspected},
+        {Subject(Kind.CCD, ccd=target.ccd) for target in suspected},
+        {Subject(Kind.CCD, strip=target.strip, ccd=target.ccd) for target in suspected},
+    ]
+    best, most = list[Subject](), 0.0
+    for kind in kinds:
+        sizes = {group: sum(_holds(group, target) for target in suspected) for group in kind}
+        crowded = [group for group in kind if sizes[group] > FEWEST]
+        crowded.sort(key=lambda group: (-sizes[group], group.name))
+        in_view = {g: len(ledger.ccd) if g == EVERY else int(ledger.within([g]).sum()) for g in crowded}
+        gain = sum(_gain(sizes[group], in_view[group]) for group in crowded)
+        if gain > most:
+            best, most = crowded, gain
+    return best
+
+
+def _gain(k: int, n: int) -> float:
+    """Of the logarithm of the likelihood, if k of n targets are off with a share of their own."""
+    n = max(k, n)
+    own = float(xlogy(k, k / n / SUSPECT_SHARE) + xlogy(n - k, (1.0 - k / n) / (1.0 - SUSPECT_SHARE)))
+    return own - GROUP_PENALTY
+
+
+def _of_ccds(of_ccds: Mapping[int, Sequence[Subject]], *, of_points: bool) -> Finding:
+    """Targets of CCDs that contradict the rest in all strips: of two, perhaps, because they are exchanged."""
+    those = tuple(target for ccd in of_ccds for target in of_ccds[ccd])
+    images = "ccd in points.csv" if of_points else "files in strips.csv"
+    fields = "rotation_mrad, x_offset_mm, y_first_mm"
+    first, second = f"{fields} in remote_camera.toml", f"{images} exchanged"
+    if len(of_ccds) == 2:
+        first, second = second, first
+    subjects = tuple(Subject(Kind.CCD, ccd=ccd) for ccd in sorted(of_ccds))
+    return Finding(
+        cause="look directions of a CCD" if len(of_ccds) == 1 else "images or look directions of CCDs",
+        item=" and ".join(subject.words for subject in subjects),
+        subjects=subjects,
+        text=f"{len(those)} of {'its' if len(of_ccds) == 1 else 'their'} targets contradict the rest: check "
+        f"{first}; or {second}.",
+        file="remote_camera.toml",
+        field=fields,
+        explains=those,
+    )
+
+
+def _of_strip(strip_id: str, those: Sequence[Subject], *, of_points: bool) -> Finding:
+    """Targets of one strip, or of all, that contradict the rest."""
+    file, chips = ("points.csv", "") if of_points else ("targets.csv", " and the chips")
+    if not strip_id:
+        return Finding(
+            cause="look directions or coordinates",
+            item=f"{len(those)} targets of all strips",
+            text="they contradict the rest, and no common cause explains them: check x_offset_mm, y_first_mm "
+            f"in remote_camera.toml, and {file}.",
+            file=f"remote_camera.toml, {file}",
+            explains=tuple(those),
+        )
+    more = " and more" if len(those) > SHOWN else ""
+    shown = f"{', '.join([target.id for target in those][:SHOWN])}{more}"
+    return Finding(
+        cause="coordinates or chips",
+        item=f"{len(those)} targets in strip {strip_id}",
+        subjects=(Subject(Kind.STRIP, strip=strip_id),),
+        text=f"{shown} contradict the rest, and no common cause explains them: check {file}{chips}.",
+        file=file,
+        explains=tuple(those),
+    )
+
+
+def _of_cells(strip_id: str, those: Sequence[Subject], *, of_points: bool) -> Finding:
+    """Targets of CCDs in one strip that contradict the rest."""
+    ccds = sorted({target.ccd for target in those})
+    file, field = ("points.csv", "ccd") if of_points else ("strips.csv", "file")
+    return Finding(
+        cause="images of a CCD",
+        item=f"{' and '.join(f'CCD {ccd}' for ccd in ccds)} in strip {strip_id}",
+        subjects=tuple(Subject(Kind.CCD, strip=strip_id, ccd=ccd) for ccd in ccds),
+        text=f"{len(those)} targets contradict the rest: check {field} in {file}, CCDs may be exchanged.",
+        file=file,
+        field=field,
+        explains=tuple(those),
+    )
