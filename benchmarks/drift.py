@@ -37,7 +37,7 @@ from boresight.calib.information import InformationPairs, solve_total
 from boresight.features.drift.matrix_drift import DriftSettings, MountingSeries, estimate_drift
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.pipeline.calibration.plan_forecast import settings_of_plan
+from boresight.pipeline.results.plan_forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 Array = NDArray[np.float64]

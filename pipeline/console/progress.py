@@ -10,7 +10,7 @@ from typing import Any
 from rich import console, progress
 
 from boresight.pipeline.console.messages import log, shows_bars
-from boresight.pipeline.stages.stage_words import stage_words
+from boresight.pipeline.run.stage_words import stage_words
 
 __all__ = ["progress_bars"]
 

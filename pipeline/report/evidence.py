@@ -44,7 +44,6 @@ from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.calibration.plan_forecast import improvements
 from boresight.pipeline.diagnosis.head_records import attitude_signal
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
@@ -59,16 +58,17 @@ from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import ground_table, scene_json, scene_pictures, scenes_of
+from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
+from boresight.pipeline.results.plan_forecast import improvements
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.sky_strip import as_matched
-from boresight.pipeline.stages.star_pictures import star_pictures
 
 __all__ = ["write_evidence", "write_joint_evidence"]
 

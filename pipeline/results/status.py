@@ -20,9 +20,9 @@ from boresight.pipeline.results.reading import read_findings
 from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.stage_words import stage_words
 from boresight.pipeline.run.unit_store import read_meta, read_unit
 from boresight.pipeline.stages.exposure import star_tasks
-from boresight.pipeline.stages.stage_words import stage_words
 from boresight.pipeline.stages.strip import MatchedTargets, covers
 from boresight.star_id.strip_stars.find import StripStars
 

@@ -25,9 +25,9 @@ from boresight.features.drift.mounting_drift import drift_of_results, named_resu
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.pipeline.calibration.plan_forecast import settings_of_plan
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.results.plan_forecast import settings_of_plan
 from boresight.pipeline.results.reading import read_mounting
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
 from boresight.simulator.sky_campaign import draw_sky_strips

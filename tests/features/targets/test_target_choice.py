@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.targets.target_choice import choose_targets
-from boresight.pipeline.calibration.plan_forecast import settings_of_plan
+from boresight.pipeline.results.plan_forecast import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 R_CS = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

@@ -91,7 +91,7 @@ PARSERS = re.compile(
 # Lines that read no subject: names of this program's own files, stages and limits, of unknowns in saved
 # tables, identifiers within drawings, and the kind of an error, which its cause begins with.
 ALLOWED = {
-    "pipeline/stages/stage_words.py": ("re.compile",),
+    "pipeline/run/stage_words.py": ("re.compile",),
     "pipeline/results/limits.py": ("min-",),
     "pipeline/results/ownership.py": ("re.compile",),
     "pipeline/results/reading.py": ("ALIGNMENT", "DISTORTION", "target/"),

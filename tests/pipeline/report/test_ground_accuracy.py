@@ -14,8 +14,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.pipeline.calibration.plan_forecast import improvements
 from boresight.pipeline.report.ground_accuracy import predicted_accuracy, radius_90
+from boresight.pipeline.results.plan_forecast import improvements
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 

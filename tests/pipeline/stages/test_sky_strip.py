@@ -30,10 +30,10 @@ from boresight.pipeline.diagnosis.sky_losses import (
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.sky_side import scatter_px
 from boresight.pipeline.stages.sky_strip import NamedStars
-from boresight.pipeline.stages.star_pictures import star_pictures
 
 SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
