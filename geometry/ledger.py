@@ -322,6 +322,7 @@ class Ledger:
     ccd: Ints = array("N", "CCD of the camera, from 0")
     id: Texts = array("N", "target or star")
     part: Floats = array("N", "place on the CCD: 0 the first sample, 1 the last; NaN: not known")
+    along: Floats = array("N", "place along the strip: 0 the first line, 1 the last; NaN: not known")
     magnitude: Floats = array("N", "V magnitude; NaN: not a star")
     reason: Ints = array("N", "number of the reason in `Reason`; 0: found")
 
@@ -336,6 +337,7 @@ class Ledger:
             ccd=whole,
             id=text,
             part=number,
+            along=number,
             magnitude=number,
             reason=whole,
         )
@@ -351,7 +353,7 @@ class Ledger:
 
     def take(self, rows: Bools | Ints) -> Ledger:
         """Some of the rows."""
-        columns = ("strip", "ccd", "id", "part", "magnitude", "reason")
+        columns = ("strip", "ccd", "id", "part", "along", "magnitude", "reason")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def of_strip(self, strip_id: str) -> Ledger:

@@ -18,6 +18,7 @@ def ledger_of(
     ids: Sequence[str] | None = None,
     *,
     part: Sequence[float] | float = 0.25,
+    along: Sequence[float] | float = 0.5,
     magnitude: Sequence[float] | float = np.nan,
     kind: Kind = Kind.TARGET,
 ) -> Ledger:
@@ -30,6 +31,7 @@ def ledger_of(
         ccd=np.array(ccds, dtype=np.int64),
         id=np.array(ids if ids is not None else [f"t{k}" for k in range(n)], dtype=str),
         part=np.broadcast_to(np.asarray(part, dtype=float), n),
+        along=np.broadcast_to(np.asarray(along, dtype=float), n),
         magnitude=np.broadcast_to(np.asarray(magnitude, dtype=float), n),
         reason=np.array([reason.number for reason in reasons], dtype=np.int64),
     )

@@ -7,8 +7,8 @@ test. What another cause explains is a mask: a group is explained if its loss is
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.special import bdtrc
 
 from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Entry, Kind, Ledger, Reason, Subject
-from boresight.geometry.record import Bools, record, scalar
+from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.image_files import StripFiles
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
@@ -40,7 +40,6 @@ __all__ = [
 FEWEST = 3  # targets that make a pattern
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
-HALVES = ("first", "second")  # of samples, or of CCDs in order of their numbers
 
 
 @record(kw_only=True)
@@ -75,27 +74,29 @@ def ground_ledger(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets],
     """Targets in view of strips of the ground: those matched, and those that were not, at the places where
     the matrix `R_cs` expects them.
     """
-    rows: list[tuple[int, int, str, float, int]] = []
+    rows: list[tuple[int, int, str, float, float, int]] = []
     for n, (task, strip) in enumerate(zip(tasks, matched)):
-        last = [task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)]
-        seen = zip(strip.ccd.tolist(), strip.target_id.tolist(), strip.xy_px[:, 0].tolist())
-        rows += [(n, ccd, name, sample / last[ccd], 0) for ccd, name, sample in seen]
+        ends = [(task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0) for ccd in range(task.camera.n_ccds)]
         missing = [entry for entry in strip.omissions if entry.subject.ccd >= 0]
         p_e = {target.target_id: target.p_e for target in task.targets} if missing else {}
         model = pushbroom_of(replace(task, R_cs=R_cs)) if missing else None
+        for name, ccd, xy_px in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
+            rows.append((n, ccd, name, xy_px[0] / ends[ccd][0], xy_px[1] / ends[ccd][1], 0))
         for entry in missing:
-            ccd, name, part = entry.subject.ccd, entry.subject.id, np.nan
+            ccd, name = entry.subject.ccd, entry.subject.id
+            place: Floats = np.full(2, np.nan)
             if model is not None and name in p_e:
-                part = float(model.pixels_from_ground(ccd, p_e[name][None])[0][0]) / last[ccd]
-            rows.append((n, ccd, name, part, entry.reason.number))
-    strip_of, ccd_of, names, parts, reasons = zip(*rows) if rows else ((),) * 5
+                place = np.concatenate(model.pixels_from_ground(ccd, p_e[name][None])) / ends[ccd]
+            rows.append((n, ccd, name, float(place[0]), float(place[1]), entry.reason.number))
+    numbers, ccds, names, part, along, reasons = zip(*rows) if rows else ((),) * 6
     return Ledger(
         kind=Kind.TARGET,
         strips=tuple(strip.strip_id for strip in matched),
-        strip=np.array(strip_of, dtype=np.int64),
-        ccd=np.array(ccd_of, dtype=np.int64),
+        strip=np.array(numbers, dtype=np.int64),
+        ccd=np.array(ccds, dtype=np.int64),
         id=np.array(names, dtype=str),
-        part=np.array(parts, dtype=float),
+        part=np.array(part, dtype=float),
+        along=np.array(along, dtype=float),
         magnitude=np.full(len(rows), np.nan),
         reason=np.array(reasons, dtype=np.int64),
     )
@@ -107,7 +108,7 @@ def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
     ledger = ledger.take(shown)
     if not len(ledger.ccd):
         return
-    groups, found = list(_halves(ledger)), ledger.found
+    groups, found = [group for split in SPLITS for group in split.groups(ledger)], ledger.found
     left: Bools = np.isin(ledger.ccd, ledger.ccd[found])  # a CCD without any is a finding of its own
     while True:
         tested = [_p_value(ledger, group, left, limits) * len(groups) for group in groups]
@@ -141,52 +142,94 @@ def _p_value(ledger: Ledger, group: Group, left: Bools, limits: LossLimits) -> f
     return float(bdtrc(n - kept - 1, n, limits.share))
 
 
-def _halves(ledger: Ledger) -> Iterator[Group]:
-    """Halves of CCDs and of the field, and of the stars of strips in order of magnitude."""
-    ccd, part, magnitude = ledger.ccd, ledger.part, ledger.magnitude
-    numbers = np.unique(ccd)
+Wholes = Iterator[tuple[tuple[Subject, ...], Bools]]
 
-    def pair(
-        cause: str,
-        items: Sequence[str],
-        subjects: tuple[Subject, ...],
-        advice: str,
-        first: Bools,
-        second: Bools,
-    ) -> Iterator[Group]:
-        for item, inside, beside in ((items[0], first, second), (items[1], second, first)):
-            yield Group(
-                cause=cause, item=item, subjects=subjects, advice=advice, inside=inside, beside=beside
-            )
 
-    for number in numbers.tolist():
-        here, low, subject = ccd == number, part < 0.5, Subject(Kind.CCD, ccd=number)
-        items = [f"{half} half of {subject.words}" for half in HALVES]
-        dead = "check its images for dead pixels"
-        yield from pair("lost part of a CCD", items, (subject,), dead, here & low, here & ~low)
-    if len(numbers) > 1:
-        low = np.searchsorted(numbers, ccd) + part < 0.5 * len(numbers)
-        items = [f"{half} half of the field" for half in HALVES]
-        sides = "check images and look directions of its CCDs"
-        yield from pair("lost part of the field", items, (), sides, low, ~low)
+def _ccds(ledger: Ledger) -> Wholes:
+    for number in np.unique(ledger.ccd).tolist():
+        yield (Subject(Kind.CCD, ccd=number),), ledger.ccd == number
+
+
+def _field(ledger: Ledger) -> Wholes:
+    if len(np.unique(ledger.ccd)) > 1:
+        yield (), np.ones(len(ledger.ccd), dtype=bool)
+
+
+def _strips(ledger: Ledger) -> Wholes:
     for number, name in enumerate(ledger.strips):
-        here = (ledger.strip == number) & np.isfinite(magnitude)
-        if not here.any():
-            continue
-        subject, middle = Subject(Kind.STRIP, strip=name), float(np.median(magnitude[here]))
-        faint = here & (magnitude > middle)
-        for cause, words, advice, inside in (
-            ("lost faint stars", "fainter", "check gain, exposure and background of its images", faint),
-            ("lost bright stars", "brighter", "check its images for saturation", here & ~faint),
-        ):
-            yield Group(
-                cause=cause,
-                item=f"{subject.words}, {words} than V {middle:.1f}",
-                subjects=(subject,),
-                advice=advice,
-                inside=inside,
-                beside=here & ~inside,
-            )
+        yield (Subject(Kind.STRIP, strip=name),), ledger.strip == number
+
+
+def _strips_of_stars(ledger: Ledger) -> Wholes:
+    is_star = np.isfinite(ledger.magnitude)
+    yield from ((strip, here & is_star) for strip, here in _strips(ledger) if (here & is_star).any())
+
+
+def _across_field(ledger: Ledger) -> Floats:
+    numbers = np.unique(ledger.ccd)
+    return np.asarray((np.searchsorted(numbers, ledger.ccd) + ledger.part) / len(numbers))
+
+
+@dataclass(frozen=True)
+class Split:
+    """A way to cut what strips must show in halves: a row for each kind of loss."""
+
+    causes: tuple[str, str]  # what is lost, of the lower and of the upper half
+    items: tuple[str, str]  # the halves in words: "{whole}", and "{edge}" between them
+    advice: tuple[str, str]  # what to look at
+    wholes: Callable[[Ledger], Wholes]  # what is cut
+    value: Callable[[Ledger], Floats]  # (N,) by which it is cut
+    edge: float | None = 0.5  # below it lies the lower half; None: at the median
+
+    def groups(self, ledger: Ledger) -> Iterator[Group]:
+        """Both halves of each whole."""
+        value = self.value(ledger)
+        for subjects, here in self.wholes(ledger):
+            edge = float(np.median(value[here])) if self.edge is None else self.edge
+            low = here & (value < edge if self.edge is not None else value <= edge)
+            whole = subjects[0].words if subjects else ""
+            for n, inside in enumerate((low, here & ~low)):
+                yield Group(
+                    cause=self.causes[n],
+                    item=self.items[n].format(whole=whole, edge=edge),
+                    subjects=subjects,
+                    advice=self.advice[n],
+                    inside=inside,
+                    beside=here & ~inside,
+                )
+
+
+SPLITS = (
+    Split(
+        causes=("lost part of a CCD",) * 2,
+        items=("first half of {whole}", "second half of {whole}"),
+        advice=("check its images for dead pixels",) * 2,
+        wholes=_ccds,
+        value=lambda ledger: ledger.part,
+    ),
+    Split(
+        causes=("lost part of the field",) * 2,
+        items=("first half of the field", "second half of the field"),
+        advice=("check images and look directions of its CCDs",) * 2,
+        wholes=_field,
+        value=_across_field,
+    ),
+    Split(
+        causes=("lost bright stars", "lost faint stars"),
+        items=("{whole}, brighter than V {edge:.1f}", "{whole}, fainter than V {edge:.1f}"),
+        advice=("check its images for saturation", "check gain, exposure and background of its images"),
+        wholes=_strips_of_stars,
+        value=lambda ledger: ledger.magnitude,
+        edge=None,
+    ),
+    Split(
+        causes=("lost part of a strip",) * 2,
+        items=("first half of the lines of {whole}", "second half of the lines of {whole}"),
+        advice=("check its images for missing lines, and row_period_s",) * 2,
+        wholes=_strips,
+        value=lambda ledger: ledger.along,
+    ),
+)
 
 
 def lost_ccds(ledger: Ledger, limits: LossLimits = OF_TARGETS) -> list[int]:

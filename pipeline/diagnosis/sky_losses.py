@@ -143,6 +143,9 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
         ccd=np.concatenate([expected.ccd for expected in every]),
         id=np.array([f"{bright.name} {n}" for n in bright.places.hip[star].tolist()], dtype=str),
         part=np.concatenate(parts),
+        along=np.concatenate(
+            [each.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0) for task, each in zip(side.tasks, every)]
+        ),
         magnitude=bright.places.v_mag[star],
         reason=np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number),
     )

@@ -52,6 +52,17 @@ def test_a_half_is_told_where_its_other_half_is_whole():
     assert told([whole]) == []  # that is another finding
 
 
+def test_the_second_half_of_the_lines_of_a_scan_is_told_where_lines_are_missing_in_its_middle():
+    rng = np.random.default_rng(4)
+    names, ccd, _, part, magnitude = looked("s", rng, chance(rng, 0.0))
+    along = rng.uniform(size=len(ccd))
+    reasons = [Reason.NOT_IN_PLACE if late else Reason.NONE for late in along > 0.5]
+    ledger = ledger_of(names, ccd, reasons, part=part, along=along, magnitude=magnitude, kind=Kind.STAR)
+    (told_of_lines,) = lost_groups(ledger, OF_STARS)
+    assert told_of_lines.item == "second half of the lines of strip s"
+    assert told_of_lines.subjects == (Subject(Kind.STRIP, strip="s"),)
+
+
 def test_what_one_strip_of_the_ground_lost_may_be_a_cloud():
     rng = np.random.default_rng(3)
     cloud = looked("a", rng, lambda ccd, part, magnitude: ccd + part < 2.0)
