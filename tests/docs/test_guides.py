@@ -43,6 +43,17 @@ def test_a_readme_names_every_module_of_its_folder(folder: str) -> None:
     assert len(modules) > 10 and [name for name in modules if name not in text] == []
 
 
+def test_every_room_and_feature_has_its_tests_named() -> None:
+    table = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("| changed | run |")[2]
+    rows = dict(re.findall(r"^\| (`\w+/.*?) \| (.*) \|$", table, re.MULTILINE))
+    named = {place for changed in rows for place in re.findall(r"`([\w/]+)/`", changed)} - {"features/NAME"}
+    rooms = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("*/__init__.py")}
+    inner = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("pipeline/*/__init__.py")}
+    assert named - {"scripts"} == (rooms | inner) - {"features", "pipeline"}
+    untested = [name for name in NAMES if not list((ROOT / "tests" / "features" / name).glob("test_*.py"))]
+    assert [name for name in untested if f"of `{name}` `tests/" not in rows["`features/NAME/`"]] == []
+
+
 def test_the_architecture_names_the_commands_of_every_feature() -> None:
     text = Path(ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| ([^|;]*)[^|]* \|", text, re.MULTILINE)
