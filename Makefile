@@ -16,6 +16,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes --requirement constraints.txt
 	$(BIN)/python -m pip install --quiet --no-compile --no-deps --no-build-isolation --editable .
+	$(BIN)/python scripts/import_all.py
 	touch $@
 
 # The pinned versions anew, after a change of pyproject.toml; `make lock UPGRADE=--upgrade` takes the newest.

@@ -26,9 +26,10 @@ def command_line(words: Sequence[str] | None = None) -> typer.Typer:
 
 def run_command_line() -> None:
     """Entry point of the command `boresight`. Matplotlib draws into files only, whatever backend a user's
-    shell names.
+    shell names; rasterio reads no store by itself (`files.object_store` does) and goes without boto3.
     """
     os.environ["MPLBACKEND"] = "agg"
+    sys.modules.setdefault("boto3", None)  # type: ignore[arg-type]  # where it is installed, 0.1 s to load
     words = _words()
     begin(words)
     with errors_reported():

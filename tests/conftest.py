@@ -1,9 +1,10 @@
-"""Where tests write, and what several rooms use: small dumps, one result, the wheel in an environment
-of its own and the demo from it.
+"""Where tests write, and what several rooms use: small dumps, one result, the demo, and the wheel in an
+environment of its own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import gc
 import os
@@ -102,17 +103,19 @@ def installed(built: tuple[Path, Path], made_once) -> Path:
 
 
 @pytest.fixture(scope="session")
-def demo(installed: Path, made_once) -> Path:
+def demo(made_once) -> Path:
     """Folder outside the repository with `fixtures/mini`, its truth not among it, `demo-result`, which the
-    installed wheel has made from it, and `printed`, what it printed. Read only.
+    command has made from it, and `printed`, what it printed. Read only.
     """
 
     def fill(folder: Path) -> None:
         shutil.copytree(
             ROOT / "fixtures" / "mini", folder / "fixtures" / "mini", ignore=shutil.ignore_patterns("truth")
         )
-        printed = run(installed, "-m", "boresight", *DEMO, "--workers", "1", cwd=folder)
-        (folder / "printed").write_text(printed)
+        with contextlib.chdir(folder):
+            ran = CliRunner().invoke(app, [*DEMO, "--workers", "1"])
+        assert ran.exit_code == 0, ran.output
+        (folder / "printed").write_text(ran.stdout)
 
     return made_once("demo", fill)
 

@@ -8,10 +8,9 @@ drift.png    both, against the date
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-from matplotlib.figure import Figure
 
 from boresight.features.drift.matrix_drift import DriftSettings
 from boresight.features.drift.mounting_drift import (
@@ -28,6 +27,9 @@ from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, legend_below, panels
 from boresight.pipeline.results.writing import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["plot_drift", "write_drift"]
 
@@ -49,6 +51,8 @@ def plot_drift(table: pd.DataFrame, step: tuple[str, str, str] | None, title: st
 
     `table` as in drift.csv; `step`: its most likely date and the ends of its interval (UTC), or None.
     """
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
     figure, axes = panels(3, 1, 2.2, sharex=True)
     for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=True)):
         when = _naive(part["utc"])

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.special import chdtrc
 
 from boresight.calib.noise_spectrum import allan_deviation
@@ -20,6 +19,9 @@ from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.pipeline.results.writing import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["heads_json", "heads_lines", "noise_json", "noise_lines", "write_heads", "write_noise"]
 

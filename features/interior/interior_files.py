@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from boresight.features.interior.interior_estimate import InteriorEstimate
 from boresight.features.interior.interior_of_dumps import InteriorCalibration
@@ -17,6 +16,9 @@ from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.report.panels import GREY, OURS, THIRD, legend_below, panels
 from boresight.pipeline.results.writing import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["interior_json", "interior_lines", "write_interior"]
 

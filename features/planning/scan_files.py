@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import erfa
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from boresight.features.planning.scan_plan import PlannedScan, ScanChoice
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.files.whole_file import write_figure, write_whole
 from boresight.pipeline.report.panels import INK, OURS, SERIES, panels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["scan_lines", "scan_table", "write_scans"]
 

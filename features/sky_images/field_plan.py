@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from astropy.coordinates import get_sun
 from astropy.time import Time
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -191,6 +190,7 @@ def _table(camera: StarCamera, plan: SkyPlan) -> pd.DataFrame:
 
 def _draw(camera: StarCamera, plan: SkyPlan, table: pd.DataFrame, index: StarIndex, path: Path) -> None:
     """The fields on the sky, numbered, and how the camera becomes known with them."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     figure, ((sky, error),) = panels(1, 2, 3.2, width_ratios=(1.7, 1.0))
     bright = index.stars.v_mag < 4.5

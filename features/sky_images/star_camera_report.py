@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from matplotlib.collections import EllipseCollection
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
@@ -276,6 +274,8 @@ def _report(result: CameraCalibration, cells: ResidualMap) -> dict[str, Any]:
 
 def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     """Mean residual of each cell of the detector as an arrow, its 1-sigma error as a circle at its foot."""
+    from matplotlib.collections import EllipseCollection
+    from matplotlib.patches import Rectangle
 
     camera = result.camera
     rows, columns = cells.count.shape

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.targets.check_page import write_check_page
 from boresight.features.targets.dump_check import check_dump, check_lines
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
@@ -32,6 +31,8 @@ def dump_check_command(
         found = check_dump(dump, read_settings(settings), executor)
     lines = check_lines(found)
     if out is not None:
+        from boresight.features.targets.check_page import write_check_page  # with Matplotlib 0.2 s to load
+
         write_check_page(found, out)
         lines.append(f"-> {out}")
     failed = bool(found.faults) or not (found.footprints or found.sky_strips)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["AXES", "BOUND", "GREY", "INK", "OURS", "SERIES", "THIRD", "WIDTH_IN", "legend_below", "panels"]
 
@@ -28,6 +30,8 @@ def panels(
     **given: Any,
 ) -> tuple[Figure, np.ndarray]:
     """A figure with rows x columns of axes, each row so many inches high; `given` is passed to `subplots`."""
+    from matplotlib.figure import Figure  # 0.2 s to load; only needed to draw
+
     figure = Figure(figsize=(WIDTH_IN, height * rows + 0.6), layout="constrained")
     axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey, **given)
     for ax in axes.ravel():

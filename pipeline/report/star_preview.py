@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import skimage
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
@@ -96,7 +95,4 @@ def sky_stretch(image: NDArray[np.float32]) -> NDArray[np.float32]:
     sky = float(np.median(image))
     sigma = max(1.4826 * float(np.median(np.abs(image - sky))), 0.5)
     low, high = (sky + s * sigma for s in SKY_SIGMAS)
-    grey: NDArray[np.float32] = skimage.exposure.rescale_intensity(
-        image, in_range=(low, high), out_range=(0.0, 1.0)
-    )
-    return grey**0.6
+    return ((np.clip(image, low, high) - low) / (high - low)) ** 0.6

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import pytest
 from journeys import ROOT
+from recipe import recipe
 
 from boresight.features.table import NAMES, features
 
 FOLDERS = ("tests", "benchmarks", "scripts")  # whose README lists every module
 PAGES = ("CONTRIBUTING.md", "docs/architecture.md", *(f"{folder}/README.md" for folder in FOLDERS))
-ELSEWHERE = {"site", "truth", "utils.py"}  # what a run makes, what a dump holds, a name that no file has
+# What a run makes, what a dump holds, a name that no file has; files of a feature that a reader adds.
+ELSEWHERE = {"site", "truth", "utils.py", *recipe()}
 ROOMS = [path for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")]
 PLACES = {path.relative_to(ROOT).as_posix() for room in ROOMS for path in (room, *room.rglob("*"))}
 PLACES |= {path.name for path in ROOT.iterdir()}
@@ -39,6 +41,17 @@ def test_a_readme_names_every_module_of_its_folder(folder: str) -> None:
     text = (ROOT / folder / "README.md").read_text(encoding="utf-8")
     modules = [path.stem for path in (ROOT / folder).glob("*.py")]
     assert len(modules) > 10 and [name for name in modules if name not in text] == []
+
+
+def test_every_room_and_feature_has_its_tests_named() -> None:
+    table = (ROOT / "tests" / "README.md").read_text(encoding="utf-8").partition("| changed | run |")[2]
+    rows = dict(re.findall(r"^\| (`\w+/.*?) \| (.*) \|$", table, re.MULTILINE))
+    named = {place for changed in rows for place in re.findall(r"`([\w/]+)/`", changed)} - {"features/NAME"}
+    rooms = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("*/__init__.py")}
+    inner = {path.parent.relative_to(ROOT).as_posix() for path in ROOT.glob("pipeline/*/__init__.py")}
+    assert named - {"scripts"} == (rooms | inner) - {"features", "pipeline"}
+    untested = [name for name in NAMES if not list((ROOT / "tests" / "features" / name).glob("test_*.py"))]
+    assert [name for name in untested if f"of `{name}` `tests/" not in rows["`features/NAME/`"]] == []
 
 
 def test_the_architecture_names_the_commands_of_every_feature() -> None:
