@@ -401,7 +401,7 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
 
     best = min(max(int(gained(_STRETCH_SIZES_PX).argmax()), 1), len(_STRETCH_SIZES_PX) - 2)
     size = _zero(slope, *_STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
-    return size * share_by_evidence(float(gained(np.array([size]))[0]), _PER_PARAMETER) ** 0.5
+    return size * share_by_evidence(float(gained(np.array([size], dtype=np.float64))[0]), _PER_PARAMETER) ** 0.5
 
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
