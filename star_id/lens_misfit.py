@@ -62,7 +62,7 @@ _TRIED_SHARES = (1.0, 0.5)
 # Size of the distortion of these trials over the root of the common variance.
 _TRIED_WARP = 2.0
 # Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
-_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)
+_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
 # Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
 # one parameter (Akaike 1974).
 _PER_PARAMETER = 1.0
@@ -401,7 +401,8 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
 
     best = min(max(int(gained(_STRETCH_SIZES_PX).argmax()), 1), len(_STRETCH_SIZES_PX) - 2)
     size = _zero(slope, *_STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
-    return size * share_by_evidence(float(gained(np.array([size], dtype=np.float64))[0]), _PER_PARAMETER) ** 0.5
+    likeliest = gained(np.array([size], dtype=np.float64))
+    return size * share_by_evidence(float(likeliest[0]), _PER_PARAMETER) ** 0.5
 
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
