@@ -200,7 +200,7 @@ def compare(peer, roll_deg, report):
         script = Path(__file__).with_name("rugged_peer.py")
         subprocess.run([peer, script, folder / "scene.npz", folder / "result.npz"], check=True)
         theirs = dict(np.load(folder / "result.npz"))
-    layers = theirs["layers"][np.argsort(theirs["layers"][:, 0])]
+    layers = theirs["layers"][np.argsort(theirs["layers"][:, 0], kind="stable")]
     layered = layered_atmosphere(*layers.T)
     south, west, step = np.degrees(origin)
     rows = dem.shape[0]

@@ -453,7 +453,7 @@ def point_values(content: tuple[str, bytes], folder: Path) -> list[Any]:
     )
     image = "b.tif" if b"b.tif" in content[1] else None
     found = read_measured_points(path, errors, image)
-    order = np.argsort(found.xy_px[:, 0])
+    order = np.argsort(found.xy_px[:, 0], kind="stable")
     return [found.xy_px[order], found.lat_lon_height[order]]
 
 

@@ -86,7 +86,7 @@ class Lens:
         false = len(rows) // 2
         xy = np.vstack([xy, rng.uniform(-0.5, SIZE - 0.5, (false, 2))])
         snr = np.append(snr, rng.choice(snr, false))
-        kept = np.argsort(-snr)[rng.random(len(snr)) > 0.2]
+        kept = np.argsort(-snr, kind="stable")[rng.random(len(snr)) > 0.2]
         return listed(xy[kept], snr[kept])
 
 

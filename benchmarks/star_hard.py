@@ -313,7 +313,7 @@ def _sky(row: Row, camera: StarCamera, R_si: Rotation, places, rng) -> Stars:
 def _list(row: Row, sky: Stars, rng) -> tuple[NDArray, StarList]:
     """Centroids as from a detector: the brightest stars with errors as their SNR makes them, and false faint
     ones, spread evenly, as faint as the fainter half of the stars."""
-    bright = np.argsort(-sky.electrons)[: row.centroids]
+    bright = np.argsort(-sky.electrons, kind="stable")[: row.centroids]
     flux = sky.electrons[bright] * rng.normal(1.0, 0.1, row.centroids).clip(0.5)
     faint = np.sort(flux)[: row.centroids // 2]
     flux = np.append(flux, rng.choice(faint, row.false))
@@ -321,7 +321,7 @@ def _list(row: Row, sky: Stars, rng) -> tuple[NDArray, StarList]:
     sigma = np.maximum(1.1 / snr, 0.01)
     xy = np.vstack([sky.xy_px[bright], rng.uniform(0, row.side_px - 1, (row.false, 2))])
     xy[: row.centroids] += rng.normal(size=(row.centroids, 2)) * sigma[: row.centroids, None]
-    order = np.argsort(-flux)
+    order = np.argsort(-flux, kind="stable")
     blank = list_stars(rng.normal(100.0, 2.0, (64, 64)).astype(np.float32), StarSettings())
     no = np.zeros(len(order), dtype=bool)
     stars = replace(

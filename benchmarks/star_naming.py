@@ -118,11 +118,11 @@ def _microseconds_of_a_sum():
 
 def _detections(R_si, places, rng, stars, false):
     rows, xy = stars_in_view(PAPER_CAMERA, R_si, places)
-    bright = np.argsort(places.v_mag[rows])[:stars]
+    bright = np.argsort(places.v_mag[rows], kind="stable")[:stars]
     v = places.v_mag[rows[bright]] + rng.normal(0, 0.15, len(bright))
     xy = xy[bright] + rng.normal(0, 0.2, (len(bright), 2))
     xy = np.vstack([xy, rng.uniform([0, 0], SIZE, (false, 2))])
-    order = np.argsort(np.append(v, rng.choice(v, false)))
+    order = np.argsort(np.append(v, rng.choice(v, false)), kind="stable")
     return xy[order], np.append(places.hip[rows[bright]], np.zeros(false, dtype=np.int64))[order]
 
 

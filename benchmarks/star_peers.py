@@ -334,13 +334,13 @@ def _centroids(camera, R_si, places, rng, stars: int, false: int):
     from frames import stars_in_view
 
     rows, xy = stars_in_view(camera, R_si, places)
-    order = np.argsort(places.v_mag[rows])[:stars]
+    order = np.argsort(places.v_mag[rows], kind="stable")[:stars]
     v = places.v_mag[rows[order]] + rng.normal(0, 0.1, len(order))
     sigma = np.clip(1.77 / (8.0 * 10 ** (-0.4 * (v - 7.0))), 0.01, 0.3)
     xy = xy[order] + rng.normal(size=(len(order), 2)) * sigma[:, None]
     xy = np.vstack([xy, rng.uniform([0, 0], np.array(SIZE) - 1, (false, 2))])
     sigma = np.append(sigma, np.full(false, 0.2))
-    order = np.argsort(np.append(v, rng.choice(v, false)))
+    order = np.argsort(np.append(v, rng.choice(v, false)), kind="stable")
     return xy[order], sigma[order]
 
 

@@ -76,7 +76,7 @@ def uncertainty_budget(
         larger[source] = covariance(fitted, replace(model, **stated))
     found = [ErrorShare(source=source, covariance=(C - now) / STEP) for source, C in larger.items()]
     shares = [np.diag(one.covariance) / np.diag(now) for one in found]
-    order = np.argsort([-float(share.sum()) for share in shares])
+    order = np.argsort([-float(share.sum()) for share in shares], kind="stable")
     return tuple(found[n] for n in order.tolist() if shares[n].max() > STEP)
 
 

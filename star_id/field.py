@@ -104,6 +104,9 @@ _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True,
 # Squared residual of a star, in its covariance (2 degrees of freedom), at which it counts as wrong or
 # blended: exp(-18.4 / 2) = 1e-4 by chance.
 _LARGEST_SQUARE = 18.4
+# Chi-square by which another lens must be better than the first: lenses that explain the stars alike have
+# chi-squares that rounding orders (Akaike 1974: two for a parameter).
+_BEYOND_CHANCE = 2.0
 # Ratio of identified stars above which a fisheye is taken instead of a tangent lens (set by hand).
 _CLEARLY_MORE = 1.1
 # Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
@@ -325,7 +328,8 @@ def _of_likelier_projection(
 
 
 def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: StarList) -> FieldSolution:
-    """The one of several lenses that leaves the smallest residuals of the stars of `best`."""
+    """The one of several lenses that leaves the smallest residuals of the stars of `best`; the first, unless
+    others are clearly better."""
     W = np.linalg.inv(stars.cov_px[best.detections])
 
     def misfit(lens: FieldSolution) -> float:
@@ -333,7 +337,7 @@ def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: Star
         square = np.einsum("mi,mij,mj->m", residual, W, residual)
         return float(np.fmin(np.nan_to_num(square, nan=np.inf), _LARGEST_SQUARE).sum())
 
-    return min(lenses, key=misfit)
+    return min(lenses, key=lambda lens: misfit(lens) - (_BEYOND_CHANCE if lens is lenses[0] else 0.0))
 
 
 def _of_fisheye(

@@ -14,23 +14,22 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
-from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
+from boresight.star_id.lens_misfit import (
+    LensEquations,
+    LensErrors,
+    lens_errors,
+    stretch_size,
+    with_common_variance,
+)
 
-__all__ = ["FieldFit", "LensFit", "common_variance", "fit_attitude_and_lens"]
+__all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
 
 
-# Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
-_LARGEST_VARIANCE = 1e12
-# Halvings of the interval of the common variance: to the last digits. `scipy.optimize.brentq` takes 0.1 s
-# to load.
-_HALVINGS = 50
-# Most rounds of fitting the camera and the common variance in turn (set by hand).
-_ROUNDS = 8
+# Most rounds of fitting the camera and the common variance in turn (set by hand; two are usual), and the
+# relative change of the variance that ends them.
+_ROUNDS, _SMALL_CHANGE = 8, 1e-4
 # Further fits of the camera, each to places without the stretch that was seen before.
 _STRETCH_ROUNDS = 2
-# Gain of log likelihood by a variance common to all stars for it to be stated: one, for its one parameter
-# (Akaike 1974).
-_COMMON_LOG_LIKELIHOOD = 1.0
 
 
 @record
@@ -77,14 +76,12 @@ def fit_attitude_and_lens(
     taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
     that are not linear.
     """
-    fit, errors = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
-    for _ in range(_STRETCH_ROUNDS):
-        if not errors.stretch_px:
-            break
-        without = _fit(camera, R_si, xy_px, cov_px, u_i, expected, errors.stretched_px(xy_px))
-        if not without[1].stretch_px:  # at the limit of being seen
-            break
-        fit, errors = without
+    fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
+    stretch_px = stretch_size(equations, common)
+    for _ in range(_STRETCH_ROUNDS if stretch_px else 0):
+        moved_px = equations.stretched(stretch_px).displaced_px(xy_px, common)
+        fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
+    errors = lens_errors(equations, common, stretch_px)
     cov_s, fov_x_sigma = errors.of_centre()
     return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
 
@@ -97,9 +94,9 @@ def _fit(
     u_i: Floats,
     expected: StarCamera | None,
     moved_px: Floats,
-) -> tuple[CameraFit, LensErrors]:
-    """Camera and attitude of centroids that a stretch moved by `moved_px` (N, 2), and the errors of both;
-    other arguments as in `fit_attitude_and_lens`."""
+) -> tuple[CameraFit, LensEquations, float]:
+    """Camera and attitude of centroids that a stretch moved by `moved_px` (N, 2), equations for what else
+    displaces them, and a variance common to all; other arguments as in `fit_attitude_and_lens`."""
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px - moved_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
@@ -112,48 +109,10 @@ def _fit(
         cov = cov_px + common * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
-        own = 0.5 * np.trace(cov_px[fit.keep], axis1=1, axis2=2)
-        leverage, before = equations.leverage(common), common
-        common = common_variance(fit.residual_px[fit.keep], leverage, own, before)
-        if abs(common - before) <= 0.1 * before:
+        before, common = common, with_common_variance(equations, common)
+        if abs(common - before) <= _SMALL_CHANGE * before:
             break
-    whole = replace(equations, residual_px=equations.residual_px + moved_px[fit.keep])
-    return fit, lens_errors(whole, common)
-
-
-def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
-    """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
-    likelihood, from residuals (N, 2), px, of stars with variances (N,) of their own.
-
-    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
-    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
-    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
-    """
-    square = (residual_px**2).sum(axis=1)
-
-    def excess(variance: float) -> float:
-        v = own_px2 + variance
-        return float((square / v**2).sum() - ((2.0 - leverage) / v).sum())
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    most = float(square.sum() + own_px2.max())
-    while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
-        most *= 2.0
-    if most >= _LARGEST_VARIANCE:
-        return before
-    least = 0.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (least + most)
-        least, most = (middle, most) if excess(middle) > 0.0 else (least, middle)
-
-    def log_likelihood(variance: float) -> float:
-        v = own_px2 + variance
-        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
-
-    found = 0.5 * (least + most)
-    gained = log_likelihood(found) - log_likelihood(0.0)
-    return found if gained > _COMMON_LOG_LIKELIHOOD else 0.0
+    return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep]), common
 
 
 def _prior_sigmas(camera: StarCamera) -> dict[str, float]:

@@ -17,9 +17,16 @@ from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.field_fit import FieldFit, common_variance
+from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
-from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors
+from boresight.star_id.lens_misfit import (
+    LensEquations,
+    LensErrors,
+    lens_errors,
+    share_by_evidence,
+    stretch_size,
+    with_common_variance,
+)
 
 __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 
@@ -27,9 +34,10 @@ __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivati
 # Probability of rejecting a good star, by the scatter of all: they are many, and the camera is only roughly
 # known.
 _FALSE_ALARM = 1e-4
-# Squared scale and stretch, in their variances, from which the camera is not as given: 3 degrees of freedom,
-# 2 % of clean images by chance. What is below it biases the roll by up to three times its error.
-_LINEAR_SEEN = 10.0
+# Log likelihood that scale and stretch gain, half their squares in their variances, from which the camera is
+# not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
+# three times its error.
+_LINEAR_SEEN = 5.0
 # Excess of chi-square over its degrees of freedom, in its standard deviations, from which a distortion is
 # looked for (set by hand: centroids of real images are up to a fifth worse than stated).
 _EXCESS_SEEN = 4.0
@@ -37,7 +45,7 @@ _EXCESS_SEEN = 4.0
 _FEWEST = 8
 # Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
 _ANY_STRETCH_PX = 100.0
-# Most rounds of rejecting outliers and fitting again, and of estimating the variance common to all stars.
+# Most rounds of rejecting outliers and fitting again.
 _ROUNDS = 4
 # Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
 _EXPECTED_SCALE = 2e-4
@@ -50,15 +58,23 @@ def fit_known_camera(
     GCRS; `R_si` is good to some pixels.
 
     Outliers are rejected; the covariance is scaled by the reduced chi2 if that exceeds 1. Where the stars
-    show that the camera is not as given, the attitude is that of `_departing`.
+    show that the camera is not as given, the attitude is that of `_departing`, in between a mean of both.
     """
     attitude = fit_image_attitude(camera.pixel_slopes(xy_px), cov_px, u_i, R_si, _FALSE_ALARM)
-    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, attitude):
-        departing = _departing(camera, xy_px, cov_px, u_i, attitude)
-        if departing is not None:
-            return departing
     variance_factor = max(1.0, attitude.chi2 / max(attitude.dof, 1))
-    return FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
+    fit = FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
+    share = _share_that_departs(xy_px, cov_px, attitude)
+    departing = _departing(camera, xy_px, cov_px, u_i, attitude) if share else None
+    return fit if departing is None else _mean_of(fit, departing, share)
+
+
+def _mean_of(fit: FieldFit, departing: FieldFit, share: float) -> FieldFit:
+    """Mean of two attitudes of one image, the second of which has this share; their difference is in the
+    covariance."""
+    turn = (departing.R_si * fit.R_si.inv()).as_rotvec()
+    cov_s = (1.0 - share) * fit.cov_s + share * departing.cov_s + share * (1.0 - share) * np.outer(turn, turn)
+    R_si = Rotation.from_rotvec(share * turn) * fit.R_si
+    return FieldFit(R_si, cov_s, fit.camera, 0.0, share * departing.misfit_px)
 
 
 @record(kw_only=True)
@@ -84,7 +100,7 @@ def fit_scaled_camera(
     slopes = camera.pixel_slopes(xy_px)
     by_scale = focal_derivatives(camera, slopes, R_si.apply(u_i))
     fit = fit_image_attitude(slopes, cov_px, u_i, R_si, _FALSE_ALARM, by_scale=by_scale)
-    if len(xy_px) >= _FEWEST and _is_seen_to_depart(xy_px, cov_px, fit):
+    if _share_that_departs(xy_px, cov_px, fit) >= 0.5:
         departing = _departing(camera, xy_px, cov_px, u_i, fit)
         if departing is not None and departing.misfit_px > 0.0:
             return ScaledFit(
@@ -117,21 +133,23 @@ def focal_derivatives(camera: StarCamera, slopes: Floats, u_s: Floats) -> Floats
     return np.asarray(-slopes[:, :, 2] * factor[:, None])
 
 
-def _is_seen_to_depart(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) -> bool:
-    """Whether chi-square, or a scale (unless it is fitted) and stretch in the residuals of pixels (N, 2), are
-    beyond chance.
+def _share_that_departs(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) -> float:
+    """How sure it is, from 0 to 1, that chi-square, or a scale (unless it is fitted) and stretch in the
+    residuals of pixels (N, 2), are beyond chance.
 
     With z the star's place from the mean, r its residual, both as complex numbers, and v its variance, the
     estimate of a scale is  sum Re(conj(z) r) / v  over  sum |z|^2 / v,  that of a stretch  sum z r / v.
     """
-    if attitude.chi2 - attitude.dof > _EXCESS_SEEN * math.sqrt(2.0 * attitude.dof):
-        return True
+    if len(xy_px) < _FEWEST:
+        return 0.0
+    excess = (attitude.chi2 - attitude.dof) / math.sqrt(2.0 * attitude.dof)
     weight = attitude.kept / (0.5 * (cov_px[:, 0, 0] + cov_px[:, 1, 1]))
     r = attitude.residual_px.view(np.complex128)[:, 0] * weight
     z = np.ascontiguousarray(xy_px).view(np.complex128)[:, 0]
     z = z - weight @ z / weight.sum()
     scale, stretch = np.vdot(z, r).real, z @ r
-    return bool(scale**2 + abs(stretch) ** 2 > _LINEAR_SEEN * np.vdot(z, weight * z).real)
+    gained = 0.5 * float((scale**2 + abs(stretch) ** 2) / np.vdot(z, weight * z).real)
+    return max(share_by_evidence(excess, _EXCESS_SEEN), share_by_evidence(gained, _LINEAR_SEEN))
 
 
 def _departing(
@@ -160,18 +178,14 @@ def _departing(
 def _errors(equations: LensEquations) -> LensErrors:
     """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
     linear = equations.stretched(_ANY_STRETCH_PX)
-    own, common, before = 0.5 * np.trace(equations.cov_px, axis1=1, axis2=2), 0.0, -1.0
-    for _ in range(_ROUNDS):
-        solution = linear.solved(common)
-        residual = linear.residual_px - linear.columns @ solution.mean
-        before, common = common, common_variance(residual, solution.leverage, own, common)
-        if abs(common - before) <= 0.1 * before:
-            break
+    common = with_common_variance(linear, 0.0)
+    residual = linear.residual_px - linear.columns @ linear.solved(common).mean
     square = np.einsum(
         "ki,kij,kj->", residual, np.linalg.inv(equations.cov_px + common * np.eye(2)), residual
     )
-    factor = max(1.0, float(square) / max(2 * len(own) - linear.columns.shape[2], 1))
-    return lens_errors(replace(equations, variance_factor=factor), common)
+    factor = max(1.0, float(square) / max(residual.size - linear.columns.shape[2], 1))
+    scattered = replace(equations, variance_factor=factor)
+    return lens_errors(scattered, common, stretch_size(scattered, common))
 
 
 def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) -> Bools:

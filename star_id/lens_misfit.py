@@ -40,7 +40,14 @@ from boresight.star_id.camera_fit import (
     smooth_derivatives,
 )
 
-__all__ = ["LensEquations", "LensErrors", "lens_errors"]
+__all__ = [
+    "LensEquations",
+    "LensErrors",
+    "lens_errors",
+    "share_by_evidence",
+    "stretch_size",
+    "with_common_variance",
+]
 
 # Degree of the polynomials of a smooth distortion of one image: one image does not show finer structure.
 _DEGREE = 6
@@ -55,9 +62,17 @@ _TRIED_SHARES = (1.0, 0.5)
 # Size of the distortion of these trials over the root of the common variance.
 _TRIED_WARP = 2.0
 # Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
-_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101)
-# Gain of log evidence by a stretch for it to be stated: one, for its one parameter (Akaike 1974).
-_STRETCH_LOG_EVIDENCE = 1.0
+_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
+# Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
+# one parameter (Akaike 1974).
+_PER_PARAMETER = 1.0
+# Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
+_LARGEST_VARIANCE = 1e12
+# Halvings of an interval: to the last digits. `scipy.optimize.brentq` takes 0.1 s to load.
+_HALVINGS = 50
+# Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
+# hand).
+_ROUNDS, _SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
@@ -69,8 +84,9 @@ _FOCAL = PARAMETERS[:1]
 _CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
 _STEP_PX = 0.01
-# Steps to the eight neighbours of a place in the search for the best pair of sizes.
-_NEIGHBOURS = np.array([[i, j] for i in (-1.0, 0.0, 1.0) for j in (-1.0, 0.0, 1.0) if i or j])
+# Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
+# curvature that is assumed, longest step, step that ends it, and most steps (set by hand).
+_DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP, _LAST_STEP, _SEARCH_STEPS = 0.1, 0.3, 0.8, 1e-3, 20
 
 
 @record(kw_only=True)
@@ -112,13 +128,6 @@ class LensErrors:
         columns = self._columns(u_s, xy_px)
         cov = _multiplied(columns, self.covariance) @ columns.transpose(0, 2, 1)
         return xy_px + columns @ self.mean, cov + self.common_px2 * np.eye(2)
-
-    def stretched_px(self, xy_px: Floats) -> Floats:
-        """Displacements (N, 2) of pixels (N, 2) by the stretch; zero where none is seen."""
-        if not self.stretch_px:
-            return np.zeros_like(xy_px)
-        k = self._diagonal
-        return np.asarray(_stretch_derivatives(self.camera, xy_px) @ self.mean[k - 1 : k + 1])
 
     def displaced_px(self) -> float:
         """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
@@ -219,6 +228,11 @@ class LensEquations:
         sigma = np.append(self.sigma, [size_px, size_px])
         return replace(self._with(_stretch_slopes(self.camera), size_px), sigma=sigma)
 
+    def displaced_px(self, xy_px: Floats, common_px2: float) -> Floats:
+        """Displacements (N, 2) of pixels (N, 2) by the stretch of `stretched`; a variance, px^2, is added to
+        each star's."""
+        return np.asarray(_stretch_derivatives(self.camera, xy_px) @ self.solved(common_px2).mean[-2:])
+
     def distorted(self) -> LensEquations:
         """With the coefficients of a smooth distortion, of a size not stated, as the last unknowns."""
         return self._with(_bending_slopes(self.camera), self.stretch_px)
@@ -236,10 +250,6 @@ class LensEquations:
         """Normal equations with a variance, px^2, added to each star's along both axes."""
         return _Normal.of(self.columns, self.residual_px, self.cov_px + common_px2 * np.eye(2))
 
-    def leverage(self, common_px2: float) -> Floats:
-        """(K,) trace of each star's part in the solution."""
-        return self.solved(common_px2).leverage
-
     def stretch_beside(self, solution: _Linear, common_px2: float) -> tuple[Floats, Floats]:
         """A stretch (2,) without prior, and its covariance (2, 2), if it is added to the unknowns of a
         solution with `common_px2`: other unknowns that it would change are eliminated."""
@@ -251,28 +261,91 @@ class LensEquations:
         return np.linalg.solve(normal, right), np.linalg.inv(normal)
 
 
-def lens_errors(equations: LensEquations, common_px2: float) -> LensErrors:
+def share_by_evidence(gained: float, limit: float) -> float:
+    """Share that a model has in a mean with a simpler one, by the log evidence that it gains: none to half
+    a unit below the limit, all from half a unit above it. What is chosen at a limit makes results jump where
+    rounding turns the choice."""
+    return min(max(gained - limit + 0.5, 0.0), 1.0)
+
+
+def with_common_variance(equations: LensEquations, start_px2: float) -> float:
+    """Variance, px^2 along one axis, of an error that each star has for itself, as the residuals of the
+    solution with this variance show it."""
+    own, common = 0.5 * np.trace(equations.cov_px, axis1=1, axis2=2), start_px2
+    for _ in range(_ROUNDS):
+        solution = equations.solved(common)
+        residual = equations.residual_px - equations.columns @ solution.mean
+        before, common = common, _common_variance(residual, solution.leverage, own, common)
+        if abs(common - before) <= _SMALL_CHANGE * before:
+            break
+    return common
+
+
+def _common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
+    """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
+    likelihood, from residuals (N, 2), px, of stars with variances (N,) of their own.
+
+    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
+    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
+    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
+    Near that limit it is a part of its size.
+    """
+    square = (residual_px**2).sum(axis=1)
+
+    def excess(variance: float) -> float:
+        v = own_px2 + variance
+        return float((square / v**2).sum() - ((2.0 - leverage) / v).sum())
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    most = float(square.sum() + own_px2.max())
+    while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
+        most *= 2.0
+    if most >= _LARGEST_VARIANCE:
+        return before
+    likeliest = _zero(excess, 0.0, most)
+
+    def log_likelihood(variance: float) -> float:
+        v = own_px2 + variance
+        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
+
+    gained = log_likelihood(likeliest) - log_likelihood(0.0)
+    return likeliest * share_by_evidence(gained, _PER_PARAMETER)
+
+
+def _zero(falling: Callable[[float], float], least: float, most: float) -> float:
+    """Where a function that is positive at `least` and negative at `most` is zero, to the last digits."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        least, most = (middle, most) if falling(middle) > 0.0 else (least, middle)
+    return 0.5 * (least + most)
+
+
+def stretch_size(equations: LensEquations, common_px2: float) -> float:
+    """1-sigma size, px, of a stretch by its evidence; 0 where that does not ask for one."""
+    mean, covariance = equations.stretch_beside(equations.solved(common_px2), common_px2)
+    return _likely_size(mean, equations.variance_factor * covariance)
+
+
+def lens_errors(equations: LensEquations, common_px2: float, stretch_px: float) -> LensErrors:
     """Errors of the camera and rotation of one image, with what else displaces its stars.
 
     `equations` are those of `LensEquations.of`; `common_px2` is a variance along one axis that is not in
-    their covariances. A stretch is looked for and, unless the variance is 0, a smooth distortion, with which
-    the variance is estimated again.
+    their covariances, `stretch_px` the size of a stretch. Unless the variance is 0, a smooth distortion is
+    looked for, with which the variance is estimated again.
     """
+    if stretch_px:
+        equations = equations.stretched(stretch_px)
     plain = equations.solved(common_px2)
-    found, covariance = equations.stretch_beside(plain, common_px2)
-    stretch = _stretch_size(found, equations.variance_factor * covariance)
-    if stretch:
-        equations = equations.stretched(stretch)
-        plain = equations.solved(common_px2)
-    warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None
-    is_fit = equations.free == PARAMETERS and not stretch  # then it is their most probable value
+    is_fit = equations.free == PARAMETERS and not stretch_px  # then it is their most probable value
     mean = np.zeros(len(plain.mean)) if is_fit else plain.mean
-    return warped or _errors(equations, plain, mean, common_px2, equations.variance_factor)
+    without = _errors(equations, plain, mean, common_px2, equations.variance_factor)
+    warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None
+    return without if warped is None else _mean_of(without, *warped)
 
 
-def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> LensErrors | None:
-    """Errors with a smooth distortion; None if its evidence is not clearly larger than that of the solution
-    without one."""
+def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tuple[LensErrors, float] | None:
+    """Errors with a smooth distortion, and its share by evidence; None if it has none."""
     equations = equations.distorted()
     decay = np.tile([2.0 ** (-0.5 * (i + j)) for i, j in _TERMS], 2)
     normal = cache(equations.normal)  # one variance is tried with several sizes of the distortion
@@ -290,35 +363,64 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> Lens
 
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
-    if log_evidence < plain.log_evidence + _WARP_LOG_EVIDENCE:
+    share = share_by_evidence(log_evidence - plain.log_evidence, _WARP_LOG_EVIDENCE)
+    if share == 0.0:
         return None
     common, warp = sized(size)
     posterior = solved(common, warp)
-    return _errors(equations, posterior, posterior.mean, common, 1.0)
+    return _errors(equations, posterior, posterior.mean, common, 1.0), share
 
 
-def _stretch_size(mean: Floats, cov: Floats) -> float:
-    """1-sigma size, px, of the largest evidence of a stretch (2,) that was found with a covariance (2, 2);
-    0 where the evidence does not ask for it."""
+def _mean_of(errors: LensErrors, warped: LensErrors, share: float) -> LensErrors:
+    """Mean of the errors without a smooth distortion, all of whose coefficients are zero, and of those with
+    one, which have this share; what they differ by is in the covariance."""
+    more = (0, len(warped.mean) - len(errors.mean))
+    off = warped.mean - np.pad(errors.mean, more)
+    covariance = (1.0 - share) * np.pad(errors.covariance, more) + share * warped.covariance
+    return replace(
+        warped,
+        mean=warped.mean - (1.0 - share) * off,
+        covariance=covariance + share * (1.0 - share) * np.outer(off, off),
+        common_px2=(1.0 - share) * errors.common_px2 + share * warped.common_px2,
+    )
+
+
+def _likely_size(mean: Floats, cov: Floats) -> float:
+    """Size of the largest evidence, px, of a stretch (2,) that was found with a covariance (2, 2), times the
+    root of its share."""
     value, vector = np.linalg.eigh(cov)
-    square, t2 = (mean @ vector) ** 2, _STRETCH_SIZES_PX[:, None] ** 2
-    gained = 0.5 * (square / value - square / (value + t2) - np.log1p(t2 / value)).sum(axis=1)
-    best = int(gained.argmax())
-    return float(_STRETCH_SIZES_PX[best]) if gained[best] > _STRETCH_LOG_EVIDENCE else 0.0
+    square = (mean @ vector) ** 2
+
+    def gained(size: Floats) -> Floats:
+        t2 = size[:, None] ** 2
+        return 0.5 * (square / value - square / (value + t2) - np.log1p(t2 / value)).sum(axis=1)
+
+    def slope(size: float) -> float:
+        v = value + size**2
+        return float((square / v**2 - 1.0 / v).sum())
+
+    best = min(max(int(gained(_STRETCH_SIZES_PX).argmax()), 1), len(_STRETCH_SIZES_PX) - 2)
+    size = _zero(slope, *_STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
+    likeliest = gained(np.array([size], dtype=np.float64))
+    return size * share_by_evidence(float(likeliest[0]), _PER_PARAMETER) ** 0.5
 
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
-    """Place (2,) and value of the maximum of a smooth function near `start` (2,), good to a tenth: the best
-    of eight neighbours, until none is better (`scipy.optimize` takes 0.1 s to load)."""
-    place, value, step = start, function(start), 0.4
-    while step >= 0.1:
-        tried = [(function(place + move), place + move) for move in step * _NEIGHBOURS]
-        best, there = max(tried, key=lambda pair: pair[0])
-        if best > value + 0.05:
-            place, value = there, best
-        else:
-            step *= 0.5
-    return place, value
+    """Place (2,) and value of the maximum of a smooth function near `start` (2,), by Newton steps that ascend
+    whatever the curvature (`scipy.optimize` takes 0.1 s to load)."""
+    h, place = _DERIVATIVE_STEP, start
+    moves = h * np.eye(2)
+    for _ in range(_SEARCH_STEPS):
+        here, both = function(place), function(place + h)
+        more, less = (np.array([function(place + sign * move) for move in moves]) for sign in (1.0, -1.0))
+        slope, along, across = (more - less) / (2.0 * h), more + less - 2.0 * here, both - more.sum() + here
+        curvature, axes = np.linalg.eigh(np.array([[along[0], across], [across, along[1]]]) / h**2)
+        step = axes @ (axes.T @ slope / np.maximum(np.abs(curvature), _LEAST_CURVATURE))
+        length = float(np.hypot(*step))
+        place = place + step * min(1.0, _LONGEST_STEP / max(length, _LAST_STEP))
+        if length < _LAST_STEP:
+            break
+    return place, function(place)
 
 
 def _errors(

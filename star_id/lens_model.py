@@ -47,6 +47,9 @@ __all__ = ["LensModel", "choose_lens", "unmodelled_px"]
 _DEGREE = 10
 # Prior sizes of the smooth distortion that are compared by evidence, px rms, in ratios of 1.6.
 _SIZES_PX = np.geomspace(1e-3, 30.0, 24)
+# Ratios of sizes of the parabolas that find the largest evidence between them, least curvature that is
+# assumed, and most steps to its top (set by hand).
+_FINER_RATIOS, _LEAST_BEND, _MOST_STEPS = (1.2, 1.05), 1e-6, 3.0
 # Gain of log evidence by a smooth distortion for it to be taken: e^4, 55 to 1.
 _SEEN = 4.0
 # Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
@@ -313,6 +316,16 @@ class _System:
             residual=residual,
         )
 
+    def likeliest_size_px(self) -> float:
+        """1-sigma size of the smooth distortion of the largest evidence, between those that are compared by a
+        parabola: of two alike ones rounding would choose."""
+        size = max(_SIZES_PX.tolist(), key=lambda t: self.solved(t).log_evidence)
+        for ratio in _FINER_RATIOS:
+            less, here, more = (self.solved(size * ratio**k).log_evidence for k in (-1, 0, 1))
+            steps = 0.5 * (more - less) / max(2.0 * here - less - more, _LEAST_BEND)
+            size *= ratio ** min(max(steps, -_MOST_STEPS), _MOST_STEPS)
+        return size
+
     def solved(self, size_px: float) -> _Solved:
         """Posterior with a smooth distortion of 1-sigma size; 0: without one."""
         F = len(self.prior)
@@ -357,12 +370,11 @@ class _Trial:
     ) -> _Trial:
         fit = fit_camera(stars, camera, rotations, free)
         system = _System.of(stars, fit, free, np.ones(len(stars.xy_px), dtype=bool))
-        size, without = 0.0, system.solved(0.0)
-        choices = [(float(t), system.solved(float(t))) for t in _SIZES_PX]
-        likeliest, best = max(choices, key=lambda choice: choice[1].log_evidence)
-        if best.log_evidence > without.log_evidence + _SEEN:
-            size, without = likeliest, best
-        return cls(camera=fit.camera, rotations=fit.rotations, free=free, size_px=size, solved=without)
+        size, without = system.likeliest_size_px(), system.solved(0.0)
+        solved = system.solved(size)
+        if solved.log_evidence <= without.log_evidence + _SEEN:
+            size, solved = 0.0, without
+        return cls(camera=fit.camera, rotations=fit.rotations, free=free, size_px=size, solved=solved)
 
     def model(self, stars: IdentifiedStars) -> LensModel:
         """The model, fitted to all stars with the smooth distortion held at its mean."""

@@ -84,7 +84,7 @@ def listed_stars(camera, R_si, places, rng, *, brightest=260.0):
     rows, xy = stars_in_view(camera, R_si, places)
     snr = 8.0 * 10 ** (-0.4 * (places.v_mag[rows] - 7.0))
     keep = np.flatnonzero((snr > 6) & (snr < brightest))
-    keep = keep[np.argsort(-snr[keep])]
+    keep = keep[np.argsort(-snr[keep], kind="stable")]
     sigma, n = 1.8 / snr[keep], len(keep)
     xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
     no = np.zeros(n, dtype=bool)

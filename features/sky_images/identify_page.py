@@ -142,7 +142,7 @@ def _matches(found: FieldSolution, stars: StarList) -> list[tuple[int, str, str,
     """A row for each identified star, brightest first."""
     sigma = np.sqrt(0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))
     rows = []
-    for n in np.argsort(-stars.snr[found.detections]):
+    for n in np.argsort(-stars.snr[found.detections], kind="stable"):
         (x, y), (dx, dy), row = found.xy_px[n], found.residual_px[n], found.detections[n]
         numbers = (
             f"{x:.2f}",
@@ -159,7 +159,7 @@ def _matches(found: FieldSolution, stars: StarList) -> list[tuple[int, str, str,
 def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     """Mean of bright stars, the PSF that they were fitted with, and the difference; None without stars."""
     usable = np.flatnonzero(~stars.saturated & ~stars.blended)
-    some = usable[np.argsort(-stars.snr[usable])][:STARS_OF_PSF]
+    some = usable[np.argsort(-stars.snr[usable], kind="stable")][:STARS_OF_PSF]
     radius = max(4, int(np.ceil(PSF_SIGMAS * stars.psf.sigma_px + stars.psf.reach_px)))
     if len(some) == 0 or min(image.shape) <= 2 * radius + 1:
         return None

@@ -56,10 +56,7 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     highest = cv2.dilate(surface, np.ones((size, size), np.uint8))
     row, column = np.nonzero((surface == highest) & (surface > 0.0))
     value = surface[row, column]
-    if len(value) > most:
-        keep = np.argpartition(value, -most)[-most:]
-        row, column, value = row[keep], column[keep], value[keep]
-    order = np.argsort(value)[::-1]
+    order = np.argsort(-value, kind="stable")[:most]
     row, column, value = row[order], column[order], value[order]
     xy = np.column_stack([column + _vertex(surface, row, column, 1), row + _vertex(surface, row, column, 0)])
     return Peaks(xy.astype(float), value.astype(float))

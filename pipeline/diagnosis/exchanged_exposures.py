@@ -108,7 +108,7 @@ def _wrong_alone(R_so: Rotation, t_s: Floats, sigma: Floats) -> tuple[list[int],
             return ([], 0.0) if beside.any() else (alone.tolist(), off)
         if len(t_s) - len(left) == MOST_PAIRED or inner.sum() <= FEWEST:
             return [], 0.0
-        worst = odd[np.argsort(-apart[odd])][:MOST_PAIRED]
+        worst = odd[np.argsort(-apart[odd], kind="stable")][:MOST_PAIRED]
         tried = np.unique(np.add.outer(worst, (-1, 0, 1)).clip(0, len(left) - 1))
         rest = [
             np.sum(_from_neighbours(R_so[kept], t_s[kept], run[kept])[0])
@@ -127,7 +127,7 @@ def _exchanged(
         apart, inner = _from_neighbours(R_si[order] * R_oi.inv(), t_s, run)
         limit = UNUSUAL * float(np.quantile(apart[inner], 0.25))
         odd = np.flatnonzero(apart > limit)
-        pairs = combinations(odd[np.argsort(-apart[odd])][:MOST_PAIRED].tolist(), 2)
+        pairs = combinations(odd[np.argsort(-apart[odd], kind="stable")][:MOST_PAIRED].tolist(), 2)
         fits = {pair: _apart_with(R_si, R_oi, t_s, order, pair) for pair in pairs}
         if not fits or min(fits.values()) > limit:
             return order, found

@@ -114,7 +114,7 @@ class SolvedAttitudes:
         rows = self.rows.covariance_s
         if rows is None:
             return noise.white_covariance_s
-        return np.asarray(rows[np.argsort(np.trace(rows, axis1=1, axis2=2))[len(rows) // 2]])
+        return np.asarray(rows[np.argsort(np.trace(rows, axis1=1, axis2=2), kind="stable")[len(rows) // 2]])
 
 
 @record(kw_only=True)

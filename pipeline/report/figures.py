@@ -114,7 +114,7 @@ def angle_spread(saved: Saved) -> Drawing:
     z, sigma = column(saved.angles, "z"), column(saved.angles, "sigma")
     figure = new_figure(2.6)
     axes = axes_of(figure, "predicted σ of z, arc-seconds", "measured rms of z, arc-seconds")
-    groups = [g for g in np.array_split(np.argsort(sigma), 12) if len(g) >= 5]
+    groups = [g for g in np.array_split(np.argsort(sigma, kind="stable"), 12) if len(g) >= 5]
     predicted = np.array([_rms(sigma[g]) for g in groups]) / ARCSEC
     measured = np.array([_rms(z[g]) for g in groups]) / ARCSEC
     if len(groups):

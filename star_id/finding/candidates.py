@@ -195,4 +195,4 @@ def _words(rows: NDArray[np.uint8]) -> NDArray[np.uint64]:
 
 def _highest(height: NDArray[np.uint8]) -> Ints:
     """Rows of the `_MAX_CANDIDATES` highest, ascending."""
-    return np.sort(np.argpartition(-height.astype(np.int16), _MAX_CANDIDATES)[:_MAX_CANDIDATES])
+    return np.sort(np.argsort(-height.astype(np.int16), kind="stable")[:_MAX_CANDIDATES])

@@ -121,7 +121,7 @@ def fit_stars(
         _fit(windows.take(~full), pixels[~full], offset[~full], sigma[~full], psf, gain, one_step),
         _fit(wide, pixels[full], offset[full], sigma[full], psf, gain, one_step),
     ]
-    order = np.argsort(np.concatenate([np.flatnonzero(~full), np.flatnonzero(full)]))
+    order = np.argsort(np.concatenate([np.flatnonzero(~full), np.flatnonzero(full)]), kind="stable")
     joined = {name: np.concatenate([getattr(fit, name) for fit in parts]) for name in _COLUMNS}
     return StarFits(**joined).take(order)
 

@@ -213,7 +213,7 @@ def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) ->
     stats, middle = stats[1:], middle[1:]
     area = stats[:, cv2.CC_STAT_AREA]
     total = np.bincount(label[above > 0], np.concatenate(light), minlength=count)[1:]
-    top = np.argsort(-total)[: 4 * _STARS]
+    top = np.argsort(-total, kind="stable")[: 4 * _STARS]
     top = top[area[top] > 4]
     if len(top) < _FEWEST:
         return np.empty((0, 2), dtype=np.int64), 0

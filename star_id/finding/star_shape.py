@@ -198,7 +198,7 @@ def _median(values: Floats) -> float:
 
 
 def _weighted_median(values: Floats, weights: Floats) -> float:
-    order = np.argsort(values)
+    order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])
     return float(values[order[int(np.searchsorted(below, 0.5 * below[-1]))]])
 

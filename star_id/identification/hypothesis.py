@@ -146,7 +146,7 @@ def robust_sigma(distance: Floats, pixel: float) -> float:
     """
     if len(distance) == 0:
         return pixel
-    median = float(distance[distance.argsort()[len(distance) // 2]])
+    median = float(np.sort(distance)[len(distance) // 2])
     return min(max(median / 1.1774, 0.15 * pixel), 3.0 * pixel)
 
 
@@ -203,7 +203,7 @@ def _distorted(t: Complex, derivatives: tuple[Complex, ...], distortion: Floats)
 
 def _row_of_least(group: Ints, value: Floats, groups: int) -> Ints:
     """The row of the least `value` (N,) in each non-empty `group` (N,) of 0 to `groups` - 1, in order."""
-    greatest_first = (-value).argsort()
+    greatest_first = (-value).argsort(kind="stable")
     least = np.full(groups, -1)
     least[group.take(greatest_first)] = greatest_first  # later assignments overwrite: the least remains
     return least[least >= 0]

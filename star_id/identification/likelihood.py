@@ -46,7 +46,7 @@ def log_likelihood_ratio(
     weight = area / (n_predicted * 2.0 * np.pi * sigma**2)
     half_square = 0.5 * np.minimum(distance / sigma, 37.0) ** 2
     if n_excluded:
-        counted = (half_square - np.log(weight)).argsort()[n_excluded:]
+        counted = (half_square - np.log(weight)).argsort(kind="stable")[n_excluded:]
         weight, half_square = weight.take(counted), half_square.take(counted)
     density = weight * _INVERSE_VARIANCE * np.exp(-half_square * _INVERSE_VARIANCE)
     # log(e + (1 - e) density), with log(1 - e) taken out of the sum

@@ -74,7 +74,7 @@ def propose(
     detected, longest, rows = _look_up(image.field, u_s, table, done)
     examined = len(rows)
     if image.field.is_calibrated or examined <= _TRIALS:  # most are right: the largest fix the attitude best
-        largest = (-longest).argsort()[:_TRIALS]
+        largest = (-longest).argsort(kind="stable")[:_TRIALS]
         detected, longest, rows = detected.take(largest, axis=0), longest.take(largest), rows.take(largest)
     vertices = table.vertices.take(rows, axis=0)
     if image.field.scale_error > 0.0:

@@ -55,7 +55,7 @@ class PlaneDetections:
         """Detections at tangent-plane coordinates (N, 2). Raises `ValueError` for NaN or infinite ones."""
         if not math.isfinite(xy.sum()):
             raise ValueError("detections must have finite tangent-plane coordinates, got NaN or infinity")
-        return cls(np.ascontiguousarray(xy).view(np.complex128)[:, 0], field, xy[:, 0].argsort())
+        return cls(np.ascontiguousarray(xy).view(np.complex128)[:, 0], field, xy[:, 0].argsort(kind="stable"))
 
     @property
     def area(self) -> float:

@@ -143,7 +143,7 @@ class StarIndex:
 
     @classmethod
     def _of(cls, stars: StarPlaces, u_i: Floats, tables: tuple[TriangleTable, ...], close: Ints) -> StarIndex:
-        along_z = np.argsort(u_i[:, 2])
+        along_z = np.argsort(u_i[:, 2], kind="stable")
         close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
         to_brighter = np.full(len(u_i), np.inf)
         np.minimum.at(to_brighter, close[:, 1], close_rad)

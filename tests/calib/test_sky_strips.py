@@ -165,7 +165,7 @@ def test_biases_move_the_targets_as_the_physics_says():
         np.testing.assert_allclose(change, columns[:, :, n], rtol=0, atol=1e-5 * 2.0 / 530e3)
     # A row stated 0.1 ms late was seen 0.1 ms earlier: with the target and the orbital frame of then.
     late_s, t = 1e-4, ground.t_s
-    j = np.argsort(t)
+    j = np.argsort(t, kind="stable")
     turn = (strip.R_oi_targets[j[1:]] * strip.R_oi_targets[j[:-1]].inv()).as_rotvec()
     rate = np.median(turn / np.diff(t[j])[:, None], axis=0)  # rad/s, axes of the orbital frame
     earlier = ground.range_m[:, None] * ground.u_i + late_s * ground.v_rel_i

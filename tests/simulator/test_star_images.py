@@ -80,7 +80,7 @@ def test_bright_stars_of_a_raw_image_lie_at_their_true_places(mission):
     truth = mission.truth.exposure(exposure.exposure_id)
     image = exposure.image().astype(float)
     misses = []
-    for n in np.argsort(truth.v_mag):
+    for n in np.argsort(truth.v_mag, kind="stable"):
         x, y = np.rint(truth.xy_px[n]).astype(int)
         apart = np.linalg.norm(truth.xy_px - truth.xy_px[n], axis=1)
         crowded = ((apart < 10.0) & (truth.v_mag < truth.v_mag[n] + 4.0)).sum() > 1

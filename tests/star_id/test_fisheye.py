@@ -75,7 +75,7 @@ def test_false_and_missing_stars_lead_to_no_other_lens(kind, index):
         n = len(stars.snr)
         snr = np.append(stars.snr, rng.choice(stars.snr[n // 2 :], n // 2))
         xy = np.vstack([stars.xy_px, rng.uniform(0.0, 1.0, (n // 2, 2)) * SIZE])
-        kept = np.argsort(-snr)[rng.random(len(snr)) > 0.2]
+        kept = np.argsort(-snr, kind="stable")[rng.random(len(snr)) > 0.2]
         no = np.zeros(len(kept), dtype=bool)
         cov = (1.8 / snr[kept])[:, None, None] ** 2 * np.eye(2)
         same = {"flux_dn": snr[kept], "snr": snr[kept], "saturated": no, "blended": no}

@@ -67,13 +67,13 @@ def wide_index(places):
 def detections(camera, R_si, places, rng, *, stars=138, false=0, error_px=0.2):
     """Centroids, brightest first, and the Hipparcos numbers behind them (0: false)."""
     rows, xy = stars_in_view(camera, R_si, places)
-    bright = np.argsort(places.v_mag[rows])[:stars]
+    bright = np.argsort(places.v_mag[rows], kind="stable")[:stars]
     v = places.v_mag[rows[bright]] + rng.normal(0, 0.15, len(bright))
     xy = xy[bright] + rng.normal(0, error_px, (len(bright), 2))
     size = (camera.width_px, camera.height_px)
     xy = np.vstack([xy, rng.uniform([0, 0], size, (false, 2))])
     hip = np.append(places.hip[rows[bright]], np.zeros(false, dtype=np.int64))
-    order = np.argsort(np.append(v, rng.choice(v, false)))
+    order = np.argsort(np.append(v, rng.choice(v, false)), kind="stable")
     return xy[order], hip[order]
 
 
@@ -455,7 +455,7 @@ def test_images_that_miss_most_of_their_stars_are_identified_by_the_best_proposa
         R_si = Rotation.random(random_state=rng)
         rows, xy = stars_in_view(camera, R_si, places)
         seen = rng.random(len(rows)) < 0.4
-        brightest = np.argsort(places.v_mag[rows[seen]] + rng.normal(0.0, 0.1, seen.sum()))
+        brightest = np.argsort(places.v_mag[rows[seen]] + rng.normal(0.0, 0.1, seen.sum()), kind="stable")
         xy = xy[seen][brightest] + rng.normal(0.0, 0.15, (seen.sum(), 2))
         xy = np.vstack([xy, rng.uniform(0.0, 2047.0, (200, 2))])
         found = solve_stars(xy, (2048, 2048), index, SETTINGS, fov_x_rad=np.radians(12.5))

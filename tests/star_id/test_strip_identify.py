@@ -41,7 +41,7 @@ def sky(rng, stars, listed, others, theta=THETA):
     )
     field_i = R0.inv().apply(wide / np.linalg.norm(wide, axis=1)[:, None])
     noisy = u_c + np.column_stack([rng.normal(0.0, 0.4 * PIXEL, (len(u_c), 2)), np.zeros(len(u_c))])
-    order = np.argsort(v)
+    order = np.argsort(v, kind="stable")
     row = np.where(np.arange(stars + others) < listed, np.arange(stars + others), -1)[order]
     seen = Directions(
         u_c=noisy[order] / np.linalg.norm(noisy[order], axis=1)[:, None],
