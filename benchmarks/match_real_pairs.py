@@ -1,6 +1,6 @@
 """Matching on real pairs of dates: two of Sentinel-2, five years of NAIP.
 
-    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/match_real_pairs.py
+    python benchmarks/match_real_pairs.py
 
 Sentinel-2: chips of one date in the other, around the known offset, beside peers; the figure is the scatter
 about a robust affine fit. NAIP: one place in five years, water levels and crops changed. The common offset
@@ -18,8 +18,8 @@ import numpy as np
 import rasterio
 from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located, peak
 from numpy.typing import NDArray
-from record import exit_status, head, verdict
-from rendered_pairs import DATA, Pair
+from record import SHARED, exit_status, head, judge_largest, judge_share, not_run, verdict
+from rendered_pairs import Pair
 
 from boresight.features.targets.suggest import suggest_targets
 from boresight.gct_match.imaging.views import normalised
@@ -37,6 +37,8 @@ Place = tuple[int, int]
 
 
 def main() -> None:
+    if not (SHARED / "pairs").is_dir():
+        not_run("the pairs of dates are not there (shared/data/pairs)")
     head("Matching on real pairs of dates")
     cv2.setNumThreads(1)
     sentinel()
@@ -45,7 +47,7 @@ def main() -> None:
 
 def sentinel() -> None:
     """Two dates of one orbit: chips of the first, looked for in the second around the known offset."""
-    a, b = (_band(DATA / "pairs" / f"s2_{name}.jp2") for name in "ab")
+    a, b = (_band(SHARED / "pairs" / f"s2_{name}.jp2") for name in "ab")
     shift = np.array([(335440 - 330000) / 10.0, (5862000 - 5866490) / 10.0])  # column, row of b's corner in a
     for size in (128, 64):
         places, pairs = [], []
@@ -83,9 +85,10 @@ def sentinel() -> None:
             print(f"  {name:25s} {accepted:8d} {scatter:9.4f} {100 * gross:7.2f} % {nees:8.2f}", flush=True)
         if size == 128:
             ours, theirs = counts["boresight"], counts["band-pass NCC + parabola"]
-            verdict("Sentinel-2, 128 px: scatter <= 0.055 px", ours[1] <= 0.055)
-            verdict("Sentinel-2, 128 px: gross <= 1 %", ours[2] <= 0.01)
-            verdict("Sentinel-2, 128 px: more accepted than band-pass NCC", ours[0] > theirs[0])
+            judge_largest("Sentinel-2 pair, 128 px: scatter", ours[1], 0.055, "px", ours[0])
+            judge_largest("Sentinel-2 pair, 128 px: share of gross errors", ours[2], 0.01, "", ours[0])
+            text = f"Sentinel-2 pair, 128 px: {ours[0]} of {len(pairs)} chips accepted"
+            verdict(text, f"more than band-pass NCC, {theirs[0]}", ours[0] > theirs[0], len(pairs))
         print()
 
 
@@ -118,7 +121,7 @@ def _scatter(places: list[tuple[int, int]], outcomes: list[Outcome]) -> tuple[in
 def naip() -> None:
     """Five years: the common offset of six chips in a wide window, then fine matches and their closure."""
     images, corner = {}, {}
-    for path in sorted((DATA / "pairs").glob("naip_*.tif")):
+    for path in sorted((SHARED / "pairs").glob("naip_*.tif")):
         year = path.stem[5:9]
         images[year] = _band(path)
         with rasterio.open(path) as file:
@@ -149,10 +152,9 @@ def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.
             f"wrong {found.count('wrong')}, refused {found.count('refused')}"
         )
     print(f"  one chip alone, raw NCC: right {sum(raw)} of {len(raw)}")
-    verdict(
-        "NAIP: common offset found for every pair of years with 6 chips", chosen.count("right") == len(true)
-    )
-    verdict("NAIP: no wrong offset accepted", "wrong" not in chosen + anywhere)
+    judge_share("NAIP: common offset of 6 chips found", chosen.count("right"), len(true), least=1.0)
+    every = chosen + anywhere
+    judge_share("NAIP: wrong offsets accepted", every.count("wrong"), len(every), most=0.0)
 
 
 def _chance(images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator) -> None:
@@ -169,11 +171,10 @@ def _chance(images: Images, true: dict[tuple[str, str], Array], rng: np.random.G
     print(
         f"  6 chips in windows of another place: {accepted} of {len(stated)} accepted; stated chance {shares}"
     )
-    verdict("NAIP: votes in windows of another place accepted: none", accepted == 0)
-    verdict(
-        "NAIP: chance as often as stated, at 0.1 and 0.01",
-        all(np.mean(probability < p) <= p for p in (0.1, 0.01)),
-    )
+    judge_share("NAIP: votes in windows of another place accepted", accepted, len(stated), most=0.0)
+    for p in (0.1, 0.01):
+        below = int(np.sum(probability < p))
+        judge_share(f"NAIP: stated chance below {p:g} by chance", below, len(stated), most=p)
 
 
 def _fine(images: Images, true: dict[tuple[str, str], Array]) -> None:

@@ -31,7 +31,7 @@ import spiceypy
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 from real_sentinel2 import BULLETIN, grid_of, places_e, points_csv, real_folder
-from record import exit_status, head, verdict
+from record import exit_status, head, judge_largest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -97,10 +97,8 @@ def against_grid(work: Path, real: Path, band: str, interpolation: str, limit_m:
     off = np.linalg.norm(geolocated(work, result, band, pixels, "grid") - places_e(grid), axis=1)
     for name, here in (("odd", grid[:, 0] % 2 == 1), ("even", grid[:, 0] % 2 == 0)):
         largest = float(off[here].max())
-        text = (
-            f"{band}, {interpolation}: {here.sum()} rows of {name} detectors, largest {1e3 * largest:.1f} mm"
-        )
-        verdict(f"{text}, at most {1e3 * limit_m:g} mm", largest <= limit_m)
+        text = f"`geolocate` to the operator's grid, {band}, {interpolation}, {name} detectors: largest"
+        judge_largest(text, 1e3 * largest, 1e3 * limit_m, "mm", int(here.sum()))
     return result
 
 
@@ -289,8 +287,10 @@ def by_rpc(exports: Path, band: str, pixels: list[Pixel], seen: np.ndarray) -> N
             row, column = gdal.rowcol([lon[n]], [lat[n]], zs=[height[n]], op=float)
         miss.append(np.hypot(column[0] - 0.5 - sample, row[0] - 0.5 - line))
         stated.append(numbers["ERR_BIAS"])
-    text = f"rpc, raw: largest {max(miss):.3f} px of {len(miss)}, the files state up to {max(stated):.3f} px"
-    verdict(f"{text}; a cubic does not follow the attitude of 22 s", max(miss) <= 1.1 * max(stated))
+    # A cubic does not follow the attitude of 22 s: the error must be what the files state.
+    judge_largest(
+        "export rpc, raw strip: largest over 1.1 of the stated", max(miss), 1.1 * max(stated), "px", len(miss)
+    )
 
 
 def by_virtual_rpc(result: Path, band: str, pixels: list[Pixel]) -> None:
@@ -317,7 +317,7 @@ def by_virtual_rpc(result: Path, band: str, pixels: list[Pixel]) -> None:
 def told(name: str, miss_px: np.ndarray) -> None:
     """Verdict on one format."""
     largest = float(miss_px.max())
-    verdict(f"{name}: largest {largest:.4f} px of {len(miss_px)}, at most 0.01", largest <= 0.01)
+    judge_largest(f"export {name} read back: largest", largest, 0.01, "px", len(miss_px))
 
 
 def main() -> int:
