@@ -82,9 +82,7 @@ def main() -> int:
         ("--workers", 1, "processes of each calibration"),
     )
     head(f"End to end, scenario {options.scenario}")
-    print(
-        "seed  error X Y Z, arcsec  stated 1 sigma  NEES  targets stars  chi2/dof  check points, m  s CPU, MiB"
-    )
+    print("seed  error X Y Z, arcsec  1 sigma  NEES  targets stars  chi2/dof  check points, m  s CPU, MiB")
     runs = []
     for seed in range(options.first, options.first + options.seeds):
         runs.append(run_seed(options.scenario, seed, options.set, options.workers))

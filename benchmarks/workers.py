@@ -5,7 +5,7 @@
 
 `boresight calibrate` runs from nothing, the ways in turn. Efficiency is the CPU time of one process against
 that of all processes, which holds on a busy machine, too. Ten times a second the proportional set sizes (PSS:
-a page shared by n processes counts 1/n for each) of the command and all processes below it are summed (Linux).
+a page shared by n processes counts 1/n for each) of the command and all processes below it are summed.
 
 For the slow network real dask workers get `--units` units that wait instead of computing, so that a few cores
 carry many workers, and each message of theirs is held back by 20 ms. Busy is the share of the workers' time,
