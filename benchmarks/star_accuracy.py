@@ -169,9 +169,10 @@ def judge_places(
     judge_share(f"{name}: stars from SNR 8 detected", int(found.sum()), int(stars.sum()), least=0.98)
     squares = [np.nansum(found * np.square(part[rows])) for part in (score.rms_px, score.bound_px)]
     over = float(np.sqrt(squares[0] / squares[1]))
-    judge_largest(f"{name}: rms error of places over the bound", over, 1.1, "", int(found.sum()))
+    n = int(found.sum())
+    judge_largest(f"{name}: rms error of places over the bound", over, 1.1 + 1.65 / np.sqrt(n), "", n)
     text = f"{name}: chi2 of places"
-    judge_largest(text, float(np.nansum(found * score.chi2[rows]) / found.sum()), 1.2, "", int(found.sum()))
+    judge_largest(text, float(np.nansum(found * score.chi2[rows]) / n), 1.1 + 3.3 / np.sqrt(n), "", n)
     judge_largest(f"{name}: false detections a frame", score.false / len(lists), 2.0, "", len(lists))
 
 
