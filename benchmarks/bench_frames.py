@@ -1,7 +1,7 @@
 """Speed and accuracy of frames and light: Earth rotation, stars, ground, geoid, terrain, each beside its
 authority.
 
-    python benchmarks/bench_frames.py > benchmarks/results/frames.txt
+    python benchmarks/bench_frames.py
 
 Accuracy is against direct evaluation by ERFA, astropy, skyfield with DE421, pyproj, NGA's test points and a
 plain search. Times are CPU time of one thread.
@@ -19,7 +19,7 @@ from astropy.coordinates import GCRS, ITRS, CartesianRepresentation
 from astropy.time import Time
 from astropy.utils import iers
 from pyproj import Transformer
-from record import exit_status, head, verdict
+from record import exit_status, head, judge_largest
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
@@ -175,7 +175,7 @@ def terrain(zenith_deg, relief_m, cell_m):
 
 
 def wanted(what, value, unit, most):
-    verdict(f"{what:45s} {value:10.4f} {unit} (wanted {most:g})", value <= most)
+    judge_largest(f"{what}: largest", float(value), most, unit)
 
 
 def main():
@@ -200,7 +200,7 @@ def main():
     wanted("stars, Barnard's star and Polaris", named, "mas", 1)
     print(f"stars                                         {rate:10.0f} /s")
     error, to_ground, to_sky = light()
-    print(f"\nground -> sky -> ground, all effects          {1e6 * error:10.4f} um")
+    wanted("ground -> sky -> ground, all effects", 1e6 * error, "um", 10)
     print(f"sky -> ground at a height                     {to_ground:10.0f} /s")
     print(f"ground -> sky                                 {to_sky:10.0f} /s")
     error, rate = ellipsoid()
@@ -212,8 +212,9 @@ def main():
     print("\nterrain, rays in raster order                     left over        rays a second")
     for zenith_deg, relief_m in ((1, 300), (1, 3000), (27, 300), (27, 3000), (60, 1000)):
         error, rate = terrain(zenith_deg, relief_m, 30)
-        name = f"z = {zenith_deg:2d} deg, {relief_m:4d} m of relief, cells of 30 m"
-        print(f"{name} {1e6 * error:10.4f} um   {rate:14.0f}")
+        name = f"ray to terrain, {zenith_deg} deg off nadir, {relief_m} m of relief"
+        wanted(name, 1e6 * error, "um", 1000)
+        print(f"{name}: {rate:.0f} rays a second")
     return exit_status()
 
 

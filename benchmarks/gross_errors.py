@@ -4,8 +4,8 @@
 
 The design, and what all errors of the dump make of the measured directions, is that of its calibration;
 errors are drawn with noise of their own, linear about the estimate, and the first step of the search
-rejects a target or none. Beside the share found stands the power of the test of the shifted target alone
-(Baarda 1968): without a higher rate of false alarms no search finds more. The least probability of a rejection is
+rejects a target or none. Beside the share found stands the power of the test of that target alone (Baarda
+1968): without a higher rate of false alarms no search finds more. The least probability of a rejection is
 chosen by these draws. Single errors through the whole estimate: tests/calib/test_gross_errors.py.
 """
 

@@ -5,7 +5,7 @@
 Sentinel-2: chips of one date in the other, around the known offset, beside peers; the figure is the scatter
 about a robust affine fit. NAIP: one place in five years, water levels and crops changed. The common offset
 of six chips is searched for as a strip's bootstrap does it, in windows that hold them and, to see what
-chance does, in windows that do not; fine matches are held against the map and closed over triples of years.
+chance does, in windows that do not; fine matches are held against the map.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rasterio
-from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located, peak
+from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located
 from numpy.typing import NDArray
 from record import SHARED, exit_status, head, judge_largest, judge_share, not_run, verdict
 from rendered_pairs import Pair
@@ -136,7 +136,7 @@ def naip() -> None:
 
 def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator) -> None:
     """Six chips in windows that hold them."""
-    chosen, anywhere, raw = [], [], []
+    chosen, anywhere = [], []
     for (one, two), offset in true.items():
         a, b = images[one], images[two]
         good = suggest_targets(a, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0), a > 0.0, size_px=SIZE, most=6)
@@ -145,13 +145,11 @@ def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.
         for _ in range(20):
             places = _anywhere(a, b, rng)
             anywhere.append(_judged(_common_offset(a, b, places), offset))
-            raw += [_judged_alone(a, b, place, offset) for place in places]
     for text, found in (("that `targets suggest` names", chosen), ("anywhere", anywhere)):
         print(
             f"  common offset of 6 chips {text}: right {found.count('right')} of {len(found)}, "
             f"wrong {found.count('wrong')}, refused {found.count('refused')}"
         )
-    print(f"  one chip alone, raw NCC: right {sum(raw)} of {len(raw)}")
     judge_share("NAIP: common offset of 6 chips found", chosen.count("right"), len(true), least=1.0)
     every = chosen + anywhere
     judge_share("NAIP: wrong offsets accepted", every.count("wrong"), len(every), most=0.0)
@@ -189,21 +187,8 @@ def _fine(images: Images, true: dict[tuple[str, str], Array]) -> None:
             if place is not None:
                 fine[one, two, x, y] = place - MARGIN
     far = {key: d - true[key[:2]] for key, d in fine.items() if np.abs(d - true[key[:2]]).max() > FAR_PX}
-    closure = [
-        np.abs(fine[p, q, x, y] + fine[q, r, x, y] - fine[p, r, x, y]).max()
-        for p, q, r in combinations(images, 3)
-        for (i, j, x, y) in fine
-        if (i, j) == (p, q) and (q, r, x, y) in fine and (p, r, x, y) in fine
-    ]
-    print(
-        f"  fine matches in ± {MARGIN} px: {len(fine)} accepted, {len(far)} over {FAR_PX:g} px from the map"
-    )
-    for (one, two, x, y), d in far.items():
-        print(f"    {one} -> {two}, chip at column {x}, row {y}: {d[0]:+.2f}, {d[1]:+.2f} px")
-    print(
-        f"  closure over {len(closure)} triples: median {np.median(closure):.3f} px, "
-        f"{np.mean(np.array(closure) > 1.0):.1%} beyond 1 px"
-    )
+    print(f"  fine matches in ± {MARGIN} px: {len(fine)} accepted")
+    judge_share(f"NAIP: fine matches over {FAR_PX:g} px from the map", len(far), len(fine), most=0.01)
 
 
 def _anywhere(a: NDArray, b: NDArray, rng: np.random.Generator, count: int = 6) -> list[Place]:
@@ -216,14 +201,6 @@ def _judged(outcome: Vote, offset: Array) -> str:
     if outcome.log_probability_chance > np.log(SETTINGS.probability_chance):
         return "refused"
     return "right" if np.abs(outcome.parameters - offset).max() < FAR_PX else "wrong"
-
-
-def _judged_alone(a: NDArray, b: NDArray, place: Place, offset: Array) -> bool:
-    """What most programs do: grey values as they are, the highest correlation."""
-    window, at = _window(b, np.array(place))
-    x, y = place
-    surface = cv2.matchTemplate(window, a[y : y + SIZE, x : x + SIZE], cv2.TM_CCOEFF_NORMED)
-    return bool(np.abs(peak(surface) + at - place - offset).max() < FAR_PX)
 
 
 def _common_offset(a: NDArray, b: NDArray, places: list[Place], aside: Array | int = 0) -> Vote:

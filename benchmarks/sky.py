@@ -1,18 +1,15 @@
-"""Strips of the sky from raw pixels: the matrix without any ground, with a tracker's attitudes, names in
-strips of noise, and the places of stars.
+"""Strips of the sky from raw pixels: the matrix without any ground, with a tracker's attitudes, and names in
+strips of noise.
 
     python benchmarks/sky.py missions [--seeds 12] [--cameras mini] [--scans 2] [--ground 0]
     python benchmarks/sky.py trackers [--seeds 8]
     python benchmarks/sky.py noise [--seeds 40]
-    python benchmarks/sky.py places [--seeds 1]
 
 `missions`: mounting off by the paper's equation (28), all errors of its Table 1 on. Each scan looks at one of
 the fields richest in Hipparcos stars that both cameras see past the Earth. The paper's cameras take 3 minutes
 of CPU a mission. `trackers`: one scan with attitudes of 1, 1 and 8 arcsec in place of star images, of a head
 that looks where the paper's star camera looks, and of one mounted at random, whose 8 arcsec move stars by 3
-pixels. `noise`: strips of noise, half of them with hot columns, and what is named in them. `places`: errors
-of stars for rates of scan and numbers of TDI stages over the Cramér-Rao bound of the star as it was rendered
-(place, charge and background unknown); stars with another within 16 px and the smear are left out.
+pixels. `noise`: strips of noise, half of them with hot columns, and what is named in them.
 """
 
 from __future__ import annotations
@@ -28,9 +25,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from record import ROOT, exit_status, head, judge_largest, judge_nees, judge_share
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scipy.special import ndtr
 
 sys.path.insert(0, str(ROOT / "tests" / "pipeline" / "faults"))
 
@@ -57,7 +52,6 @@ from boresight.simulator.cameras import installation_of_scenario
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.motion import flown_orbit
 from boresight.simulator.scenario import Scenario, SkyScan, SkyStripSettings, builtin_scenario
-from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -72,12 +66,6 @@ APART_S = 30.0
 NOISE_PEAKS = 30.0  # in a strip of noise: as many false detections as a poor field has stars
 KNOWN_RAD = np.full(3, 5e-6)
 LIMIT_ARCSEC = {2: 0.07, 4: 0.05}  # rms of X and Y, the paper's cameras, by strips of the sky
-RATES, STAGES = (0.8, 1.0, 1.2), (1, 16)
-PER_DEG2 = 1200.0  # a star every 1000 pixels
-FAINT_V, BRIGHT_V = (7.0, 9.5), (5.0, 7.2)
-SNR = ((7.0, 15.0), (15.0, 60.0), (60.0, 1e4))
-PHASES = 8  # of a pixel and of a row for which the bound is computed
-STEPS = 8  # in which a row is divided
 
 
 # ---- scans of rich fields ----
@@ -345,141 +333,10 @@ def noise(options: argparse.Namespace) -> None:
     print(f"{chance / strips:.4f} names a strip where the mounting is known beforehand")
 
 
-# ---- places of stars ----
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Stars of many strips."""
-
-    snr: Array  # (N,)
-    error: Array  # (N, 2) px
-    phase: Array  # (N, 2) of the true place, 0 to 1
-    stated2: Array  # (N, 2) px2
-    bound2: Array  # (N, 2) px2
-
-
-def scenario_with(rate: float, stages: int, v_range: tuple[float, float], seed: int) -> Scenario:
-    """Many stars, no vibration: jitter within a trace is an error of its own."""
-    scenario = scenario_of("mini", 1, 0, seed)
-    sky = replace(
-        scenario.sky_strips,
-        scans=(replace(scenario.sky_strips.scans[0], rate=rate),),
-        uncatalogued_per_deg2=PER_DEG2,
-        uncatalogued_v_range=v_range,
-        flux_v0_e_per_s=scenario.sky_strips.flux_v0_e_per_s / stages,
-    )
-    return replace(
-        scenario,
-        errors=replace(scenario.errors, vibration_arcsec=0.0),
-        attitude=replace(scenario.attitude, waves=()),
-        sky_strips=sky,
-        line_camera=replace(scenario.line_camera, tdi_stages=stages),
-    )
-
-
-def measured(rate: float, stages: int, v_range: tuple[float, float], seed: int) -> Seen:
-    """The stars of one strip."""
-    scenario = scenario_with(rate, stages, v_range, seed)
-    mission = fly(scenario, seed)
-    images = {strip.ccd: next(strip.blocks(strip.lines)) for strip in mission.strips}
-    count = len(images)
-    motion = StripMotion(np.array([0.0, 2e3]), np.full((count, 2), rate), np.zeros((count, 2)), stages)
-    found = find_strip_stars(InMemory(images), motion, StripStarSettings(), 255.0)
-    return compared(found.take(~found.blended & ~found.saturated), mission, rate, stages)
-
-
-def compared(stars: StripStars, mission: Mission, rate: float, stages: int) -> Seen:
-    """Detections beside the truth."""
-    scenario, truth = mission.scenario, mission.truth.sky_stars
-    true = np.array([(s.sample, s.line, 1e6 * s.ccd) for s in truth])
-    charge = np.array([s.charge_e for s in truth]) / scenario.ground.e_per_dn
-    tree = cKDTree(true)
-    distance, row = tree.query(np.column_stack([stars.xy_px, 1e6 * stars.ccd]))
-    lonely = tree.query(true, k=2)[0][:, 1] > 16.0 + abs(1.0 - rate) * stages
-    size = np.array([(strip.samples, strip.lines) for strip in mission.strips])[stars.ccd]
-    inside = (np.abs(true[row, :2] - 0.5 * (size - 1.0)) < 0.5 * size).all(axis=1)
-    hit = np.flatnonzero((distance < 2.0) & lonely[row] & inside)
-    place = true[row[hit], :2]
-    return Seen(
-        snr=stars.snr[hit],
-        error=stars.xy_px[hit] - place,
-        phase=(place + 0.5) % 1.0,
-        stated2=np.diagonal(stars.cov_px[hit], axis1=1, axis2=2),
-        bound2=bound(place, charge[row[hit]], rate, stages, scenario),
-    )
-
-
-def bound(place: Array, flux_dn: Array, rate: float, stages: int, scenario: Scenario) -> Array:
-    """Variances (N, 2), px2, that no unbiased estimate of the places (N, 2) can be below."""
-    detector, sky = scenario.ground, scenario.sky_strips
-    noise2 = detector.read_noise_dn**2 + sky.background_dn / detector.e_per_dn + 1.0 / 12.0
-    cell = (np.floor(((place + 0.5) % 1.0) * PHASES)).astype(int)
-    variance = np.zeros((len(place), 2))
-    for column, row in np.unique(cell, axis=0).tolist():
-        here = np.flatnonzero((cell == (column, row)).all(axis=1))
-        x, y = ((np.array([column, row]) + 0.5) / PHASES - 0.5).tolist()
-        unit = [
-            trace(x + dx, y + dy, rate, stages, sky.psf_sigma_px)
-            for dx, dy in ((0, 0), (1e-3, 0), (-1e-3, 0), (0, 1e-3), (0, -1e-3))
-        ]
-        slopes = np.stack([(unit[1] - unit[2]) / 2e-3, (unit[3] - unit[4]) / 2e-3, unit[0]])
-        flux = flux_dn[here, None]
-        model = np.concatenate([slopes[None] * flux[..., None], np.ones((len(here), 1, unit[0].size))], 1)
-        model[:, 2] = unit[0]
-        weight = 1.0 / (noise2 + flux * unit[0] / detector.e_per_dn)
-        fisher = np.einsum("nam,nm,nbm->nab", model, weight, model)
-        variance[here] = np.diagonal(np.linalg.inv(fisher), axis1=1, axis2=2)[:, :2]
-    return variance
-
-
-def trace(x: float, y: float, rate: float, stages: int, sigma_px: float) -> Array:
-    """Image (M,) of unit charge of a star that crosses at (x, y) from the middle of a window."""
-    half = int(np.ceil(4.0 * sigma_px / min(rate, 1.0) + 2.0 + 0.5 * stages * abs(1.0 - rate) / rate))
-    k = np.arange(-half, half + 1.0)[:, None, None]
-    j = (np.arange(stages) - 0.5 * (stages - 1))[:, None]
-    t = k + j + ((np.arange(STEPS) + 0.5) / STEPS - 0.5)
-    along = rate * (t - y) - j
-    share = (ndtr((along + 0.5) / sigma_px) - ndtr((along - 0.5) / sigma_px)).sum(axis=(1, 2))
-    edges = np.arange(-half - 0.5, half + 1.0)
-    return np.outer(share * rate / (stages * STEPS), np.diff(ndtr((edges - x) / sigma_px))).ravel()
-
-
-def places_of_stars(options: argparse.Namespace) -> None:
-    """A line for each rate, number of stages and range of SNR."""
-    print("rate  TDI      SNR  stars  rms / bound  rms / stated  rms, px   (column, row)", flush=True)
-    for stages in STAGES:
-        for rate in RATES:
-            kinds = [(FAINT_V, n) for n in range(options.seeds)]
-            kinds += [(BRIGHT_V, n) for n in range((options.seeds + 1) // 2)]
-            parts = [measured(rate, stages, v_range, seed) for v_range, seed in kinds]
-            seen = Seen(*(np.concatenate([getattr(p, f) for p in parts]) for f in Seen.__annotations__))
-            for limits in SNR:
-                row_of_places(rate, stages, seen, limits)
-
-
-def row_of_places(rate: float, stages: int, seen: Seen, limits: tuple[float, float]) -> None:
-    """One line, and the verdict on both axes."""
-    part = (seen.snr >= limits[0]) & (seen.snr < limits[1])
-    n, squares = int(part.sum()), (seen.error[part] ** 2).sum(axis=0)
-    to_bound = np.sqrt(squares / seen.bound2[part].sum(axis=0))
-    to_stated = np.sqrt((seen.error[part] ** 2 / seen.stated2[part]).mean(axis=0))
-    rms = np.sqrt(squares / n)
-    print(
-        f"{rate:4.1f} {stages:4d} {limits[0]:5.0f}-{limits[1]:<5.0f} {n:5d}  {to_bound.round(3)}  "
-        f"{to_stated.round(3)}  {rms.round(4)}",
-        flush=True,
-    )
-    if n >= 20:
-        text = f"rate {rate:g}, {stages} stages, SNR from {limits[0]:g}: rms error of a place over bound"
-        judge_largest(text, float(to_bound.max()), 1.1 + 3.3 / np.sqrt(2.0 * n), "", n)
-
-
 WHAT = {
     "missions": (missions, 12),
     "trackers": (trackers, 8),
     "noise": (noise, 40),
-    "places": (places_of_stars, 1),
 }
 
 

@@ -110,11 +110,12 @@ def ways_of_working(
     print("way                      elapsed s   CPU s  one / this  efficiency  PSS, MiB")
     for way in ways:
         local = way.options[0] == "--workers"  # what a cluster's own processes use is not seen here
-        elapsed, cpu = median(way.elapsed_s), median(way.cpu_s)
-        print(
-            f"{' '.join(way.options)[:24]:24s} {elapsed:9.1f} {cpu:7.1f} {median(first.elapsed_s) / elapsed:11.2f}"
-            f" {median(first.cpu_s) / cpu if local else float('nan'):11.2f} {max(way.peak_mib):9.0f}"
+        elapsed, cpu, name = median(way.elapsed_s), median(way.cpu_s), " ".join(way.options)[:24]
+        faster, spare = (
+            median(first.elapsed_s) / elapsed,
+            median(first.cpu_s) / cpu if local else float("nan"),
         )
+        print(f"{name:24s} {elapsed:9.1f} {cpu:7.1f} {faster:11.2f} {spare:11.2f} {max(way.peak_mib):9.0f}")
     same = len(set.union(*(way.found for way in ways))) == 1
     words = "the same, bit for bit" if same else "not the same"
     verdict(f"installation.json of {len(ways)} ways of working: {words}", "the same", same, repeats)
