@@ -82,24 +82,10 @@ def cpu_s() -> float:
 
 def label_of(fault: Fault | None) -> Case:
     """What a case keeps of its fault."""
-    if fault is None:
-        none: list[str] = []
-        return {"kind": "no fault", "name": "no fault", "times": 0.0, "words": none} | {
-            "words_lower": none,
-            "blind_words": "",
-            "own": none,
-            "harmless": True,
-        }
-    return {
-        "kind": fault.kind,
-        "name": fault.name,
-        "times": fault.times,
-        "words": fault.words,
-        "words_lower": [word.lower() for word in fault.words],
-        "blind_words": fault.blind.lower(),
-        "own": fault.own,
-        "harmless": fault.harmless,
-    }
+    of = fault or Fault("no fault", "", 0.0, "", 0.0, lambda dump: None, (), harmless=True)
+    lower = {"words_lower": [word.lower() for word in of.words], "blind_words": of.blind.lower()}
+    kept = {key: getattr(of, key) for key in ("kind", "times", "words", "own", "harmless")}
+    return kept | lower | {"name": of.name if fault else "no fault"}
 
 
 def one_case(name: str, seed: int, fault: Fault | None, work: Path, commit: str) -> Case:

@@ -2,11 +2,7 @@
 rotation and 2 px in a smooth distortion: at the level of vectors, and from raw pixels of six strips of the
 sky. A px is 1 µrad.
 
-    python benchmarks/interior.py [--vectors 4] [--pixels 1] [--cameras mini] [--per-deg2 40]
-
-With `--per-deg2` the sky of the rendered strips is drawn at random, that many stars from V 6 to 9 a square
-degree, and the dump has their catalogue (`files.star_catalogue`): 40 give a strip of 1.4 x 1.5 degrees as
-many stars as the real sky gives a scan of 25 degrees (`docs/plan.md`). Else the sky is that of Hipparcos.
+    python benchmarks/interior.py [--vectors 4] [--pixels 1] [--cameras mini]
 """
 
 from __future__ import annotations
@@ -17,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from record import ROOT, arguments_of, exit_status, head, judge_largest, verdict
 from scipy.spatial.transform import Rotation
 from sky import scenario_of
@@ -38,23 +33,16 @@ from boresight.features.paper.geopositioning import MotionPrior, check_point_err
 from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.earth_orientation import bundled_earth_orientation
-from boresight.geometry.geoid import egm96
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
-from boresight.pipeline.files.star_tables import read_star_table
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.cameras import calibrated_line_camera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips, installation_by_tilt
-from boresight.simulator.mission import render_mission
-from boresight.simulator.mission_records import Mission
-from boresight.simulator.scenario import Scenario
 from boresight.simulator.sky_campaign import draw_sky_strips
-from boresight.star_id.catalogue import hipparcos_stars
 
 R_CS = installation_by_tilt(np.radians(15.0))  # the paper's mounting
 R_CS0 = deviation_from_theta(np.array(MATRIX_28)).inv() * R_CS
@@ -73,8 +61,6 @@ STATED_RAD = 4e-6  # look_distortion_px of the dump: what the assumed camera may
 OF_CCD = {"focal": 1e-4, "rotation": 1e-4}
 SHIFT_RAD, CURVE_RAD = 3e-6, 2e-6
 WAVES = 2.0 * np.pi * np.array([1.3, 2.7])  # of the distortion, over the field
-DRAWN_V, FAINTER = (6.0, 9.0), 3.0  # of the drawn sky: stars of one magnitude over those of the one before
-CATALOGUE = "stars.csv"
 
 
 def changed_camera(camera: LineCamera, priors: InteriorPriors, rng: np.random.Generator) -> LineCamera:
@@ -170,34 +156,7 @@ def judge_chi2(name: str, value: float, cameras: int) -> None:
 # ---- from pixels ----
 
 
-def drawn_catalogue(scenario: Scenario, per_deg2: float, rng: np.random.Generator) -> pd.DataFrame:
-    """Stars around the scans, columns as in the Gaia archive, errors of 5 mas."""
-    tables = []
-    for scan in scenario.sky_strips.scans:
-        side = 3.0  # degrees; a strip shows half of it
-        n = rng.poisson(per_deg2 * side**2)
-        dec = scan.dec_deg + side * rng.uniform(-0.5, 0.5, n)
-        ra = scan.ra_deg + side * rng.uniform(-0.5, 0.5, n) / np.cos(np.radians(dec))
-        v = np.log(rng.uniform(*(FAINTER**end for end in DRAWN_V), n)) / np.log(FAINTER)
-        tables.append(pd.DataFrame({"ra": ra % 360.0, "dec": dec, "phot_g_mean_mag": v}))
-    table = pd.concat(tables, ignore_index=True)
-    rest = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), 0.0)
-    return table.assign(
-        source_id=np.arange(1, len(table) + 1), ref_epoch=2024.0, ra_error=5.0, dec_error=5.0, **rest
-    )
-
-
-def flown(scenario: Scenario, seed: int, per_deg2: float, catalogue: Path) -> Mission:
-    """The mission under the sky of Hipparcos, or under a drawn one that is written to `catalogue`."""
-    if not per_deg2:
-        return fly(scenario, seed)
-    drawn_catalogue(scenario, per_deg2, np.random.default_rng([23, seed])).to_csv(catalogue, index=False)
-    survey = read_star_table(catalogue, CATALOGUE)
-    earth = bundled_earth_orientation()
-    return render_mission(scenario, hipparcos_stars().places, earth, egm96(), seed, survey=survey)
-
-
-def from_pixels(cameras: str, seed: int, per_deg2: float) -> tuple[float, float, float, float]:
+def from_pixels(cameras: str, seed: int) -> tuple[float, float, float, float]:
     """Map error before and after, its stated 1-sigma (px rms), and chi2 of the map."""
     scenario = scenario_of(cameras, SCANS, 0, seed)
     scenario = replace(scenario, errors=replace(scenario.errors, distortion_px=0.0))
@@ -206,17 +165,11 @@ def from_pixels(cameras: str, seed: int, per_deg2: float) -> tuple[float, float,
     sizes = {"shift_px": 5e-6, "curve_px": 3e-6, "curve_length_px": 5e-3}
     priors = InteriorPriors(**{name: size / pixel_rad for name, size in sizes.items()})
     with tempfile.TemporaryDirectory() as scratch:
-        folder, catalogue = Path(scratch) / "dump", Path(scratch) / CATALOGUE
-        mission = flown(scenario, seed, per_deg2, catalogue)
+        folder, mission = Path(scratch) / "dump", fly(scenario, seed)
         true = mission.truth.line_camera
         assumed = changed_camera(true, priors, np.random.default_rng([19, seed]))
         stated = replace(mission.errors, look_distortion_px=STATED_RAD / true.pixel_rad)
         write_dump(replace(mission, line_camera=assumed, errors=stated), folder, created_by="benchmark")
-        if per_deg2:
-            catalogue.rename(folder / CATALOGUE)
-            text = (folder / "dump.toml").read_text()
-            named = text.replace("[files]\n", f'[files]\nstar_catalogue = "{CATALOGUE}"\n')
-            (folder / "dump.toml").write_text(named)
         run = calibrate_remote_camera(
             [folder], Settings(), priors, InOrder(), lambda stage, done, total: None
         )
@@ -234,14 +187,13 @@ def main() -> int:
         ("--vectors", 4, "true cameras of each case of vectors"),
         ("--pixels", 1, "missions from pixels"),
         ("--cameras", "mini", "of these: mini or paper"),
-        ("--per-deg2", 40.0, "stars of a drawn sky; 0: Hipparcos"),
     )
     head("Interior orientation of the remote-sensing camera: map error, px rms, before, after, stated")
     if options.vectors:
         for name, case in CASES.items():
             from_vectors(name, *case, options.vectors)
     if options.pixels:
-        rows = [from_pixels(options.cameras, seed, options.per_deg2) for seed in range(1, options.pixels + 1)]
+        rows = [from_pixels(options.cameras, seed) for seed in range(1, options.pixels + 1)]
         before, after, stated = np.sqrt(np.mean(np.square([row[:3] for row in rows]), axis=0))
         print(f"from pixels, {options.cameras}: {before:.2f} {after:.3f} {stated:.3f}")
         name = f"six strips from pixels, {options.cameras} cameras"

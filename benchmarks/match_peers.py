@@ -8,8 +8,8 @@ is Cramér-Rao's for the two noises, everything else known. Every method gets th
 around the template; errors of more than 0.5 px are gross, they are counted and excluded from the rms.
 
 Windows of another place: chips come from one half of a picture, wrong windows from the other. Pictures are
-two real ones, and invented ones that repeat themselves: fields in rows, an estate of houses, a plantation of
-trees. Accepted is what `locate` does not refuse. Real pairs of dates: match_real_pairs.py.
+two real ones, and invented ones that repeat themselves: fields in rows and an estate of houses.
+Accepted is what `locate` does not refuse. Real pairs of dates: match_real_pairs.py.
 """
 
 from __future__ import annotations
@@ -261,7 +261,6 @@ def pictures() -> dict[str, NDArray]:
         "aerial b": second if len(second) > len(second.T) else second.T,
         "fields": fields(rng),
         "houses": houses(rng),
-        "plantation": plantation(rng),
     }
 
 
@@ -287,16 +286,6 @@ def houses(rng: np.random.Generator) -> NDArray:
             y, x = np.array([top, left]) + rng.integers(0, 15, 2)
             out[y : y + high // 2, x : x + wide] = tone
             out[y + high // 2 : y + high, x : x + wide] = 0.6 * tone
-    return grained(out, rng)
-
-
-def plantation(rng: np.random.Generator) -> NDArray:
-    """A crown every 5 m, of much the same size, some decimetres off the lattice."""
-    out = np.full((SIDE, SIDE), 130.0, np.float32)
-    for y in range(25, SIDE, 50):
-        for x in range(25, SIDE, 50):
-            at = np.round(np.array([x, y]) + rng.normal(0.0, 2.0, 2)).astype(int)
-            cv2.circle(out, at.tolist(), int(rng.integers(15, 19)), float(rng.normal(60.0, 6.0)), -1)
     return grained(out, rng)
 
 

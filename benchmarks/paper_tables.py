@@ -22,10 +22,6 @@ from scipy.stats import chi2, norm
 sys.path.insert(0, str(ROOT / "tests"))
 sys.path.insert(0, str(ROOT / "tests" / "geometry"))
 sys.path.insert(0, str(ROOT / "tests" / "features" / "paper"))
-    str(ROOT / "tests"),
-    str(ROOT / "tests" / "geometry"),
-    str(ROOT / "tests" / "features" / "paper"),
-]
 
 from equations import GROUPS
 

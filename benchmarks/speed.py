@@ -1,5 +1,4 @@
-"""What users wait for: CPU time of commands, of one exposure in each format, of points to the ground, and of
-the tests of inputs.
+"""What users wait for: CPU time of commands, of one exposure in each format, and of the tests of inputs.
 
     python benchmarks/speed.py [--repeats 2] [--old ../older-checkout] [--mission MISSION] [--only demo]
 
@@ -26,12 +25,10 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import record  # first: it may start this process anew with one thread
-
-import bench_pushbroom  # isort: skip
 import cv2
 import numpy as np
 import rasterio
+import record  # first: it may start this process anew with one thread
 from astropy.io import fits
 from numpy.typing import NDArray
 from PIL import Image
@@ -197,18 +194,6 @@ def time_formats(folder: Path) -> None:
     record.judge_largest("a raw TIFF of 20 million pixels read", taken["TIFF, raw"], 20.0, "ms CPU", 3)
 
 
-def time_ground() -> None:
-    """A million pixels to the ground at 30 degrees over 3000 m of relief."""
-    rng, count = np.random.default_rng(0), bench_pushbroom.N
-    ends = (bench_pushbroom.SAMPLES, bench_pushbroom.LINES)
-    sample, line = (rng.uniform(0.0, last - 1.0, count) for last in ends)
-    model = bench_pushbroom.strip(30.0, 0.0)
-    surface = bench_pushbroom.relief(model, 3000.0, False)
-    least_s = least_cpu_s(lambda: model.ground_points(2, sample, line, surface))
-    text = f"{count:.0e} pixels to the ground at 30 deg over 3000 m of relief"
-    record.judge_largest(text, least_s, 1.0, "s CPU", 3)
-
-
 @contextmanager
 def without_tests() -> Iterator[None]:
     """The program without the tests of inputs."""
@@ -251,7 +236,6 @@ def main() -> int:
     every = [one for one in commands(options.mission) if one.name.startswith(options.only)]
     time_commands(every, old, options.repeats)
     if not options.only:
-        time_ground()
         with tempfile.TemporaryDirectory() as folder:
             time_formats(Path(folder))
         time_tests(options.tests)

@@ -63,9 +63,7 @@ def main() -> None:
     frames = arguments.attitudes * len(arguments.seeds)
     for title, _, _, error in SCENARIOS:
         spent = np.concatenate([run[2] for run in runs[title]])
-        print(
-            f"{title}: CPU ms least {spent.min():.2f}, median {np.median(spent):.2f}, longest {spent.max():.1f}"
-        )
+        print(f"{title}: CPU ms {spent.min():.2f} to {spent.max():.1f}, median {np.median(spent):.2f}")
         judge_share(f"{title}: named", sum(run[0] for run in runs[title]), frames, least=1.0)
         judge_share(f"{title}: named wrongly", sum(run[1] for run in runs[title]), frames, most=0.0)
         if error == 0.0:
