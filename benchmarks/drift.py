@@ -8,7 +8,7 @@ zenith and is rotated by 37 deg. The estimator does not know the matrix: informa
 2" (1 sigma, each axis) wrong. `--rest` years of four strips a month show the alarms at rest, `--steps` years
 of ten strips a month show steps: a moved mounting is the same year seen by a star camera that is rotated from
 a date on. `--calibrated` more go through `calib.calibrate` month by month, look for gross errors and iterate.
-`--series` are Gaussian draws from given covariances, for the tests alone. `--pixels` also renders dumps of
+`--pixels` also renders dumps of
 four months, the mounting moved by 1" in the middle, and runs the program on them.
 """
 
@@ -188,26 +188,6 @@ def after_steps(name: str, seen: list[Year], steps: Sequence[tuple[str, float]])
     judge_share(f"{name}: 95 % interval holds the date", inside, len(seen) * len(steps), least=0.93)
 
 
-def series(seed: int, runs: int) -> None:
-    """Gaussian draws: three axes of 0.1", 0.15" and 1" (1 sigma) give or take half, turned anew each time."""
-    for K in (3, 6, 12):
-        rng, counts = np.random.default_rng((seed, K)), [0, 0]
-        for _ in range(runs):
-            sigma = np.array([0.1, 0.15, 1.0]) * ARCSEC * rng.uniform(0.5, 1.5, (K, 1))
-            Q = Rotation.random(K, random_state=rng).as_matrix()
-            theta = np.einsum("kij,kj->ki", Q, sigma * rng.normal(size=(K, 3)))
-            F = np.einsum("kij,kj,klj->kil", Q, sigma**-2.0, Q)
-            names = np.array([f"{k:02d}" for k in range(K)])
-            pairs = InformationPairs(names, F, np.einsum("kij,kj->ki", F, theta), R_CS)
-            drift = estimate_drift(
-                MountingSeries.of(pairs, NONE, DAYS[:K] * DAY_S), DriftSettings(density_rad2_s=0.0)
-            )
-            p = (drift.constant.p_value, drift.step.p_value)
-            counts = [count + alarm(p, asked) for count, asked in zip(counts, ALARMS)]
-        for asked, count in zip(ALARMS, counts):
-            judge_share(f"{K} results drawn: alarms, {100 * asked:g} % asked", count, runs, most=asked)
-
-
 MONTHS = ("2024-10-20", "2024-11-20", "2024-12-20", "2025-01-20")
 THETA = np.array([0.003, 0.002, 0.001])  # the simulator's own, of the paper's (28)
 STEP = np.array([0.6, -0.8, 0.0]) * ARCSEC  # 1 arcsec
@@ -242,7 +222,6 @@ def main() -> int:
         ("--rest", 100, "years of four strips a month"),
         ("--steps", 20, "years of ten strips a month"),
         ("--calibrated", 4, "of them through `calibrate` each month"),
-        ("--series", 500, "Gaussian draws"),
         ("--seed", 2020, "of all"),
         ("--pixels", False, "render and calibrate four months, too"),
     )
@@ -254,7 +233,6 @@ def main() -> int:
     if options.calibrated:
         large = [step for step in STEPS if step[1] == 1.0]
         after_steps("calibrated", years(options.seed + 2, options.calibrated, FOR_STEPS, True, large), large)
-    series(options.seed + 3, options.series)
     if options.pixels:
         with tempfile.TemporaryDirectory() as folder:
             from_pixels(Path(folder))

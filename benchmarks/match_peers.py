@@ -7,8 +7,7 @@ fractions, noise of 2 grey values on both members of a pair (tests/gct_match/ren
 is Cramér-Rao's for the two noises, everything else known. Every method gets the same window, ± 16 px
 around the template; errors of more than 0.5 px are gross, they are counted and excluded from the rms.
 
-Windows of another place: chips come from one half of a picture, wrong windows from the other. Pictures are
-two real ones, and invented ones that repeat themselves: fields in rows and an estate of houses.
+Windows of another place: chips come from one half of a picture, wrong windows from the other.
 Accepted is what `locate` does not refuse. Real pairs of dates: match_real_pairs.py.
 """
 
@@ -214,8 +213,6 @@ METHODS: dict[str, Callable[[Pair], Outcome]] = {
 
 # ---- windows of another place ----
 
-SIDE = 2200  # of an invented picture, picture pixels
-
 
 def wrong_places(n: int) -> None:
     """How often a window elsewhere is accepted, and how often the right one is rejected or gross."""
@@ -253,46 +250,10 @@ def counted(picture: NDArray, rng: np.random.Generator, n: int, size: int, condi
 
 
 def pictures() -> dict[str, NDArray]:
-    """Grey values 0 to 255, 10 cm to a pixel."""
-    rng = np.random.default_rng(1)
+    """Grey values 0 to 255, 10 cm to a pixel; the longer side along the rows."""
     second = load_picture("neon_yell_b_10cm.png")
-    return {
-        "aerial": load_picture("neon_yell_10cm.png"),
-        "aerial b": second if len(second) > len(second.T) else second.T,
-        "fields": fields(rng),
-        "houses": houses(rng),
-    }
-
-
-def fields(rng: np.random.Generator) -> NDArray:
-    """Parcels of 60 m with rows of crop, 0.8 to 2 m apart."""
-    out = np.empty((SIDE, SIDE), np.float32)
-    y, x = np.mgrid[0:600, 0:600].astype(np.float32)
-    for top in range(0, SIDE, 600):
-        for left in range(0, SIDE, 600):
-            across = np.cos(a := rng.uniform(0.0, np.pi)) * x + np.sin(a) * y
-            rows = 25.0 * np.cos(2.0 * np.pi * across / rng.uniform(8.0, 20.0))
-            cut = out[top : top + 600, left : left + 600]
-            cut[...] = (rng.uniform(60.0, 150.0) + rows)[: cut.shape[0], : cut.shape[1]]
-    return grained(out, rng)
-
-
-def houses(rng: np.random.Generator) -> NDArray:
-    """A roof of two slopes every 14 m: of various tones, sizes and places in its plot."""
-    out = np.full((SIDE, SIDE), 80.0, np.float32)
-    for top in range(20, SIDE - 100, 140):
-        for left in range(20, SIDE - 100, 140):
-            tone, (high, wide) = rng.normal(150.0, 25.0), rng.integers(75, 110, 2)
-            y, x = np.array([top, left]) + rng.integers(0, 15, 2)
-            out[y : y + high // 2, x : x + wide] = tone
-            out[y + high // 2 : y + high, x : x + wide] = 0.6 * tone
-    return grained(out, rng)
-
-
-def grained(image: NDArray, rng: np.random.Generator) -> NDArray:
-    """With the fine texture of any ground."""
-    grain = ndimage.gaussian_filter(rng.standard_normal(image.shape).astype(np.float32), 3.0)
-    return np.clip(image + 5.0 / grain.std() * grain, 0.0, 255.0).astype(np.float32)
+    first = load_picture("neon_yell_10cm.png")
+    return {"aerial": first, "aerial b": second if len(second) > len(second.T) else second.T}
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -38,14 +37,10 @@ from scipy.spatial.transform import Rotation, Slerp
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "features" / "exports"))
 from line_scanner import LineScanner
 
-from boresight.features.exports.rpc import fit_rpc, rpc_metadata
-from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
-from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.results.strip_model import open_calibrated, whole_strip_model
 
 PIXEL_M = 10.0
 A, B = WGS84.semi_major_m, WGS84.semi_minor_m
@@ -230,7 +225,6 @@ def read_back(work: Path, result: Path, band: str) -> None:
     ]
     told("csm-isd", np.array(miss) / PIXEL_M)
     by_rpc(exports, band, pixels, seen)
-    by_virtual_rpc(result, band, pixels)
 
 
 def nearest_m(model: LineScanner, sample: float, line: float, place: np.ndarray) -> float:
@@ -291,27 +285,6 @@ def by_rpc(exports: Path, band: str, pixels: list[Pixel], seen: np.ndarray) -> N
     judge_largest(
         "export rpc, raw strip: largest over 1.1 of the stated", max(miss), 1.1 * max(stated), "px", len(miss)
     )
-
-
-def by_virtual_rpc(result: Path, band: str, pixels: list[Pixel]) -> None:
-    """Places of raw pixels found by GDAL in the virtual image, against the pixels they are resampled to."""
-    model = whole_strip_model(open_calibrated(result, None), band)
-    camera, lines = model.pushbroom.camera.with_focal_plane(), model.strip.lines
-    surface = ConstantHeight(100.0)
-    real = replace(model.pushbroom, camera=camera)
-    virtual = VirtualStrip(real, surface, smooth_rows=(-0.5, lines - 0.5))
-    rpc, error = fit_rpc(virtual.virtual, 0, lines, (0.0, 1900.0))
-    miss = []
-    for ccd in range(camera.n_ccds):
-        of_ccd = np.array([pixel[1:] for pixel in pixels if pixel[0] == ccd])
-        p_e = model.pushbroom.ground_points(ccd, *of_ccd.T, surface)
-        at = np.column_stack(virtual.virtual.pixels_from_ground(0, p_e))
-        back = np.column_stack(virtual.source_pixels(ccd, *at.T))
-        lat, lon, height = degrees(p_e)
-        with RPCTransformer(RPC.from_gdal(rpc_metadata(rpc, error))) as gdal:
-            row, column = gdal.rowcol(lon, lat, zs=height, op=np.asarray)
-        miss += [*np.hypot(column - 0.5 - at[:, 0], row - 0.5 - at[:, 1]), *np.hypot(*(back - of_ccd).T)]
-    told("rpc of the virtual CCD", np.array(miss))
 
 
 def told(name: str, miss_px: np.ndarray) -> None:

@@ -19,12 +19,11 @@ import argparse
 import re
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from record import SHARED, exit_status, head, judge_largest, not_run, verdict
-from scipy.stats import chi2, f
+from scipy.stats import chi2
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.features.exports.refining import fit_correction
@@ -208,34 +207,6 @@ def trackers(root: Path) -> None:
         verdict(f"{name}, matrix from an independent fit: {text}", 'at most 0.3" and 1"', holds)
 
 
-def other_half(signal: Signal, seconds: float) -> np.ndarray:
-    """Sigma of means by the noise of either half of the record over the scatter of the other's, (2, 3)."""
-    middle = len(signal.values) // 2
-    halves = [
-        [slice(p.start, min(p.stop, middle)) for p in signal.pieces if p.start < middle],
-        [slice(max(p.start, middle), p.stop) for p in signal.pieces if p.stop > middle],
-    ]
-    fits = [fit_noise(replace(signal, pieces=tuple(half)), seconds) for half in halves]
-    ratios = [
-        np.sqrt(known.predicted**2 + constant_part(signal, known)) / tested.scatter
-        for known, tested in (fits, fits[::-1])
-    ]
-    return np.array(ratios)
-
-
-def by_chance(signal: Signal, seconds: float) -> float:
-    """Probability that the scatter of means of `seconds` in one half of a record is 0.6 to 1.6 of that in the
-    other, on all axes, if the noise of both is the same.
-
-    The part of the noise that is constant over a piece is known by the scatter of means alone, so that
-    sigma by one half over the scatter of the other is the ratio of two scatters: the root of a variable of
-    the F distribution. Pieces for the verdict are the longest for which it tells a right from a wrong sigma.
-    """
-    dof = int(len(signal.values) * signal.step_s / 2.0 / seconds) - 1
-    inside = f.cdf(1.6**2, dof, dof) - f.cdf(0.6**2, dof, dof) if dof > 0 else 0.0
-    return float(inside) ** signal.values.shape[1]
-
-
 def constant_part(signal: Signal, fit: NoiseFit) -> np.ndarray:
     """Variance (3,) in the signal of what is constant over a piece."""
     return np.sum([R**2 @ one.constant_rad**2 for R, one in zip(signal.enters, fit.heads)], axis=0)
@@ -268,20 +239,6 @@ def between_trackers(root: Path) -> None:
         low, high = float(ratio.min()), float(ratio.max())
         text = f"sigma of means of {seconds:g} s is {low:.2f} to {high:.2f} of their scatter"
         verdict(text, "0.6 to 1.6", 0.6 <= low and high <= 1.6, means.n_means)
-    lengths = (5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0)
-    tested = next(seconds for seconds in lengths if by_chance(signal, seconds) >= 0.95)
-    for seconds in (10.0, 5.0, tested):
-        ratio, chance = other_half(signal, seconds), by_chance(signal, seconds)
-        text = (
-            f"sigma by either half over scatter of means of {seconds:g} s in the other: {ratio.min():.2f} to "
-        )
-        text += (
-            f"{ratio.max():.2f}; exact sigmas would be within 0.6 and 1.6 in {100 * chance:.0f} % of records"
-        )
-        if seconds == tested:
-            verdict(text, "0.6 to 1.6", bool(0.6 <= ratio.min() and ratio.max() <= 1.6))
-        else:
-            print(text)
     (one,), (stated,) = found.alignments, found.stated
     angle, sigma = np.degrees(one.angle_rad), one.sigma_angle_rad / ARCSEC
     operators = float(np.degrees(np.arccos(stated.as_matrix()[2, 2])))

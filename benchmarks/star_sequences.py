@@ -53,7 +53,7 @@ def main() -> None:
 def judge_mean(what: str, squares: np.ndarray, n: int) -> None:
     """Mean of normalised errors squared of `n` numbers: 0.8 to 1.2, widened by their scatter."""
     scatter, mean = 3.3 * np.sqrt(2.0 / n), float(np.mean(squares))
-    low, high = min(0.8, 1.0 - scatter), max(1.2, 1.0 + scatter)
+    low, high = max(0.0, min(0.8, 1.0 - scatter)), max(1.2, 1.0 + scatter)
     verdict(f"{what}: NEES {mean:.2f}", f"{low:.2f} to {high:.2f}", low < mean < high, len(squares))
 
 
@@ -125,7 +125,9 @@ def _long(index, frames: int, seed: int) -> None:
     print(f"frames with a misfit of the camera: {int((found.misfit_px[known] > 0.0).sum())}")
     strays = wrong + len(set(lost) - set(made.glare))
     judge_share("long sequence: frames neither right nor lost by glare", strays, len(found), most=0.0)
-    judge_share("long sequence: frames after glare that are lost", slow_recovery, len(made.glare), most=0.0)
+    judge_share(
+        "long sequence: frames after glare that are lost", slow_recovery, max(1, len(made.glare)), most=0.0
+    )
     judge_mean("long sequence: attitude", square[known], int(known.sum()))
     judge_mean(
         "long sequence: focal length", focal[settled] ** 2, max(4, int(settled.sum()) // 20)
