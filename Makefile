@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Empty: modules are compiled once, not by every process, whatever the shell says (pip leaves that to Python).
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: demo test suite lint types docs pictures install lock clean
+.PHONY: demo test suite lint types docs pictures benchmarks install lock clean
 
 install: $(VENV)/.installed
 
@@ -52,6 +52,10 @@ pictures: install
 	$(BIN)/python scripts/refresh_tutorial.py
 	for figure in frames plan report sky_trace star_camera_plan star_path strip_form strip_timing target_path terminal; do \
 	  $(BIN)/python scripts/figures/$$figure.py || exit 1; done
+
+# One table of all figures, benchmarks/results/table.md: half an hour on two idle cores. What a machine lacks is not run.
+benchmarks: install
+	$(BIN)/python benchmarks/run.py
 
 clean:
 	rm -rf $(VENV) build demo-result site

@@ -1,27 +1,24 @@
 """Direct location against Orekit's Rugged: same camera, orbit and attitude, each effect on light on and off.
 
-    python benchmarks/bench_rugged.py peer/bin/python [results.txt]
+    python benchmarks/bench_rugged.py --peers-python peer/bin/python
 
 where peer/bin/python is an environment with orekit-jpype and Java (see rugged_peer.py). Both sides read the
 same IERS series (finals2000A). Refraction is compared with Rugged's own layers of air given to boresight;
-what its standard atmosphere makes of it is printed beside. Points a second are CPU time of one thread.
+what its standard atmosphere makes of it is printed beside.
 
 On terrain with refraction Rugged refines its point within one cell of the grid and may leave it: such points
 hover over or under its own terrain by metres. They are counted and excluded from the comparison.
 """
 
 import importlib.resources
-import platform
 import subprocess
 import sys
 import tempfile
-import time
-from datetime import date
 from pathlib import Path
 
 import erfa
 import numpy as np
-from record import commit
+from record import arguments_of, exit_status, head, judge_largest, not_run
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.atmosphere import layered_atmosphere, standard_atmosphere
@@ -42,6 +39,7 @@ N_PX, PIXEL_M, FOCAL_M = 24_576, 8.75e-6, 10.0
 LINES, ROW_PERIOD_S, EVERY = np.linspace(0.0, 26_000.0, 27), 7e-5, 512
 HEIGHT_M = 250.0
 DEM_STEP_DEG = 1.0 / 3600.0
+MOST_M = 1e-3  # from Rugged
 EFFECTS = ("light_time", "aberration", "refraction")
 
 
@@ -122,7 +120,7 @@ def relief_under(strip):
     return heights.astype(np.float32), (south, west, step)
 
 
-def write_scene(folder, epoch, strip, t_att, dem, origin, cases, timed):
+def write_scene(folder, epoch, strip, t_att, dem, origin, cases):
     orbit_p, orbit_v = strip.orbit.positions_m, strip.orbit.velocities_m_s
     np.savez(
         folder / "scene.npz",
@@ -143,7 +141,6 @@ def write_scene(folder, epoch, strip, t_att, dem, origin, cases, timed):
         dem=dem,
         dem_origin=origin,
         cases=cases,
-        timed=timed,
     )
     earth = folder / "earth"
     earth.mkdir(exist_ok=True)
@@ -175,28 +172,16 @@ def ours(strip, case, surface, atmosphere):
     )
     samples = np.arange(0.0, N_PX, EVERY)
     sample, line = (a.ravel() for a in np.meshgrid(samples, LINES))
-    return model, model.ground_points(0, sample, line, surface).reshape(len(LINES), len(samples), 3)
+    return model.ground_points(0, sample, line, surface).reshape(len(LINES), len(samples), 3)
 
 
-def our_points_a_second(model, surface):
-    sample = np.tile(np.arange(float(N_PX)), 60)
-    line = np.repeat(np.linspace(0.0, 26_000.0, 60), N_PX)
-    took = []
-    for _ in range(3):
-        start = time.process_time()
-        model.ground_points(0, sample, line, surface)
-        took.append(time.process_time() - start)
-    return len(line) / min(took)
-
-
-def compare(peer, roll_deg, report):
+def compare(peer, roll_deg):
     epoch, strip, t_att = scene_of(roll_deg)
     dem, origin = relief_under(strip)
     cases = ["none", *EFFECTS, "+".join(EFFECTS), "terrain", "terrain+" + "+".join(EFFECTS)]
-    timed = [] if roll_deg else ["none", "light_time+aberration", "+".join(EFFECTS), cases[-1]]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_scene(folder, epoch, strip, t_att, dem, origin, np.array(cases), np.array(timed, dtype=str))
+        write_scene(folder, epoch, strip, t_att, dem, origin, np.array(cases))
         script = Path(__file__).with_name("rugged_peer.py")
         subprocess.run([peer, script, folder / "scene.npz", folder / "result.npz"], check=True)
         theirs = dict(np.load(folder / "result.npz"))
@@ -206,12 +191,12 @@ def compare(peer, roll_deg, report):
     rows = dem.shape[0]
     transform = (step, 0.0, west - 0.5 * step, 0.0, -step, south + (rows - 0.5) * step)
     grid = TerrainGrid.from_raster(dem[::-1], transform, "EPSG:4326", None)
-    report(f"\nroll {roll_deg:g} deg, java {theirs['java']}; distance on the ground, m")
-    report(f"{'effects':41s} {'max':>9s} {'rms':>9s}   size of the effect (boresight, Rugged, standard air)")
+    print(f"\nroll {roll_deg:g} deg, java {theirs['java']}; distance on the ground, m")
+    print(f"{'effects':41s} {'max':>9s} {'rms':>9s}   size of the effect (boresight, Rugged, standard air)")
     base = None
     for case in cases:
         surface: Surface = grid if "terrain" in case else ConstantHeight(HEIGHT_M)
-        _, mine = ours(strip, case, surface, layered)
+        mine = ours(strip, case, surface, layered)
         lat, lon, height = np.moveaxis(theirs[f"points_{case}"], -1, 0)
         peers = ecef_from_geodetic(lat, lon, height, WGS84)
         astray = np.abs(height - surface.height_m(lat, lon)) > 1e-3
@@ -221,47 +206,27 @@ def compare(peer, roll_deg, report):
             f"({astray.sum()} of {astray.size} points of Rugged lie off its terrain)" if astray.any() else ""
         )
         if case in EFFECTS:
-            _, standard = ours(strip, case, surface, standard_atmosphere())
+            standard = ours(strip, case, surface, standard_atmosphere())
             moved = (
                 np.linalg.norm(a - b, axis=-1) for a, b in zip((mine, peers, standard), (*base, base[0]))
             )
             size = "  ".join(f"{m.min():7.4f}..{m.max():7.4f}" for m in moved)
-        report(f"{case:41s} {error.max():9.6f} {np.sqrt(np.mean(error**2)):9.6f}   {size}")
-    if timed:
-        report(f"\n{'points a second, one thread':41s} {'boresight':>12s} {'Rugged':>12s}")
-    for case in timed:
-        surface = grid if "terrain" in case else ConstantHeight(HEIGHT_M)
-        model, _ = ours(strip, case, surface, layered)
-        speed, peer_speed = our_points_a_second(model, surface), float(theirs[f"speed_{case}"])
-        report(f"{case:41s} {speed:12.0f} {peer_speed:12.0f}   {speed / peer_speed:5.1f} x")
+        print(f"{case:41s} {error.max():9.6f} {np.sqrt(np.mean(error**2)):9.6f}   {size}")
+        text = f"direct location, roll {roll_deg:g}, {case}: from Rugged"
+        judge_largest(text, float(error.max()), MOST_M, "m", error.size)
 
 
-def cpu():
-    info = Path("/proc/cpuinfo")
-    names = (
-        [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        if info.exists()
-        else []
-    )
-    return names[0].split(":")[1].strip() if names else platform.machine()
-
-
-def main():
-    peer = sys.argv[1]
-    target = open(sys.argv[2], "w", encoding="utf-8") if len(sys.argv) > 2 else None
-
-    def report(text):
-        print(text, flush=True)
-        if target:
-            print(text, file=target)
-
-    report("Direct location: boresight against Rugged (Orekit), one thread each")
-    report(f"commit {commit()}, {date.today()}, command: python {' '.join(sys.argv)}")
-    report(f"{cpu()}, Python {platform.python_version()}, numpy {np.__version__}")
-    report(f"{N_PX} px x 26 000 rows of {1e6 * ROW_PERIOD_S:g} us, f = {FOCAL_M:g} m, 530 km, {UTC}")
+def main() -> int:
+    given = ("--peers-python", "", "interpreter with orekit-jpype, and Java")
+    peer = arguments_of(__doc__, given).peers_python
+    if not peer:
+        not_run("no interpreter with orekit-jpype is given (--rugged-python)")
+    head("Direct location: boresight against Rugged (Orekit), one thread each")
+    print(f"{N_PX} px x 26 000 rows of {1e6 * ROW_PERIOD_S:g} us, f = {FOCAL_M:g} m, 530 km, {UTC}")
     for roll_deg in (0.0, 25.0):
-        compare(peer, roll_deg, report)
+        compare(peer, roll_deg)
+    return exit_status()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,35 +1,32 @@
 """Campaigns without a fault: how many are refuted or get a finding, and whether the covariance is honest.
 
-    python benchmarks/clean_campaigns.py sightings --runs 1000
-    python benchmarks/clean_campaigns.py dumps WORK --runs 100
+    python benchmarks/clean_campaigns.py [--sightings 120] [--dumps 5]
 
 `sightings`: directions with all stated errors at the paper's size, without images: strips of the ground, of
 the sky, both, and attitudes of two heads with coloured noise; with 2, 4 and 14 exposures a strip; with a
 residual distortion that is one curve over the field, and one that differs from CCD to CCD. The prior is that
 of a dump that states look_distortion_px = 0.3 and no more.
 
-`dumps`: whole dumps of `fault_dumps.py` with seeds of their own through `boresight calibrate --json`. Those
-that are finished are kept in WORK/clean_campaigns.jsonl by commit.
+`dumps`: whole dumps of `tests/pipeline/faults/fault_dumps.py` with seeds of their own, from pixels, through
+`boresight calibrate --json`.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
-import shutil
+import sys
 import tempfile
-import tomllib
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import record  # of this folder; sets the number of threads before NumPy is loaded
 
+sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
+
 import numpy as np  # isort: skip
+from fault_cases import Case, calibrated, case_of, imported, judged, true_rotation
 from fault_dumps import sound_dump
-from faults_grid import Case, calibrated, case_of, imported, judged
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
@@ -139,7 +136,7 @@ def settings() -> CalibrationSettings:
     return calibration_settings(Settings(), STATED, calibrated_line_camera(LineCameraSettings()))
 
 
-def sightings(runs: int, counts: Sequence[int], first_seed: int) -> list[tuple[tuple[str, ...], Run]]:
+def sightings(runs: int, counts: tuple[int, ...], first_seed: int) -> list[tuple[tuple[str, ...], Run]]:
     """Campaigns of all combinations in turn, `counts` the exposures a strip."""
     cells = list(itertools.product(KINDS, CURVES, counts))
     stated, done = settings(), []
@@ -168,39 +165,25 @@ def said(verdict: Verdict) -> str:
 # ---- whole dumps ----
 
 
-def dumps(runs: int, work: Path, first_seed: int) -> list[tuple[tuple[str, ...], Run]]:
+def dumps(runs: int, first_seed: int) -> list[tuple[tuple[str, ...], Run]]:
     """Dumps of the kinds by their shares; each is made, calibrated and removed."""
-    work.mkdir(parents=True, exist_ok=True)
-    kept, commit = work / "clean_campaigns.jsonl", record.commit().split()[0]
-    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    done = {(one["dump"], one["seed"]): one for one in lines if one["commit"] == commit}
     imported()
-    names = [name for name, share in SHARES.items() for _ in range(share * runs // 100)]
-    wanted = [(name, first_seed + n) for n, name in enumerate(names)]  # no two dumps share a drawn error
-    cases = []
-    for name, seed in wanted:
-        if (name, seed) not in done:
-            case = one_dump(name, seed, work) | {"dump": name, "seed": seed, "commit": commit}
-            with kept.open("a") as stream:
-                stream.write(json.dumps(case) + "\n")
-            done[name, seed] = case
-        cases.append(done[name, seed])
-    return [((case["dump"],), run_of(case)) for case in cases]
-
-
-def one_dump(name: str, seed: int, work: Path) -> Case:
-    with tempfile.TemporaryDirectory(dir=work) as folder:
-        dump = sound_dump(name, seed, Path(folder))
-        truth = tomllib.loads((dump / "truth" / "installation.toml").read_text())["quaternion_cs"]
-        (Path(folder) / "case").mkdir()
-        return case_of(*calibrated(dump, Path(folder) / "case", None), Rotation.from_quat(truth))
+    names = [name for name, share in SHARES.items() for _ in range(max(1, share * runs // 100))]
+    done = []
+    for n, name in enumerate(names):  # no two dumps share a drawn error
+        with tempfile.TemporaryDirectory() as folder:
+            dump = sound_dump(name, first_seed + n, Path(folder))
+            (Path(folder) / "case").mkdir()
+            case = case_of(*calibrated(dump, Path(folder) / "case", None), true_rotation(dump))
+        done.append(((name,), run_of(case)))
+    return done
 
 
 def run_of(case: Case) -> Run:
     """A case of the grid without a fault."""
     no_fault = {"words": [], "words_lower": [], "own": [], "harmless": True, "blind_words": ""}
     found = judged(case | no_fault)
-    outcome = "consistent" if found["clean"] else case["verdict"]
+    outcome = case["verdict"]
     if outcome == "consistent" and not found["clean"]:
         outcome = "consistent, findings"
     return Run(outcome, case.get("nees", float("nan")))
@@ -217,50 +200,40 @@ def report(done: list[tuple[tuple[str, ...], Run]], what: str) -> None:
             groups[", ".join(key)].append(run)
         for part in key:
             groups[f"all of {part}"].append(run)
-        groups["all"].append(run)
-    print(f"{'campaigns':34s}    n refuted findings not checkable   NEES   99.9 % band")
+        groups[f"all {what}"].append(run)
+    print(f"{'campaigns':34s}    n refuted findings not checkable   NEES")
     for name, runs in groups.items():
         nees = [run.nees for run in runs if np.isfinite(run.nees)]
-        low, high = record.band_of_mean_nees(max(len(nees), 1))
         count = [sum(run.outcome == one for run in runs) for one in ("consistent, findings", "not checkable")]
         print(
             f"{name:34s} {len(runs):4d} {sum(run.refuted for run in runs):7d} {count[0]:8d} {count[1]:13d} "
-            f"{np.mean(nees) if nees else np.nan:6.2f}   {low:.2f} to {high:.2f}"
+            f"{np.mean(nees) if nees else np.nan:6.2f}"
         )
-    every = groups["all"]
+    every = [run for _, run in done]
     for run in every:
         if run.why and run.outcome != "consistent":
             print(f"{run.outcome}, {run.why}")
-    refuted = sum(run.refuted for run in every) / len(every)
-    findings = sum(run.outcome == "consistent, findings" for run in every) / len(every)
     print()
-    record.verdict(f"refuted {refuted:.4f} of {len(every)} ({MOST_REFUTED})", refuted <= MOST_REFUTED)
-    most = MOST_FINDINGS[what]
-    record.verdict(f"findings in {findings:.4f} ({most})", findings <= most)
-    for name in (name for name in groups if name.startswith("all")):
-        nees = float(np.nanmean([run.nees for run in groups[name]]))
-        low, high = record.band_of_mean_nees(len(groups[name]))
-        low, high = min(low, NEES_BAND[0]), max(high, NEES_BAND[1])
-        record.verdict(f"mean NEES {nees:.2f} of {name} ({low:.2f} to {high:.2f})", low <= nees <= high)
+    record.judge_share(f"{what}: refuted", sum(run.refuted for run in every), len(every), most=MOST_REFUTED)
+    findings = sum(run.outcome == "consistent, findings" for run in every)
+    record.judge_share(f"{what}: findings", findings, len(every), most=MOST_FINDINGS[what])
+    for name in (name for name in groups if name.startswith("all") and len(groups[name]) > 1):
+        record.judge_nees(name, [one.nees for one in groups[name] if np.isfinite(one.nees)], asked=NEES_BAND)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=tuple(MOST_FINDINGS))
-    parser.add_argument("work", type=Path, nargs="?", help="folder, for dumps")
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--exposures", type=int, action="append", help="a strip, of sightings")
-    parser.add_argument("--first-seed", type=int, default=101)
-    options = parser.parse_args()
-    record.head(f"Campaigns without a fault: {options.what}")
-    if options.what == "sightings":
-        counts = options.exposures or EXPOSURES
-        report(sightings(options.runs, counts, options.first_seed), "sightings")
-    else:
-        work = options.work or Path(tempfile.mkdtemp())
-        report(dumps(options.runs, work, options.first_seed), "dumps")
-        if options.work is None:
-            shutil.rmtree(work)
+    options = record.arguments_of(
+        __doc__,
+        ("--sightings", 120, "campaigns of directions"),
+        ("--dumps", 5, "of 100: how many of each kind say their shares; one of each at least"),
+        ("--exposures", EXPOSURES, "a strip, of sightings"),
+        ("--first-seed", 101, "of either"),
+    )
+    record.head("Campaigns without a fault")
+    if options.sightings:
+        report(sightings(options.sightings, options.exposures, options.first_seed), "sightings")
+    if options.dumps:
+        report(dumps(options.dumps, options.first_seed), "dumps")
     raise SystemExit(record.exit_status())
 
 

@@ -1,7 +1,6 @@
 """Does a mounting at rest raise an alarm, is a step found with its date, and does the merged covariance hold?
 
-    python benchmarks/drift.py --out benchmarks/results/drift.md
-    python benchmarks/drift.py --pixels FOLDER
+    python benchmarks/drift.py [--rest 100] [--steps 20] [--calibrated 4] [--pixels]
 
 A run is a year: twelve calibrations at uneven dates, drawn at the level of vectors with every error of the
 paper's Table 1 and one distortion of the camera for the whole year; the star camera looks 15 deg off the
@@ -9,26 +8,24 @@ zenith and is rotated by 37 deg. The estimator does not know the matrix: informa
 2" (1 sigma, each axis) wrong. `--rest` years of four strips a month show the alarms at rest, `--steps` years
 of ten strips a month show steps: a moved mounting is the same year seen by a star camera that is rotated from
 a date on. `--calibrated` more go through `calib.calibrate` month by month, look for gross errors and iterate.
-`--series` are Gaussian draws from given covariances, for the tests alone. `--pixels` renders dumps of four
-months, the mounting moved by 1" in the middle, and runs the program on them.
+`--pixels` also renders dumps of
+four months, the mounting moved by 1" in the middle, and runs the program on them.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import subprocess
 import sys
-import time
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
-from end_to_end import machine
 from numpy.typing import NDArray
+from processes import run_command
+from record import arguments_of, exit_status, head, judge_largest, judge_nees, judge_share
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips, strip_pairs
@@ -58,14 +55,7 @@ STEPS += [("Z", s) for s in (2.0, 4.0, 6.0, 8.0, 12.0)]
 ALARMS = (0.05, 0.01)
 WAYS = ("shared", "independent")
 NONE = np.zeros((0, 0))
-REST_HEAD = (
-    "| years | runs | alarms, 5 % asked | alarms, 1 % asked | mean p (0.5) | NEES of the merged (3) "
-    "| its 1σ X, Y, Z, ″ |"
-)
-STEP_HEAD = (
-    "| step | found | found, taken as independent | in the right gap, of those found "
-    "| date's 95 % interval holds it, of all | its median width |"
-)
+FOUND = ("X 1", "Y 1", "Z 8")  # steps, arcsec, of which nine in ten must be found
 
 
 @dataclass(frozen=True)
@@ -159,122 +149,43 @@ def alarm(p: tuple[float, float], probability: float) -> bool:
     return min(p) < 0.5 * probability
 
 
-def share(count: int, of: int) -> str:
-    """Per cent with its binomial 1-sigma (of one count, where there is none)."""
-    p = count / of
-    sigma = np.sqrt(max(p * (1.0 - p), 1.0 / of) / of)
-    return f"{100 * p:.1f} ± {100 * sigma:.1f} %"
+def years(
+    seed: int, count: int, strips: int, calibrated: bool, steps: Sequence[tuple[str, float]]
+) -> list[Year]:
+    return [year(Job((seed, n), strips, calibrated, list(steps))) for n in range(count)]
 
 
-def years(jobs: list[Job], processes: int) -> list[Year]:
-    with Pool(processes) as pool:
-        found = []
-        for one in pool.imap(year, jobs, chunksize=4):
-            found.append(one)
-            print(f"\r{len(found)} of {len(jobs)} years", end="", file=sys.stderr)
-    return found
-
-
-def rest_rows(found: list[Year], name: str) -> Iterator[str]:
-    n = len(found)
+def at_rest(name: str, seen: list[Year]) -> None:
+    """Alarms, and the covariance of the merged matrix; beside it if results are taken as independent."""
     for way in WAYS:
-        counts = [sum(alarm(one.p_rest[way], p) for one in found) for p in ALARMS]
-        mean_p = np.mean([one.p_rest[way][0] for one in found])
-        nees = np.mean([one.nees[way] for one in found])
-        sigma = np.mean([one.sigma[way] for one in found], axis=0) / ARCSEC
-        alarms = " | ".join(f"{count}: {share(count, n)}" for count in counts)
-        yield (
-            f"| {name}, {way} | {n} | {alarms} "
-            f"| {mean_p:.3f} ± {np.sqrt(1 / 12 / n):.3f} | {nees:.2f} ± {np.sqrt(6 / n):.2f} "
-            f"| {sigma[0]:.3f}, {sigma[1]:.3f}, {sigma[2]:.2f} |"
-        )
+        counts = [sum(alarm(one.p_rest[way], asked) for one in seen) for asked in ALARMS]
+        sigma = ", ".join(f"{s:.3f}" for s in np.mean([one.sigma[way] for one in seen], axis=0) / ARCSEC)
+        nees = np.mean([one.nees[way] for one in seen])
+        print(f"{name}, {way}: alarms {counts} of {len(seen)}, NEES {nees:.2f}, 1 sigma {sigma} arcsec")
+    for asked in ALARMS:
+        count = sum(alarm(one.p_rest["shared"], asked) for one in seen)
+        judge_share(f"{name}: alarms at rest, {100 * asked:g} % asked", count, len(seen), most=asked)
+    judge_nees(f"{name}: merged matrix", [one.nees["shared"] for one in seen])
 
 
-def step_rows(found: list[Year]) -> Iterator[str]:
-    n = len(found)
-    for k, (axis, size) in enumerate(STEPS):
-        seen = [one for one in found if alarm(one.p_step["shared"][k], 0.01)]
-        alone = sum(alarm(one.p_step["independent"][k], 0.01) for one in found)
-        if not seen:
-            yield f'| {axis} {size:g}" | {share(0, n)} | {share(alone, n)} | | | |'
-            continue
-        right = sum(one.gap_right[k] for one in seen)
-        inside = sum(one.date_inside[k] for one in found)
+def after_steps(name: str, seen: list[Year], steps: Sequence[tuple[str, float]]) -> None:
+    """How often each step is found, in the right gap, and its date within its interval."""
+    inside = 0
+    for k, (axis, size) in enumerate(steps):
+        found = [one for one in seen if alarm(one.p_step["shared"][k], ALARMS[1])]
+        alone = sum(alarm(one.p_step["independent"][k], ALARMS[1]) for one in seen)
+        right = sum(one.gap_right[k] for one in found)
+        inside += sum(one.date_inside[k] for one in seen)
         width = np.median([one.date_width_d[k] for one in seen])
-        yield (
-            f'| {axis} {size:g}" | {share(len(seen), n)} | {share(alone, n)} | {share(right, len(seen))} '
-            f"| {share(inside, n)} | {width:.0f} d |"
+        print(
+            f"{name}, {axis} {size:g} arcsec: found {len(found)} of {len(seen)} ({alone} as independent), "
+            f"right gap {right}, interval of the date {width:.0f} d"
         )
-
-
-def series_rows(seed: int, runs: int) -> Iterator[str]:
-    """Gaussian draws: three axes of 0.1", 0.15" and 1" (1 sigma) give or take half, turned anew each time."""
-    for K in (3, 6, 12):
-        rng, counts = np.random.default_rng((seed, K)), [0, 0]
-        for _ in range(runs):
-            sigma = np.array([0.1, 0.15, 1.0]) * ARCSEC * rng.uniform(0.5, 1.5, (K, 1))
-            Q = Rotation.random(K, random_state=rng).as_matrix()
-            theta = np.einsum("kij,kj->ki", Q, sigma * rng.normal(size=(K, 3)))
-            F = np.einsum("kij,kj,klj->kil", Q, sigma**-2.0, Q)
-            names = np.array([f"{k:02d}" for k in range(K)])
-            pairs = InformationPairs(names, F, np.einsum("kij,kj->ki", F, theta), R_CS)
-            series = MountingSeries.of(pairs, NONE, DAYS[:K] * DAY_S)
-            drift = estimate_drift(series, DriftSettings(density_rad2_s=0.0))
-            p = (drift.constant.p_value, drift.step.p_value)
-            counts = [count + alarm(p, asked) for count, asked in zip(counts, ALARMS)]
-        yield f"| {K} | {runs} | " + " | ".join(f"{c}: {share(c, runs)}" for c in counts) + " |"
-
-
-def vectors_report(options: argparse.Namespace) -> str:
-    begin = time.perf_counter()
-    seed = options.seed
-    at_rest = years([Job((seed, n), AT_REST, False, []) for n in range(options.rest)], options.processes)
-    drawn = years(
-        [Job((seed + 1, n), FOR_STEPS, False, STEPS) for n in range(options.steps)], options.processes
-    )
-    calibrated = years(
-        [Job((seed + 2, n), FOR_STEPS, True, STEPS) for n in range(options.calibrated)], options.processes
-    )
-    lines = [
-        "# A year of calibrations: alarms, steps, dates",
-        "",
-        *machine(),
-        f"{len(DAYS)} results on days {', '.join(f'{d:.0f}' for d in DAYS)}, strips "
-        f"({PLAN.exposures} exposures of {PLAN.stars} stars, {PLAN.targets} targets; every error of Table 1; "
-        "one distortion a year). *shared*: the distortion is one unknown of all results, as `boresight "
-        "drift` has it. *independent*: each result's own covariance, for comparison.",
-        "",
-        "## At rest",
-        "",
-        REST_HEAD,
-        "|---|---|---|---|---|---|---|",
-        *rest_rows(at_rest, f"{AT_REST} strips a month"),
-        *rest_rows(drawn, f"{FOR_STEPS} strips a month"),
-        *rest_rows(calibrated, f"{FOR_STEPS}, `calibrate` each month"),
-        "",
-        "Gaussian draws from given covariances, nothing shared:",
-        "",
-        "| results | series | alarms, 5 % asked | alarms, 1 % asked |",
-        "|---|---|---|---|",
-        *series_rows(seed + 3, options.series),
-        "",
-        "## A step on a random day between day 62 and day 273, 1 % false alarms asked",
-        "",
-        f"{options.steps} years of {FOR_STEPS} strips a month.",
-        "",
-        STEP_HEAD,
-        "|---|---|---|---|---|---|",
-        *step_rows(drawn),
-        "",
-        f"The same through `calibrate` each month ({options.calibrated} years), steps of 1″ about X and Y:",
-        "",
-        STEP_HEAD,
-        "|---|---|---|---|---|---|",
-        *(row for row in step_rows(calibrated) if ' 1"' in row),
-        "",
-        f"{time.perf_counter() - begin:.0f} s with {options.processes} processes.",
-    ]
-    return "\n".join(lines).replace('"', "″") + "\n"
+        if f"{axis} {size:g}" in FOUND:
+            judge_share(
+                f"{name}: step of {size:g} arcsec about {axis} found", len(found), len(seen), least=0.9
+            )
+    judge_share(f"{name}: 95 % interval holds the date", inside, len(seen) * len(steps), least=0.93)
 
 
 MONTHS = ("2024-10-20", "2024-11-20", "2024-12-20", "2025-01-20")
@@ -282,9 +193,8 @@ THETA = np.array([0.003, 0.002, 0.001])  # the simulator's own, of the paper's (
 STEP = np.array([0.6, -0.8, 0.0]) * ARCSEC  # 1 arcsec
 
 
-def pixels_report(folder: Path) -> str:
+def from_pixels(folder: Path) -> None:
     """Dumps of four months rendered, the mounting moved after the second; `calibrate` finds it by itself."""
-    program = [sys.executable, "-m", "boresight"]
     turned = theta_between(deviation_from_theta(STEP) * deviation_from_theta(THETA), Rotation.identity())
     common = ["errors.gps_m=0.2", "errors.distortion_px=0.0", "strips.only_around_targets_px=60.0"]
     dumps = []
@@ -293,52 +203,41 @@ def pixels_report(folder: Path) -> str:
         changes = [*common, f'epoch_utc="{month}T03:40:00"', f"installation.theta_rad={theta}"]
         options = [part for change in changes for part in ("--set", change)]
         dumps.append(str(folder / month))
-        subprocess.run([*program, "simulate", "mini", dumps[-1], "--seed", str(11 + k), *options], check=True)
+        run_command("simulate", "mini", dumps[-1], "--seed", str(11 + k), *options)
     out = folder / "result"
-    ran = subprocess.run(
-        [*program, "calibrate", *dumps, "--out", str(out), "--workers", "1", "--no-report"],
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    if ran.returncode != 3:  # one matrix for all months is refuted: the mounting moved
-        raise SystemExit(f"exit status {ran.returncode}, expected 3:\n{ran.stdout}{ran.stderr}")
+    # one matrix for all months is refuted: the mounting moved
+    run_command("calibrate", *dumps, "--out", str(out), "--workers", "1", "--no-report", status=3)
     drift = json.loads((out / "drift.json").read_text())
-    found = np.array(drift["step"]["theta_rad"]) / ARCSEC
-    sigma = np.sqrt(np.diag(drift["step"]["covariance_rad2"])) / ARCSEC
-    changes = " ".join(f"--set {change}" for change in [*common, "epoch_utc=…", "installation.theta_rad=…"])
-    lines = [
-        "## From pixels: four dumps of mini, the mounting moved by 1″ after the second",
-        "",
-        *machine(),
-        f"    boresight simulate mini MONTH --seed 11 … 14 {changes}",
-        "    boresight calibrate MONTHS --out RESULT",
-        "",
-        f"Dumps of {', '.join(MONTHS)}; step {', '.join(f'{v:g}' for v in STEP / ARCSEC)}″ about X, Y, Z.",
-        "",
-        *(f"    {line}" for line in ran.stdout.splitlines()),
-        "",
-        f"Step minus truth over 1σ: {', '.join(f'{v:+.2f}' for v in (found - STEP / ARCSEC) / sigma)}.",
-    ]
-    return "\n".join(lines) + "\n"
+    found = np.array(drift["step"]["theta_rad"])
+    sigma = np.sqrt(np.diag(drift["step"]["covariance_rad2"]))
+    p = drift["step"]["p_value"]
+    print(f"step found {np.round(found / ARCSEC, 2)} arcsec, true {STEP / ARCSEC}; p {p:.1e}")
+    off = float(np.abs((found - STEP) / sigma).max())
+    judge_largest("four rendered months, step of 1 arcsec: largest error", off, 4.0, "sigma")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rest", type=int, default=1000)
-    parser.add_argument("--steps", type=int, default=200)
-    parser.add_argument("--calibrated", type=int, default=40)
-    parser.add_argument("--series", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=2020)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--pixels", type=Path, help="render dumps here and calibrate them, nothing else")
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
-    text = pixels_report(options.pixels) if options.pixels else vectors_report(options)
-    if options.out:
-        options.out.write_text(text, encoding="utf-8")
-    print(text)
+def main() -> int:
+    options = arguments_of(
+        __doc__,
+        ("--rest", 100, "years of four strips a month"),
+        ("--steps", 20, "years of ten strips a month"),
+        ("--calibrated", 4, "of them through `calibrate` each month"),
+        ("--seed", 2020, "of all"),
+        ("--pixels", False, "render and calibrate four months, too"),
+    )
+    head("A year of calibrations: alarms, steps, dates")
+    at_rest(f"{AT_REST} strips a month", years(options.seed, options.rest, AT_REST, False, []))
+    drawn = years(options.seed + 1, options.steps, FOR_STEPS, False, STEPS)
+    at_rest(f"{FOR_STEPS} strips a month", drawn)
+    after_steps(f"{FOR_STEPS} strips a month", drawn, STEPS)
+    if options.calibrated:
+        large = [step for step in STEPS if step[1] == 1.0]
+        after_steps("calibrated", years(options.seed + 2, options.calibrated, FOR_STEPS, True, large), large)
+    if options.pixels:
+        with tempfile.TemporaryDirectory() as folder:
+            from_pixels(Path(folder))
+    return exit_status()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

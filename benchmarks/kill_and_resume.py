@@ -1,6 +1,6 @@
 """A run killed again and again, at random moments: is anything finished lost, is the result the same?
 
-    python benchmarks/kill_and_resume.py --dump DUMP --kills 20 --workers 2 --seed 1
+    python benchmarks/kill_and_resume.py [--dump fixtures/mini] [--kills 6] [--workers 2] [--seed 1]
 
 `boresight calibrate` is started, killed with all its processes by SIGKILL at a random moment, and started
 again, until it was killed so many times; then it may finish. The moments are spread over the whole run: each
@@ -11,7 +11,6 @@ again.
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import signal
@@ -21,13 +20,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from end_to_end import machine
+from processes import COMMAND
+from record import ROOT, arguments_of, exit_status, head, judge_share, verdict
 
-COMMAND = (sys.executable, "-m", "boresight", "calibrate")
 
-
-def start(dump: Path, out: Path, workers: int) -> subprocess.Popen:
-    command = [*COMMAND, str(dump), "--out", str(out), "--workers", str(workers), "--no-report"]
+def start(dump: str, out: Path, workers: int) -> subprocess.Popen:
+    command = [*COMMAND, "calibrate", dump, "--out", str(out), "--workers", str(workers), "--no-report"]
     return subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
@@ -38,7 +36,7 @@ def units(out: Path) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
 
 
-def undisturbed(dump: Path, out: Path, workers: int) -> tuple[float, float]:
+def undisturbed(dump: str, out: Path, workers: int) -> tuple[float, float]:
     """Seconds to the first unit, seconds in all."""
     begin = time.perf_counter()
     process = start(dump, out, workers)
@@ -50,7 +48,7 @@ def undisturbed(dump: Path, out: Path, workers: int) -> tuple[float, float]:
     return first, time.perf_counter() - begin
 
 
-def killed(dump: Path, out: Path, workers: int, count: int, wait_s: float) -> tuple[dict[str, int], bool]:
+def killed(dump: str, out: Path, workers: int, count: int, wait_s: float) -> tuple[dict[str, int], bool]:
     """Units on disk when a run died that was killed so long after it had so many; whether it was alive."""
     process = start(dump, out, workers)
     while process.poll() is None and len(units(out)) < count:
@@ -63,42 +61,41 @@ def killed(dump: Path, out: Path, workers: int, count: int, wait_s: float) -> tu
     return units(out), alive
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dump", type=Path, required=True)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+def main() -> int:
+    options = arguments_of(
+        __doc__,
+        ("--dump", str(ROOT / "fixtures" / "mini"), "to be calibrated"),
+        ("--kills", 6, "in one run"),
+        ("--workers", 2, "processes"),
+        ("--seed", 1, "of the moments"),
+    )
+    head("A run killed again and again")
     rng = random.Random(options.seed)
-    print("\n".join(machine()))
     with tempfile.TemporaryDirectory() as folder:
         calm, harsh = Path(folder) / "calm", Path(folder) / "harsh"
         first, whole = undisturbed(options.dump, calm, options.workers)
         count = len(units(calm))
         print(f"undisturbed run: {count} units, the first after {first:.1f} s, {whole:.1f} s in all")
         a_unit = options.workers * (whole - first) / count
-        made_again, on_disk, moments, alive_all = 0, {}, [], True
+        made_again, seen, on_disk, moments = 0, 0, {}, []
         for wanted in sorted(rng.randint(0, count) for _ in range(options.kills)):
-            before = on_disk
-            on_disk, alive = killed(
-                options.dump, harsh, options.workers, wanted, rng.uniform(0.0, 1.0) * a_unit
-            )
+            before, wait_s = on_disk, rng.uniform(0.0, 1.0) * a_unit
+            on_disk, alive = killed(options.dump, harsh, options.workers, wanted, wait_s)
             made_again += sum(on_disk.get(path) != written for path, written in before.items())
-            alive_all &= alive
-            moments.append(len(on_disk))
+            seen += len(before)
+            moments.append(f"{len(on_disk)}{'' if alive else ' (had ended)'}")
         if start(options.dump, harsh, options.workers).wait():
             raise SystemExit("the last run failed")
         after = units(harsh)
         made_again += sum(after.get(path) != written for path, written in on_disk.items())
         same = (calm / "installation.json").read_bytes() == (harsh / "installation.json").read_bytes()
-    print(f"killed {options.kills} times, with so many units on disk: {', '.join(map(str, moments))}")
-    print(f"all {options.kills} died of it: {'yes' if alive_all else 'NO'}")
-    print(f"finished units made again: {made_again}; units in the end: {len(after)}")
-    print(f"installation.json is {'the same, bit for bit' if same else 'ANOTHER ONE'}")
-    if made_again or not same or not alive_all or len(after) != count:
-        raise SystemExit(1)
+    print(f"killed with so many units on disk: {', '.join(moments)}")
+    judge_share("finished units made again after a kill", made_again, max(seen, 1), most=0.0)
+    verdict(f"{len(after)} units in the end", f"{count}", len(after) == count, options.kills)
+    words = "the same, bit for bit" if same else "another one"
+    verdict(f"installation.json after kills is {words}", "the same", same, options.kills)
+    return exit_status()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -18,7 +18,6 @@ orekit_jpype.initVM()
 
 from java.io import File  # noqa: E402
 from java.lang import System  # noqa: E402
-from java.lang.management import ManagementFactory  # noqa: E402
 from java.util import ArrayList  # noqa: E402
 from org.hipparchus.geometry.euclidean.threed import Rotation, Vector3D  # noqa: E402
 from org.orekit.data import DataContext, DirectoryCrawler  # noqa: E402
@@ -120,16 +119,6 @@ def located(model, name, lines):
     return np.array(result)
 
 
-def points_a_second(model, name, n_px, lines):
-    threads = ManagementFactory.getThreadMXBean()
-    for line in lines[: max(3, len(lines) // 4)]:  # let the compiler warm up
-        model.directLocation(name, float(line))
-    start = threads.getCurrentThreadCpuTime()
-    for line in lines:
-        model.directLocation(name, float(line))
-    return n_px * len(lines) / (1e-9 * (threads.getCurrentThreadCpuTime() - start))
-
-
 def layers_of(model):
     field = model.getClass().getDeclaredField("refractionLayers")
     field.setAccessible(True)
@@ -151,13 +140,6 @@ def main(scene_path, result_path):
         ground = terrain if "terrain" in case else None
         model = rugged(scene, date, sparse, *flags, ground, float(scene["height"]))
         result[f"points_{case}"] = located(model, "sparse", scene["lines"])
-    full = {"full": scene["looks"]}
-    for case in scene["timed"]:
-        flags = [flag in case for flag in ("light_time", "aberration", "refraction")]
-        ground = terrain if "terrain" in case else None
-        model = rugged(scene, date, full, *flags, ground, float(scene["height"]))
-        lines = np.linspace(0.0, float(scene["lines"][-1]), 20 if "terrain" in case else 60)
-        result[f"speed_{case}"] = points_a_second(model, "full", len(scene["looks"]), lines)
     builder = RuggedBuilder()
     builder.setEllipsoid(EllipsoidId.WGS84, BodyRotatingFrameId.ITRF)
     result["layers"] = layers_of(MultiLayerModel(builder.getEllipsoid()))

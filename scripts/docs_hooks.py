@@ -16,10 +16,10 @@ from mkdocs.structure.files import File, Files
 sys.path.insert(0, str(Path(__file__).parent))
 from accuracy_tables import table4_markdown
 from api_contents import undocumented
-from records import BenchmarkRecord, WorkingTree, records
 
 ROOT = Path(__file__).parents[1]
 RECORDS = ROOT / "benchmarks" / "results"
+TABLE = "table.md"
 NAME = re.compile(
     r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline|features)(?:\.\w+)+)`"
 )
@@ -81,14 +81,15 @@ def on_files(files: Files, *, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> str:
-    """Put the records where `<!-- benchmark records -->` stands, and link the method's names to the API
-    pages.
+    """Put table and records of the benchmarks where their marks stand, and link the method's names to the
+    API pages.
     """
     if page.file.src_uri == "method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
     markdown = PLOT.sub(r"![\2](results/\1.png)", markdown)
     if "<!-- table 4 -->" in markdown:
         markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
+    markdown = markdown.replace("<!-- benchmark table -->", _table())
     return markdown.replace("<!-- benchmark records -->", "\n".join(_records()))
 
 
@@ -113,26 +114,19 @@ def _example(name: str, title: str) -> str:
     )
 
 
-def note_of(record: BenchmarkRecord, tree: WorkingTree) -> str:
-    """What the page says above a record that is not of the present code; "" above others."""
-    state = record.state(tree)
-    if state == "present":
-        return ""
-    since = f" since commit {record.commit}" if record.commit else ""
-    return (
-        f"**Stale**: the code that this record depends on has changed{since} ({state}). "
-        "The figures are those of the commit named below.\n"
-    )
+def _table() -> str:
+    """The table of the benchmarks, its headings below those of the page."""
+    path = RECORDS / TABLE
+    text = path.read_text(encoding="utf-8") if path.is_file() else "`make benchmarks` has not been run."
+    return re.sub(r"^# .*\n", "", text, flags=re.MULTILINE)
 
 
 def _records() -> Iterator[str]:
-    tree = WorkingTree()
-    known = {record.path: record for record in records()}
     for path in sorted(RECORDS.glob("*")):
+        if path.name == TABLE:
+            continue
         if path.suffix in (".txt", ".md", ".png"):
             yield f"### {path.stem.replace('_', ' ')}\n"
-        if path in known and (note := note_of(known[path], tree)):
-            yield note
         if path.suffix == ".txt":
             yield f"```text\n{path.read_text(encoding='utf-8').rstrip()}\n```\n"
         elif path.suffix == ".md":

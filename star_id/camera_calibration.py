@@ -48,7 +48,7 @@ __all__ = [
 
 
 # Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
-# structure exceed twice what is stated, and the lens is refused (benchmarks/star_lenses.py).
+# structure exceed twice what is stated, and the lens is refused (benchmarks/star_cameras.py).
 LARGEST_UNMODELLED_PX = 0.01
 # Most rounds of fitting the camera and naming more stars with it (set by hand).
 _ROUNDS = 3

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from style import Ink, draw
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from real_sentinel2 import BULLETIN, DATA, grid_of, looks
+from real_sentinel2 import BULLETIN, grid_of, looks
+from record import SHARED
 
 from boresight.features.exports.refining import fit_correction
 from boresight.features.operators.sentinel2_grid import operator_orbit
@@ -24,7 +25,7 @@ from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 
-REAL = DATA / "sentinel2"
+REAL = SHARED / "sentinel2"
 RANGE_M = 786e3  # distance to the ground below
 if not (REAL / "grid_B04.csv").exists():
     sys.exit(f"the data of Sentinel-2 are not there: {REAL}; the drawings stay as they are")

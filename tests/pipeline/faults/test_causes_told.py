@@ -1,22 +1,22 @@
 """Faults of inputs and what is reported of them: the cause with its size, its item, its file and field.
 
 Measured points of three strips and two heads: nothing is searched in images, so a calibration is short. Each
-fault is another one than those of `benchmarks/faults.py`.
+fault is another one than those of `faults.py`.
 """
 
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
+import fault_cases
+import fault_dumps
+import faults
 import numpy as np
 import pytest
-from outside import ROOT
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import MOST_WORDS
@@ -28,9 +28,6 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 
-sys.path[:0] = [str(ROOT / "benchmarks")]
-faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
-faults_grid = import_module("faults_grid")
 change, edited, later = faults.change, faults.edited, faults.later
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 NO_ABERRATION = "[light]\naberration = false\n\n"
@@ -275,9 +272,9 @@ def test_a_finding_that_leaves_the_choice_between_two_strips_lists_the_other(tol
     assert (found.item, found.rivals) == ("strip s01", ("clock of the rows, strip s02",))
     assert found.text.endswith("; or strip s02.")
     as_written = {"rivals": list(found.rivals)}
-    assert faults_grid.leaves_open(as_written, {"s02"}, ["s02", "clock"])
-    assert not faults_grid.leaves_open(as_written, {"s03"}, ["s03", "clock"])
-    assert not faults_grid.leaves_open({"rivals": None}, {"s02"}, ["s02"])
+    assert fault_cases.leaves_open(as_written, {"s02"}, ["s02", "clock"])
+    assert not fault_cases.leaves_open(as_written, {"s03"}, ["s03", "clock"])
+    assert not fault_cases.leaves_open({"rivals": None}, {"s02"}, ["s02"])
 
 
 def test_an_orbit_that_contradicts_all_heads_alike_is_named_and_no_head(told):

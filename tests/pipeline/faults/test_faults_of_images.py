@@ -5,12 +5,12 @@ among what the result cannot show.
 from __future__ import annotations
 
 import shutil
-import sys
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
+import fault_dumps
+import faults
 import pytest
 from outside import ROOT
 
@@ -21,8 +21,6 @@ from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 
-sys.path[:0] = [str(ROOT / "benchmarks")]
-faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
 edited, later, table, toml_number, write = (
     getattr(faults, name) for name in ("edited", "later", "table", "toml_number", "write")
 )

@@ -4,23 +4,20 @@ calibration that has no matrix names the reading.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 
+import fault_dumps
+import faults
 import numpy as np
 import pytest
-from outside import ROOT
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.other_readings import other_readings
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 
-sys.path[:0] = [str(ROOT / "benchmarks")]
-faults, fault_dumps = import_module("faults"), import_module("fault_dumps")
 GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
 LAST_LINE, LAST_SAMPLE = 1999, 511  # of the CCDs of the dump, from 0
 Row = dict[str, str]

@@ -1,20 +1,19 @@
 """Every numbered equation of the paper: the function that carries it out against the equation written out, or
-against an outside authority (OpenCV, SciPy's matrix exponential), with the largest difference found.
+against an outside authority (OpenCV, SciPy's matrix exponential).
 
-    python benchmarks/paper_equations.py
+Each function of `GROUPS` hands what it finds to `shown`: number, what differs, the largest difference, its
+limit and unit. `test_equations.py` asks for all limits, `benchmarks/paper_tables.py` makes a record of them.
 """
 
 from __future__ import annotations
 
-import sys
-import time
-from pathlib import Path
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 import scipy.linalg
-from record import exit_status, head, verdict
 from scipy.spatial.transform import Rotation
+from strips import R_CS, strip
 
 from boresight.calib.information import solve_total
 from boresight.features.exports.virtual_ccd import virtual_camera
@@ -28,11 +27,7 @@ from boresight.simulator.cameras import calibrated_line_camera, star_camera
 from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
 from boresight.simulator.scenario import paper_scenario
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path[:0] = [str(TESTS), str(TESTS / "geometry")]
-
-from strips import R_CS, strip  # noqa: E402
-
+Shown = Callable[..., None]  # number, what, difference, limit, unit
 N_S, N_C, DRAWS = 20, 8, 4000
 THETA = np.array([0.003, 0.002, 0.001])  # rad, (28)
 R_CS0 = deviation_from_theta(THETA).inv() * Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -46,15 +41,11 @@ def bracket(v: np.ndarray) -> np.ndarray:
     return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
-def shown(number: str, what: str, difference: float, limit: float, unit: str = "") -> None:
-    verdict(f"({number}) {what}: {difference:.1e}{unit} (at most {limit:.0e})", bool(difference <= limit))
-
-
 def largest(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(np.asarray(a) - np.asarray(b)).max())
 
 
-def cameras_and_directions(rng: np.random.Generator) -> None:
+def cameras_and_directions(rng: np.random.Generator, shown: Shown) -> None:
     model = strip()
     sample, line = rng.uniform(0.0, 6143.0, 200), rng.uniform(0.0, 26000.0, 200)
     look_i, t_s = model.look_i(0, sample, line)
@@ -80,10 +71,10 @@ def cameras_and_directions(rng: np.random.Generator) -> None:
     u = v @ R_si.as_matrix().T
     found = fit_attitudes(u, v, isotropic_covariance(u, 1e-6), np.array([0, len(u)])).R_si[0]
     shown("3", "u = R_si v with the attitude fitted to u and v", largest(u, v @ found.T), 1e-12)
-    star_camera_and_distortion(rng)
+    star_camera_and_distortion(rng, shown)
 
 
-def star_camera_and_distortion(rng: np.random.Generator) -> None:
+def star_camera_and_distortion(rng: np.random.Generator, shown: Shown) -> None:
     s = paper_scenario().star_camera
     camera = star_camera(s)
     xy_mm = rng.uniform(-1.0, 1.0, (500, 2)) * [16.384, 12.288]
@@ -113,7 +104,7 @@ def star_camera_and_distortion(rng: np.random.Generator) -> None:
     shown("6", "the principal point", largest(origin[0], s.principal_px), 1e-12, " px")
 
 
-def vectors_and_deviation(rng: np.random.Generator) -> None:
+def vectors_and_deviation(rng: np.random.Generator, shown: Shown) -> None:
     exact = draw_frames(1, N_S, N_C, 0.06, 0.3, CAMERAS, rng, noise=False)
     U, V, _, W_c, V_c, _ = exact.frame(0)
     C, C0 = CAMERAS.R_cs.as_matrix(), R_CS0.as_matrix()
@@ -165,7 +156,7 @@ def vectors_and_deviation(rng: np.random.Generator) -> None:
     print(f"       the text's first angle is -0.003, the matrix has {printed[0]:+.3f} rad")
 
 
-def cross_angles(rng: np.random.Generator) -> None:
+def cross_angles(rng: np.random.Generator, shown: Shown) -> None:
     exact = draw_frames(1, N_S, N_C, 0.06, 0.3, CAMERAS, rng, noise=False)
     U, V, _, W_c, V_c, _ = exact.frame(0)
 
@@ -195,10 +186,10 @@ def cross_angles(rng: np.random.Generator) -> None:
     left = np.abs(Z - H @ THETA).max() / np.abs(Z).max()
     shown("21", "z - (W0 x W) theta over the largest z", left, 1e-2)
     shown("23", "elements of Z less n_s n_c", abs(len(Z) - N_S * N_C), 0)
-    normal_equations(noisy, Z, H, W0)
+    normal_equations(noisy, Z, H, W0, shown)
 
 
-def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray) -> None:
+def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray, shown: Shown) -> None:
     _, _, s_s, W_c, _, s_c = frame
     P = np.zeros((N_S, N_C, N_S, N_C))  # (A6) with the terms of (A15), element by element
     R_s, R_c = isotropic_covariance(W0, s_s), isotropic_covariance(W_c, s_c)
@@ -259,7 +250,7 @@ def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray)
     shown("A12", "relative slope of the likelihood at theta", slope, 1e-6)
 
 
-def forms_and_line(rng: np.random.Generator) -> None:
+def forms_and_line(rng: np.random.Generator, shown: Shown) -> None:
     frames = draw_frames(6, 60, 20, 0.06, 0.3, CAMERAS, rng)
     each = [frames.frame(k) for k in range(len(frames))]
     R_cs, covariance, iterations = calibrate_literally(each, R_CS0)
@@ -283,7 +274,7 @@ def forms_and_line(rng: np.random.Generator) -> None:
     shown("27", "virtual CCD and the line y = a x + b", largest(a * y + b, x) / 1e-5, 1e-6, " px")
 
 
-def noise(rng: np.random.Generator) -> None:
+def noise(rng: np.random.Generator, shown: Shown) -> None:
     exact = draw_frames(1, N_S, N_C, 0.06, 0.3, CAMERAS, rng, noise=False)
     U, _, s_s, W_c, _, s_c = exact.frame(0)
     draws = [noisy_frames(exact, rng) for _ in range(DRAWS)]
@@ -335,17 +326,4 @@ def noise(rng: np.random.Generator) -> None:
     shown("22", "variance of dz over (A6), less 1", abs(dz.var() / predicted - 1.0), 1.5 * chance)
 
 
-def main() -> int:
-    head("paper: numbered equations, each against its literal form or an authority; largest difference")
-    begin = time.process_time()
-    cameras_and_directions(np.random.default_rng(1))
-    vectors_and_deviation(np.random.default_rng(2))
-    cross_angles(np.random.default_rng(3))
-    forms_and_line(np.random.default_rng(4))
-    noise(np.random.default_rng(5))
-    print(f"CPU       {time.process_time() - begin:.1f} s")
-    return exit_status()
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+GROUPS = (cameras_and_directions, vectors_and_deviation, cross_angles, forms_and_line, noise)  # seeds 1, 2, …

@@ -1,4 +1,4 @@
-"""Frames of the sky as sensors and lenses spoil them, with known truth, for `star_hard.py`.
+"""Frames of the sky as sensors and lenses spoil them, with known truth (also of `benchmarks/star_hard.py`).
 
 The renderer shares nothing with the simulator or with `star_id`: the point spread function is a table of
 eight points a pixel (a core with the wings of a Moffat function, drawn out to a trail, a ring or a comatic

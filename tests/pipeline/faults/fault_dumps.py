@@ -33,7 +33,7 @@ from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
 __all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_images", "write_heads"]
 
-FIXTURES = Path(__file__).parents[1] / "fixtures"
+FIXTURES = Path(__file__).parents[3] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "coloured", "trackers")
 OF_FIXTURE = {("ground", 1): "mini", ("sky", 1): "sky"}
 APART_S = 30.0  # from the scan to its repetition in the other direction
@@ -79,7 +79,7 @@ def sound_dump(name: str, seed: int, work: Path) -> Path:
     elif name == "trackers":
         _trackers(root, seed, sound_dump("scans", seed, work))
     else:
-        write_dump(fly(scenario_of(name), seed), root, created_by="benchmarks/fault_dumps.py")
+        write_dump(fly(scenario_of(name), seed), root, created_by="fault_dumps.py")
     return root
 
 
@@ -110,7 +110,7 @@ def linked(source: Path, target: Path) -> None:
 def _points(root: Path, seed: int, noise: _Noise) -> None:
     """Two heads' attitudes and the image points of targets and check points."""
     mission, rng = fly(scenario_of("points"), seed), np.random.default_rng([seed, 1])
-    write_dump(without_images(mission), root, created_by="benchmarks/fault_dumps.py")
+    write_dump(without_images(mission), root, created_by="fault_dumps.py")
     heads = (
         TrialHead("STR1", Rotation.identity(), noise),
         TrialHead("STR2", SECOND_HEAD, noise),
