@@ -36,13 +36,13 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(record.ROOT / "tests"))
 
+from boresight.pipeline.files.star_images import read_star_image
 from frames import PAPER_CAMERA, Sensor, star_frame
 
 from boresight.calib.reliability import Reliability
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.star_images import read_star_image
 from boresight.star_id.catalogue import hipparcos_stars
 
 MINI = record.ROOT / "fixtures" / "mini"
