@@ -215,7 +215,8 @@ def check_point_words(test: RmsTest) -> str:
 
 
 def _row(name: str, values: Array, form: str) -> str:
-    return f"{name:26s}" + "".join(f"{format(value, form):>14s}" for value in values)
+    width = 14 if len(values) < 4 else 13  # 80 columns
+    return f"{name:26s}" + "".join(f"{format(value, form):>{width}s}" for value in values)
 
 
 def omission_lines(rows: Sequence[Mapping[str, Any]], most: int | None = MOST_REASONS) -> list[str]:

@@ -5,7 +5,8 @@
     scans     star images and two scans of the same field, one forward and one back
     mixed     star images, two strips of the ground and the two scans
     points    attitudes of two heads and measured image points, no images at all
-    coloured  the same, the attitudes' noise partly coloured and partly constant over a strip
+    twelve    the same with a camera of 12 CCDs and a campaign of 12 strips, s1 to s12
+    coloured  the same as points, the attitudes' noise partly coloured and partly constant over a strip
     trackers  attitudes of one head with 1, 1, 8 arcsec, and the images of `scans`
 
 Attitudes and points are the simulator's truth with noise of the stated size; nothing of them comes from the
@@ -19,6 +20,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,7 +36,7 @@ from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 __all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_images", "write_heads"]
 
 FIXTURES = Path(__file__).parents[3] / "fixtures"
-DUMPS = ("ground", "sky", "scans", "mixed", "points", "coloured", "trackers")
+DUMPS = ("ground", "sky", "scans", "mixed", "points", "twelve", "coloured", "trackers")
 OF_FIXTURE = {("ground", 1): "mini", ("sky", 1): "sky"}
 APART_S = 30.0  # from the scan to its repetition in the other direction
 POINT_PX = 0.1  # 1-sigma of a measured image point
@@ -74,8 +76,8 @@ def sound_dump(name: str, seed: int, work: Path) -> Path:
     if (root / "dump.toml").is_file():
         return root
     shutil.rmtree(root, ignore_errors=True)
-    if name in ("points", "coloured"):
-        _points(root, seed, WHITE if name == "points" else COLOURED)
+    if name in ("points", "twelve", "coloured"):
+        _points(root, seed, name, COLOURED if name == "coloured" else WHITE)
     elif name == "trackers":
         _trackers(root, seed, sound_dump("scans", seed, work))
     else:
@@ -87,6 +89,17 @@ def scenario_of(name: str) -> Scenario:
     """The scenario of a dump of images."""
     if name in ("ground", "points", "coloured"):
         return builtin_scenario("mini")
+    if name == "twelve":
+        mini = builtin_scenario("mini")
+        urad = tuple(37.0 * (ccd - 4) for ccd in range(12))
+        return replace(
+            mini,
+            line_camera=replace(
+                mini.line_camera, ccds=12, samples=192, principal_sample=95.0, rotation_urad=urad
+            ),
+            strips=replace(mini.strips, count=12, lines=800),
+            targets=replace(mini.targets, per_strip=14, check_points_per_strip=2),
+        )
     sky = builtin_scenario("sky")
     if name == "sky":
         return sky
@@ -107,9 +120,11 @@ def linked(source: Path, target: Path) -> None:
     shutil.copytree(source, target, copy_function=os.link, ignore=shutil.ignore_patterns("truth"))
 
 
-def _points(root: Path, seed: int, noise: _Noise) -> None:
+def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
     """Two heads' attitudes and the image points of targets and check points."""
-    mission, rng = fly(scenario_of("points"), seed), np.random.default_rng([seed, 1])
+    mission, rng = fly(scenario_of(name), seed), np.random.default_rng([seed, 1])
+    if name == "twelve":
+        mission = with_short_ids(mission)
     write_dump(without_images(mission), root, created_by="fault_dumps.py")
     heads = (
         TrialHead("STR1", Rotation.identity(), noise),
@@ -133,6 +148,20 @@ def _points(root: Path, seed: int, noise: _Noise) -> None:
         (root / name).unlink()
     for name in ("exposures", "strips", "chips"):
         shutil.rmtree(root / name)
+
+
+def with_short_ids(mission: Mission) -> Mission:
+    """A mission whose ids of strips have no zeros before their numbers: s1 is the beginning of s12."""
+
+    def renamed(record: Any) -> Any:
+        return replace(record, strip_id=f"s{int(record.strip_id[1:])}")
+
+    truth = replace(
+        mission.truth,
+        targets=tuple(map(renamed, mission.truth.targets)),
+        check_points=tuple(map(renamed, mission.truth.check_points)),
+    )
+    return replace(mission, strips=tuple(map(renamed, mission.strips)), truth=truth)
 
 
 def without_images(mission: Mission) -> Mission:
