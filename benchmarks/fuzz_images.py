@@ -57,7 +57,7 @@ def main() -> int:
 def tried(kind: str, inputs: int, seed: int, keep: Path | None) -> tuple[Counter[str], float, float]:
     """Counts of outcomes, the longest time of one file and that of all, CPU s."""
     from boresight.pipeline.errors import RawDataError
-    from boresight.pipeline.files.star_images import read_star_image
+    from boresight.pipeline.files.images.star_images import read_star_image
 
     rng, sound = random.Random(f"{seed} {kind}"), FORMATS[kind]()
     found: Counter[str] = Counter()

@@ -39,7 +39,7 @@ from PIL import Image
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.star_images import read_star_image
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Cached
@@ -48,9 +48,9 @@ from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 HERE = Path(__file__).resolve().parents[1]
 STAGES = {
     "exposures": "stages/exposure.py:sight_exposure",
-    "  reading and decoding them": "files/star_images.py:read_exposure",
+    "  reading and decoding them": "images/star_images.py:read_exposure",
     "matching": "stages/strip.py:match_targets",
-    "  reading and decoding strips": "files/image_files.py:read",
+    "  reading and decoding strips": "images/tiff.py:read",
     "digests": "work/digests.py:digest",
     "units written": "work/unit_store.py:write",
     "attitudes": "geometry/attitude_estimate.py:fit_exposures",

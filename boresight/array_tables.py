@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.accepted import count_of, listed, number_of, shown, wrong
-from boresight.pipeline.files.tiff_files import TILES, write_tiff
+from boresight.pipeline.files.images.tiff import TILES, write_tiff
 
 __all__ = [
     "Table",

@@ -22,7 +22,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.tiff_files import tiff_opened
+from boresight.pipeline.files.images.tiff import tiff_opened
 from boresight.pipeline.files.whole_file import write_text, write_whole
 from boresight.pipeline.results.strip_model import StripModel
 

@@ -13,7 +13,8 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dimap_metadata import DimapStrip
-from boresight.pipeline.files.image_files import open_geotiff
+from boresight.pipeline.files.images.image_file import open_image
+from boresight.pipeline.files.images.tiff import open_tiff
 from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 
@@ -48,7 +49,7 @@ def dimap_grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, f
     The grid is the GeoTIFF `GRID_*.tif` of the product: bands of longitude and latitude in pairs, tags
     ALTITUDE_B0, ALTITUDE_B2, ... Raises `RawDataError` for another file.
     """
-    with open_geotiff(grid, grid.name) as raster:
+    with open_tiff(open_image(grid, grid.name, whole=False)) as raster:
         tags, t, count = raster.tags(), raster.transform, raster.count
         names = [f"ALTITUDE_B{2 * k}" for k in range(count // 2)]
         if not names or any(name not in tags for name in names):

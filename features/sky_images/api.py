@@ -35,7 +35,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.star_images import grey_image, read_star_image
+from boresight.pipeline.files.images.star_images import grey_image, read_star_image
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.field import FieldSolution, nominal_camera, ra_dec_roll, solve_list
 from boresight.star_id.finding.star_list import StarList

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.star_images import read_star_image
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text

@@ -24,7 +24,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.star_images import read_star_image
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 from boresight.star_id.catalogue import hipparcos_stars

@@ -15,8 +15,8 @@ from typing import Any
 
 from PIL import Image
 
-from boresight.pipeline.files.content import content_of, open_regular
-from boresight.pipeline.files.star_images import opened_fits
+from boresight.pipeline.files.images.image_file import ImageFile, open_image
+from boresight.pipeline.files.images.star_images import opened_fits
 
 __all__ = ["time_of_image"]
 
@@ -33,12 +33,12 @@ def time_of_image(path: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        with open_regular(path) as stream:
-            head = stream.read(_HEAD_BYTES)
-        if head.startswith(b"SIMPLE  ="):
-            when = _of_fits(path)
+        image = open_image(path, str(path), whole=False)
+        head = image.first(_HEAD_BYTES)
+        if image.format == "FITS":
+            when = _of_fits(image)
         elif b"Exif" in head or b"eXIf" in head or head[:2] in (b"II", b"MM"):
-            when = _of_exif(path)
+            when = _of_exif(image)
         else:
             return None
     except Exception:  # a damaged header, of which libraries raise many kinds, states no time
@@ -48,8 +48,8 @@ def time_of_image(path: Path) -> str | None:
     return when.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
-def _of_fits(path: Path) -> datetime | None:
-    with opened_fits(path, str(path)) as hdus:
+def _of_fits(image: ImageFile) -> datetime | None:
+    with opened_fits(image) as hdus:
         for hdu in hdus[:2]:
             if (when := _of_cards(hdu.header)) is not None:
                 return when
@@ -73,9 +73,9 @@ def _of_cards(header: Mapping[str, Any]) -> datetime | None:
     return None
 
 
-def _of_exif(path: Path) -> datetime | None:
-    with Image.open(io.BytesIO(content_of(path))) as image:
-        tags = image.getexif().get_ifd(_EXIF_IFD)
+def _of_exif(image: ImageFile) -> datetime | None:
+    with Image.open(io.BytesIO(image.whole())) as picture:
+        tags = picture.getexif().get_ifd(_EXIF_IFD)
     if not (text := str(tags.get(_TAKEN, "")).strip("\0 ")):
         return None
     when = datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)

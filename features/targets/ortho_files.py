@@ -17,7 +17,7 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_heads import first_bytes
+from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.xml_files import read_xml
 
 __all__ = ["HeightModel", "Ortho", "band_count", "read_heights", "read_ortho"]
@@ -102,7 +102,7 @@ def _driver_of(path: Path, file: str) -> str | None:
     """GDAL's driver of a raster, None for any that reads pixels. `RawDataError` for a list of addresses, and
     for a VRT with code or of anything but files of pixels of this machine.
     """
-    if not (head := first_bytes(path, file, 64).lstrip()).startswith(_LISTS):
+    if not (head := open_image(path, file, whole=False).head.lstrip()).startswith(_LISTS):
         return None
     root = read_xml(path, file) if head.startswith(b"<") else None
     if root is None or root.tag != "VRTDataset":
@@ -113,7 +113,8 @@ def _driver_of(path: Path, file: str) -> str | None:
         if element.tag in _SOURCES:
             name = (element.text or "").strip()
             folder = path.resolve().parent if element.get("relativeToVRT") == "1" else Path()
-            if first_bytes(folder / name, f"{file}: {name}", 1) in _LISTS:
+            source = open_image(folder / name, f"{file}: {name}", whole=False)
+            if source.head.startswith(_LISTS):
                 raise RawDataError(file, element.tag, f"{name}, a list of others", "a file of pixels")
     return "VRT"
 

@@ -28,8 +28,8 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
+from boresight.pipeline.files.images.tiff import write_tiff
 from boresight.pipeline.files.text_tables import write_csv
-from boresight.pipeline.files.tiff_files import write_tiff
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of

@@ -15,7 +15,7 @@ from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Entry, Ledger
 from boresight.pipeline.diagnosis.sky_losses import as_bright_as_named, crossings, stars_found
 from boresight.pipeline.files.dump import Dump, Strip
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask

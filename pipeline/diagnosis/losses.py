@@ -19,7 +19,7 @@ from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Entry, Kind, Ledger, Reason, Subject
 from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
 __all__ = [

@@ -41,7 +41,8 @@ from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dates import check_exposure_dates, check_orbit_dates, orbit_covers
 from boresight.pipeline.files.ground_points import StripPoints, SurveyedPoints, read_points, targets_of
-from boresight.pipeline.files.image_files import StripFiles, check_strip_file, read_grid
+from boresight.pipeline.files.images.rasters import read_grid
+from boresight.pipeline.files.images.tiff import StripFiles, check_strip_file
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.orbit_file import Ephemeris, covered_by, joined_segments, read_segments
 from boresight.pipeline.files.remote_camera import read_remote_camera

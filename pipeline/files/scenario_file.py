@@ -14,7 +14,7 @@ import numpy as np
 
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geoid import egm96
-from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.simulator.ground import GroundImage
 from boresight.simulator.mission import render_mission

@@ -8,7 +8,7 @@ import numpy as np
 from boresight.gct_match.search.coarse import means_of_usable, read_coarse
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import array, record, scalar
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 
 __all__ = ["Overview", "overview"]
 

@@ -17,7 +17,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, l
 from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile
-from boresight.pipeline.files.image_files import GridPlace, grid_place
+from boresight.pipeline.files.images.rasters import GridPlace, grid_place
 
 __all__ = ["Slip", "contradiction", "likeliest", "slips"]
 

@@ -22,7 +22,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_images import read_exposure
+from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.star_id.catalogue import hipparcos_stars

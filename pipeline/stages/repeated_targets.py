@@ -16,7 +16,7 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump
-from boresight.pipeline.files.image_files import grid_place
+from boresight.pipeline.files.images.rasters import grid_place
 
 __all__ = ["targets_once"]
 

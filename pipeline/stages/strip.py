@@ -38,7 +38,7 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import ChipFile, Dump, Strip, TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.files.ground_points import NO_POINTS, StripPoints
-from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, Places, match_pictures

@@ -238,7 +238,7 @@ def test_chip_with_an_absurd_transform_loses_its_target_only(
 
 
 def test_raster_with_values_beyond_single_precision_has_no_value_there(handmade: Path) -> None:
-    from boresight.pipeline.files.image_files import read_grid
+    from boresight.pipeline.files.images.rasters import read_grid
 
     path = handmade / "grid.tif"
     profile = {"driver": "GTiff", "width": 4, "height": 4, "count": 1, "dtype": "float64"}

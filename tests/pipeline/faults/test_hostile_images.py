@@ -21,9 +21,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import MOST_PIXELS_A_BYTE
-from boresight.pipeline.files.png_rows import png_rows
-from boresight.pipeline.files.star_images import read_exposure, read_star_image
+from boresight.pipeline.files.images.png import png_rows
+from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
+from boresight.pipeline.files.images.tiff import MOST_PIXELS_A_BYTE
 from boresight.star_id.finding import star_shape
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings

@@ -15,8 +15,9 @@ from handmade import write_chip, write_strip
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import TerrainFiles, open_dump, surface_of
-from boresight.pipeline.files.image_files import check_strip_file, read_grid
-from boresight.pipeline.files.star_images import read_exposure, read_star_image
+from boresight.pipeline.files.images.rasters import read_grid
+from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
+from boresight.pipeline.files.images.tiff import check_strip_file
 
 
 def exposure(path: Path) -> object:

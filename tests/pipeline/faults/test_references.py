@@ -24,7 +24,7 @@ from boresight.features.targets.ortho_files import read_ortho
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_of, open_regular
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.image_files import read_grid
+from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.star_tables import read_star_table
 from boresight.pipeline.files.text_files import read_text, toml_tables
 from boresight.pipeline.files.xml_files import read_xml

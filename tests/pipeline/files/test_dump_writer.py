@@ -13,8 +13,8 @@ from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
+from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.scenario_file import fly, named_scenario
-from boresight.pipeline.files.star_images import read_exposure
 from boresight.pipeline.run.processes import FORKS, Processes
 from boresight.simulator.mission_records import Mission
 

@@ -18,8 +18,8 @@ from pyproj import Transformer
 
 from boresight.features.sky_images.image_time import time_of_image
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import grid_place, read_grid
-from boresight.pipeline.files.star_images import read_exposure, read_star_image
+from boresight.pipeline.files.images.rasters import grid_place, read_grid
+from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
 
 WIDTH, HEIGHT = 48, 40
 

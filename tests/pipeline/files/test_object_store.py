@@ -23,7 +23,7 @@ from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.object_store import dump_folder, gdal_name
 from boresight.pipeline.files.text_files import path_inside
 from boresight.pipeline.results.ownership import claimed

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from boresight.pipeline.files.png import png_of_noise
+from boresight.pipeline.files.images.png import png_of_noise
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from boresight.pipeline.files.png import png_of_noise
-from boresight.pipeline.files.png_rows import NONE, SUB, UP, png_rows
+from boresight.pipeline.files.images.png import NONE, SUB, UP, png_of_noise, png_rows
 
 AVERAGE = 3
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rasterio.windows import Window
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 
 WINDOWS = [(0, 0, 90, 70), (0, 69, 90, 1), (17, 31, 2, 3), (32, 32, 32, 32), (89, 0, 1, 70)]
 SHAPE = (70, 90)  # neither side is a multiple of the tiles' 16 or 32

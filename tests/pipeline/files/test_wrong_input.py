@@ -234,7 +234,7 @@ def test_leap_second_inside_a_strip_is_time_like_any_other(tmp_path: Path) -> No
 
 
 def test_damaged_chip_is_named_when_it_is_read(handmade: Path) -> None:
-    from boresight.pipeline.files.image_files import read_grid
+    from boresight.pipeline.files.images.rasters import read_grid
 
     truncated("chips/0.tif", 0.3)(handmade)
     with pytest.raises(RawDataError) as caught:

@@ -145,7 +145,7 @@ def test_program_of_a_stage_includes_the_readers_of_files() -> None:
     for stage in (sight_exposure, match_strip_targets):
         modules = set(digests.sources_of(stage.__module__))
         assert {
-            "boresight.pipeline.files.image_files",
+            "boresight.pipeline.files.images.tiff",
             "boresight.pipeline.files.dump",
             "boresight.geometry.orbit",
             "data of boresight.geometry",
