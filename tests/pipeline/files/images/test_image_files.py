@@ -18,6 +18,8 @@ from pyproj import Transformer
 
 from boresight.features.sky_images.image_time import time_of_image
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import content
+from boresight.pipeline.files.images import image_file
 from boresight.pipeline.files.images.rasters import grid_place, read_grid
 from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
 
@@ -50,6 +52,18 @@ def test_counts_are_those_that_were_written_whatever_the_format(
     assert read.dtype == image.dtype
     assert np.array_equal(read, image)
     assert np.array_equal(read_star_image(path, "e"), image)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".fits"])
+def test_an_exposure_is_read_from_the_disk_once(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, opened = tmp_path / f"e{suffix}", []
+    write(path, counts(8))
+    for module in (content, image_file):
+        monkeypatch.setattr(module, "open_regular", lambda path: opened.append(path) or path.open("rb"))
+    read_exposure(path, "e", width=WIDTH, height=HEIGHT, bit_depth=8)
+    assert opened == [path]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".fits"])
