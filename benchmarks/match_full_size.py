@@ -34,8 +34,9 @@ from boresight.gct_match.records import Chip, StripMatches
 from boresight.gct_match.search.common_rotation import search_common_rotation
 from boresight.gct_match.search.search_plan import plan_search
 from boresight.geometry.strip_image import StripImage
-from boresight.pipeline.files.dump import open_dump, surface_of
+from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.rasters import read_grid
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strips_to_match

@@ -27,7 +27,7 @@ from boresight.geometry.inertial_frames import of_date_to_gcrs, rotation_to_gcrs
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import read_attitudes
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import bundled_table, orbit_of
+from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import OF_DATE, Ephemeris, read_segments
 
 FAMILIES = ("orbit", "attitude", "dimap", "points")

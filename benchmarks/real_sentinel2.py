@@ -41,7 +41,8 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.head_records import noise_of_heads
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import open_dump, read_earth_orientation
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.run.settings import Settings
 

@@ -44,8 +44,9 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import Strip, surface_of
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.table_files import column, list_values
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.strip_model import (

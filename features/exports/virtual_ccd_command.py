@@ -12,7 +12,7 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import DumpOption
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
-from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, whole_strip_model
 
 __all__ = ["virtual_ccd_command"]

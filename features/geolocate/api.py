@@ -12,8 +12,8 @@ from boresight.accepted import PathLike, floats_of, number_of, path_of, source_o
 from boresight.features.geolocate.positions import Pixels
 from boresight.features.geolocate.positions import ground_places as positions_of
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.files.dump import surface_of
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 __all__ = ["geolocate"]

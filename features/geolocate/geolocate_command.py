@@ -16,7 +16,7 @@ from boresight.pipeline.console.arguments import (
 )
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import print_data, tell
-from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 

@@ -26,7 +26,8 @@ from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.diagnosis.head_records import noise_of_heads
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import open_dump, read_earth_orientation
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text

@@ -12,7 +12,7 @@ from boresight.features.operators.sentinel2_grid import read_grid_rows, sentinel
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import Answer
-from boresight.pipeline.files.dump import read_earth_orientation
+from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 
 __all__ = ["sentinel2_command"]
 

@@ -20,8 +20,9 @@ from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, bundled_table, open_dump, orbit_of
+from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import SkyImageRow
+from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
 from boresight.star_id.observer import Observer

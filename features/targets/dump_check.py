@@ -16,7 +16,8 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, dump_faults, open_dump, surface_of
+from boresight.pipeline.files.dump import Dump, dump_or_faults
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coordinate_slips import contradiction
@@ -86,11 +87,9 @@ class DumpCheck:
 
 def check_dump(root: Path, settings: Settings, executor: Executor | None = None) -> DumpCheck:
     """Check a dump: its text files; if these are sound, its images and what its strips see."""
-    if faults := dump_faults(root):
-        return DumpCheck(
-            root=str(root), faults=tuple(faults), facts=(), omissions=(), footprints={}, targets=()
-        )
-    dump = open_dump(root)
+    dump = dump_or_faults(root)
+    if not isinstance(dump, Dump):
+        return DumpCheck(root=str(root), faults=dump, facts=(), omissions=(), footprints={}, targets=())
     tasks, omissions = strips_to_match(dump, settings, executor)
     outlines = _outlines(dump, tasks)
     first, last = dump.epoch.utc_from_seconds(dump.orbit.t_s[[0, -1]])

@@ -27,7 +27,8 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.dump import ChipFile, Dump
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.tiff import write_tiff
 from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.run.settings import Settings, calibration_settings

@@ -43,7 +43,7 @@ from boresight.pipeline.diagnosis.sky_losses import (
     strips_without_stars,
 )
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
-from boresight.pipeline.files.dump import bundled_table
+from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.sky_side import SkySide, named_sightings
 from boresight.pipeline.stages.sky_strip import NamedStars

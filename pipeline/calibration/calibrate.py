@@ -24,7 +24,8 @@ from boresight.pipeline.calibration.assessment import assessed
 from boresight.pipeline.calibration.passes import first_and_last_pass, unused_so_far
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
-from boresight.pipeline.files.dump import Dump, surface_of
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Entry, Ledger
 from boresight.pipeline.diagnosis.sky_losses import as_bright_as_named, crossings, stars_found
-from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets

@@ -18,8 +18,9 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.files.dump import Dump, TerrainFiles, surface_of
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head
+from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
 from boresight.pipeline.stages.coordinate_slips import off_middle_m
 from boresight.pipeline.stages.strip import StripTask, compass
 

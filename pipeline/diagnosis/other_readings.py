@@ -16,8 +16,9 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, tai_minus_utc_s
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.record import Floats, record, scalar
-from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
+from boresight.pipeline.files.strip_table import Strip
 
 __all__ = ["Convention", "other_readings"]
 

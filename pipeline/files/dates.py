@@ -10,11 +10,19 @@ from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch, tai
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 
-__all__ = ["check_exposure_dates", "check_orbit_dates", "orbit_covers", "span_text"]
+__all__ = ["check_exposure_dates", "check_orbit_dates", "orbit_covers", "seconds_of", "span_text"]
 
 FAR_S = 60.0  # from every strip: exposures of another pass
 
 Span = tuple[float, float]  # TAI seconds since the epoch
+
+
+def seconds_of(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
+    """TAI seconds (N,) since `epoch` of N UTC times; `RawDataError` for times that do not exist."""
+    try:
+        return epoch.seconds_from_utc(utc)
+    except ValueError as error:
+        raise RawDataError(file, field, str(error), "UTC times that exist") from error
 
 
 def span_text(epoch: Epoch, first_s: float, last_s: float) -> str:

@@ -15,9 +15,17 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
-from boresight.pipeline.files.text_files import read_table
+from boresight.pipeline.files.text_files import each_once, path_inside, read_table
 
-__all__ = ["NO_POINTS", "StripPoints", "SurveyedPoints", "read_points", "targets_of"]
+__all__ = [
+    "NO_POINTS",
+    "NO_TARGETS",
+    "ChipFile",
+    "StripPoints",
+    "SurveyedPoints",
+    "read_points",
+    "read_targets",
+]
 
 # Columns of a point, in the order of docs/dump-format.md.
 OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigma_up_m".split()
@@ -31,6 +39,18 @@ class SurveyedPoints:
     lat_rad: Floats = array("N", "geodetic latitude, WGS84")
     lon_rad: Floats = array("N", "longitude, positive to the east")
     height_m: Floats = array("N", "height above the ellipsoid")
+
+
+NO_TARGETS = SurveyedPoints((), np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+@record
+class ChipFile:
+    """Image file of a target's chip."""
+
+    target_id: str = scalar("id of the target")
+    file: str = scalar("path as targets.csv gives it")
+    path: Path = scalar("path of the image")
 
 
 @record(kw_only=True)
@@ -69,20 +89,17 @@ NO_POINTS = StripPoints(
 )
 
 
-def targets_of(rows: Sequence[schema.TargetRow | schema.PointRow]) -> SurveyedPoints:
-    """Rows of a table as points with ITRS positions and ellipsoidal heights."""
-    lat = np.radians([row.lat_deg for row in rows])
-    lon = np.radians([row.lon_deg for row in rows])
-    height = np.array([row.height_m for row in rows], dtype=float)
-    orthometric = np.array([row.height_kind == "egm96" for row in rows], dtype=bool)
-    if orthometric.any():
-        height[orthometric] += egm96().undulation_m(lat[orthometric], lon[orthometric])
-    p_e = ecef_from_geodetic(lat, lon, height, WGS84)
-    targets = tuple(
-        Target(row.id, p, np.array([row.sigma_east_m, row.sigma_north_m, row.sigma_up_m]))
-        for row, p in zip(rows, p_e)
+def read_targets(root: Path, path: Path, file: str) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
+    """The targets of targets.csv, and the file of each one's chip in the dump of folder `root`."""
+    rows = read_table(path, schema.TargetRow, file)
+    if not rows:
+        raise RawDataError(file, "rows", "none", "at least one target")
+    each_once([row.id for row in rows], file)
+    chips = tuple(
+        ChipFile(row.id, row.chip, path_inside(root, row.chip, file=file, field=f"line {n + 2}, chip"))
+        for n, row in enumerate(rows)
     )
-    return SurveyedPoints(targets, lat, lon, height)
+    return _surveyed(rows), chips
 
 
 def read_points(path: Path, file: str) -> tuple[tuple[StripPoints, ...], SurveyedPoints]:
@@ -104,7 +121,7 @@ def read_points(path: Path, file: str) -> tuple[tuple[StripPoints, ...], Surveye
             found = f"{row.id} again in strip {row.strip}, CCD {row.ccd}"
             raise RawDataError(file, f"line {n + 2}, id", found, "each point once in a CCD of a strip")
         seen.add(key)
-    surveyed = targets_of(list(first.values()))
+    surveyed = _surveyed(list(first.values()))
     place = {target.target_id: target for target in surveyed.targets}
     strips: dict[str, list[schema.PointRow]] = {}
     for row in rows:
@@ -122,3 +139,19 @@ def _of_strip(name: str, rows: list[schema.PointRow], place: dict[str, Target]) 
         xy_px=np.array([[row.sample, row.line] for row in rows]),
         cov_px=sigma[:, :, None] ** 2 * np.eye(2),
     )
+
+
+def _surveyed(rows: Sequence[schema.TargetRow | schema.PointRow]) -> SurveyedPoints:
+    """Rows of a table as points with ITRS positions and ellipsoidal heights."""
+    lat = np.radians([row.lat_deg for row in rows])
+    lon = np.radians([row.lon_deg for row in rows])
+    height = np.array([row.height_m for row in rows], dtype=float)
+    orthometric = np.array([row.height_kind == "egm96" for row in rows], dtype=bool)
+    if orthometric.any():
+        height[orthometric] += egm96().undulation_m(lat[orthometric], lon[orthometric])
+    p_e = ecef_from_geodetic(lat, lon, height, WGS84)
+    targets = tuple(
+        Target(row.id, p, np.array([row.sigma_east_m, row.sigma_north_m, row.sigma_up_m]))
+        for row, p in zip(rows, p_e)
+    )
+    return SurveyedPoints(targets, lat, lon, height)

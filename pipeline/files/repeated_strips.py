@@ -19,7 +19,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.equal_files import equal_files
 
 if TYPE_CHECKING:
-    from boresight.pipeline.files.dump import Strip
+    from boresight.pipeline.files.strip_table import Strip
 
 __all__ = ["strips_once"]
 

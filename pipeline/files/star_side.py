@@ -6,8 +6,8 @@ without `[[star_cameras]]` has one head of images. Images are not decoded here.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
+from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.spice_attitudes import read_ck
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel
-from boresight.pipeline.files.text_files import path_inside, read_table, read_toml
+from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
 from boresight.star_id.centroids import Centroids
 
 __all__ = [
@@ -41,9 +42,7 @@ __all__ = [
     "StarCentroids",
     "StarImages",
     "check_attitudes",
-    "each_once",
     "open_heads",
-    "seconds_of",
     "single_camera_of",
     "star_camera_of",
     "star_camera_table",
@@ -154,40 +153,27 @@ def open_heads(
 
     `RawDataError` for a file that is not valid.
     """
-    if head.star_cameras:
-        return tuple(
-            _head(root, one, f"star_cameras.{n}", epoch, kernels) for n, one in enumerate(head.star_cameras)
+    stated = {f"star_cameras.{n}": one_head for n, one_head in enumerate(head.star_cameras)}
+    if not stated:
+        stated["files"] = schema.HeadFile(
+            name=ONLY_HEAD,
+            level="images",
+            installation=str(head.files.installation),
+            camera=head.files.star_camera,
+            exposures=head.files.exposures,
         )
-    files = head.files
-    only = schema.HeadFile(
-        name=ONLY_HEAD,
-        level="images",
-        installation=str(files.installation),
-        camera=files.star_camera,
-        exposures=files.exposures,
+    return tuple(_each(*(partial(_head, root, *item, epoch, kernels) for item in stated.items())))
+
+
+def _head(root: Path, field: str, head: schema.HeadFile, epoch: Epoch, kernels: Kernels) -> Head:
+    def inside(key: str) -> tuple[Path, str]:
+        name = str(getattr(head, key))
+        return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
+
+    installation, source = _each(
+        lambda: _installation(*inside("installation")),
+        lambda: _source(root, head, inside, epoch, kernels),
     )
-    return (_head(root, only, "files", epoch, kernels),)
-
-
-def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch, kernels: Kernels) -> Head:
-    def inside(name: str | None, key: str) -> tuple[Path, str]:
-        return path_inside(root, str(name), file="dump.toml", field=f"{field}.{key}"), str(name)
-
-    path, file = inside(head.installation, "installation")
-    installation = read_toml(path, schema.InstallationFile, file)
-    source: StarImages | StarCentroids | SolvedAttitudes
-    if head.level == "attitudes":
-        source = _attitudes(head, *inside(head.attitudes, "attitudes"), epoch, kernels)
-    else:
-        path, file = inside(head.camera, "camera")
-        camera = read_toml(path, schema.StarCameraFile, file)
-        exposures = _exposures(root, *inside(head.exposures, "exposures"), epoch)
-        model = star_camera_of(camera, file)
-        source = StarImages(model, camera.bit_depth, exposures)
-        if head.level == "centroids":
-            path, file = inside(head.centroids, "centroids")
-            lists = read_centroids(path, file)
-            source = StarCentroids(model, exposures, file, tuple(lists.get(one.file) for one in exposures))
     return Head(
         name=head.name,
         R_cs0=Rotation.from_quat(installation.quaternion_cs),
@@ -197,6 +183,53 @@ def _head(root: Path, head: schema.HeadFile, field: str, epoch: Epoch, kernels: 
         interpolation=head.interpolation,
         source=source,
     )
+
+
+def _source(
+    root: Path,
+    head: schema.HeadFile,
+    inside: Callable[[str], tuple[Path, str]],
+    epoch: Epoch,
+    kernels: Kernels,
+) -> StarImages | StarCentroids | SolvedAttitudes:
+    if head.level == "attitudes":
+        return _attitudes(head, *inside("attitudes"), epoch, kernels)
+    reads: list[Callable[[], Any]] = [
+        lambda: _camera(*inside("camera")),
+        lambda: _exposures(root, *inside("exposures"), epoch),
+    ]
+    if head.level == "centroids":
+        reads.append(lambda: read_centroids(*inside("centroids")))
+    (camera, bits), exposures, *lists = _each(*reads)
+    if not lists:
+        return StarImages(camera, bits, exposures)
+    of_exposures = tuple(lists[0].get(exposure.file) for exposure in exposures)
+    return StarCentroids(camera, exposures, str(head.centroids), of_exposures)
+
+
+def _each(*reads: Callable[[], Any]) -> list[Any]:
+    """What some functions return; the first `RawDataError` of any of them, with the others."""
+    results: list[Any] = []
+    faults: list[RawDataError] = []
+    for read in reads:
+        try:
+            results.append(read())
+        except RawDataError as error:
+            faults += [error, *error.others]
+    if faults:
+        faults[0].others = tuple(faults[1:])
+        raise faults[0]
+    return results
+
+
+def _installation(path: Path, file: str) -> schema.InstallationFile:
+    return read_toml(path, schema.InstallationFile, file)
+
+
+def _camera(path: Path, file: str) -> tuple[StarCamera, int]:
+    """The camera of a star_camera.toml, and the bits of its counts."""
+    camera = read_toml(path, schema.StarCameraFile, file)
+    return star_camera_of(camera, file), camera.bit_depth
 
 
 def check_attitudes(
@@ -384,20 +417,6 @@ def _smooth_of(
         width_px=file.width_px,
         height_px=file.height_px,
     )
-
-
-def seconds_of(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
-    """TAI seconds (N,) since `epoch` of N UTC times; `RawDataError` for times that do not exist."""
-    try:
-        return epoch.seconds_from_utc(utc)
-    except ValueError as error:
-        raise RawDataError(file, field, str(error), "UTC times that exist") from error
-
-
-def each_once(ids: Sequence[str], file: str) -> None:
-    """`RawDataError` where an id occurs twice."""
-    if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
-        raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
 
 
 def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposure, ...]:

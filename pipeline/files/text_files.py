@@ -12,6 +12,7 @@ import json
 import re
 import tomllib
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path, PureWindowsPath
@@ -28,6 +29,7 @@ __all__ = [
     "PLAIN_NUMBER",
     "check_number",
     "csv_rows",
+    "each_once",
     "expected_of",
     "path_inside",
     "read_json",
@@ -185,6 +187,12 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
         wrong[0].others = tuple(wrong[1:])
         raise wrong[0]
     return records
+
+
+def each_once(ids: Sequence[str], file: str) -> None:
+    """`RawDataError` where an id occurs twice."""
+    if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
+        raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
 
 
 def csv_rows(

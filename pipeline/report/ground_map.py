@@ -29,9 +29,10 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, TargetHeights, surface_of
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
+from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of

@@ -13,9 +13,10 @@ from boresight.gct_match.predict.template import chip_sides_px, predict_template
 from boresight.geometry.ledger import State
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, surface_of
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import ITEMS
 from boresight.pipeline.files.table_files import arrow_rows
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.ground_map import MapScene, StripOnGround
 from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
 from boresight.pipeline.stages.strip import read_chip

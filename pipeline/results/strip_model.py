@@ -16,9 +16,10 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Ints, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.dump import Dump, Strip, open_dump
+from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump

@@ -18,7 +18,9 @@ from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, Strip, surface_of
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.strip_table import Strip
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.check_point_test import (
     DIRECTIONS,

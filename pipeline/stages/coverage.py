@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.files.dates import span_text
-from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import covers
 

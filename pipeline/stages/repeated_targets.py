@@ -15,7 +15,8 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import ChipFile, Dump
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.rasters import grid_place
 
 __all__ = ["targets_once"]

@@ -27,7 +27,7 @@ from boresight.geometry.sightings import GroundSightings, isotropic_covariance
 from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Strip
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.fit import LEAST_GAIN

@@ -22,7 +22,7 @@ from boresight.features.operators.sentinel2_grid import operator_orbit
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2, read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.files.dump import read_earth_orientation
+from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 
 REAL = DATA / "sentinel2"
 RANGE_M = 786e3  # distance to the ground below

@@ -26,7 +26,7 @@ from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.files.dump import surface_of
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, whole_strip_model
 
 MOST_PX = 0.01  # asked of every export read back against `geolocate`

@@ -18,7 +18,8 @@ from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.dump import open_dump, surface_of
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"

@@ -11,7 +11,8 @@ from handmade import write_handmade_dump
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import bundled_table, open_dump
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import bundled_table
 
 LOOKS = """
 model = "look tables"

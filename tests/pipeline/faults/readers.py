@@ -47,14 +47,15 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.attitude_files import read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dimap_metadata import read_dimap
-from boresight.pipeline.files.dump import ChipFile, TerrainFiles, _read_terrain, open_dump
-from boresight.pipeline.files.ground_points import read_points
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.ground_points import ChipFile, read_points
 from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.images.tiff import StripFiles, check_strip_file
 from boresight.pipeline.files.orbit_file import read_oem, read_segments
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.table_files import fixed_list
+from boresight.pipeline.files.terrain_files import TerrainFiles, _read_terrain
 from boresight.pipeline.results.reading import read_pairs, read_saved_result
 from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.run.settings import read_settings

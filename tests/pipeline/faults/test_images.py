@@ -14,10 +14,11 @@ from astropy.io import fits
 from handmade import write_chip, write_strip
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import TerrainFiles, open_dump, surface_of
+from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.images.star_images import read_exposure, read_star_image
 from boresight.pipeline.files.images.tiff import check_strip_file
+from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
 
 
 def exposure(path: Path) -> object:

@@ -16,9 +16,10 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.terrain import TerrainGrid
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, TerrainFiles, open_dump, surface_of
+from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 from boresight.pipeline.run.settings import Settings

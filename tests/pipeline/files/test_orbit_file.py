@@ -19,7 +19,7 @@ from oem import OrbitEphemerisMessage
 
 from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import bundled_table, orbit_of
+from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import covered_by, joined_segments, read_oem, read_segments
 from boresight.pipeline.files.text_files import read_message
 from boresight.pipeline.stages.strip import orbit_around

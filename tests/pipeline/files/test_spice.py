@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import sys
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from spiceypy.utils.libspicehelper import libspice
 from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, dump_faults, open_dump
+from boresight.pipeline.files.dump import Dump, dump_or_faults, open_dump
 from boresight.pipeline.files.spice_attitudes import read_ck
 from boresight.pipeline.files.spice_kernels import Kernels
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -272,7 +273,8 @@ def changed(root: Path, old: str, new: str) -> Dump:
 def test_what_is_missing_is_named_with_its_remedy(old: str, new: str, complaint: str, dump: Path) -> None:
     with pytest.raises(RawDataError, match=complaint):
         changed(dump, old, new)
-    assert dump_faults(dump)
+    faults = dump_or_faults(dump)
+    assert isinstance(faults, tuple) and re.search(complaint, "\n".join(map(str, faults)))
 
 
 def test_a_kernel_that_names_others_is_refused(dump: Path) -> None:

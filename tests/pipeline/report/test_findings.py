@@ -21,7 +21,8 @@ from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.input_findings import heights
 from boresight.pipeline.diagnosis.losses import _excluded, lost_strip, lost_targets
 from boresight.pipeline.diagnosis.suspects import single_targets
-from boresight.pipeline.files.dump import open_dump, surface_of
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.findings import (
     clouds,
     spread,

@@ -29,7 +29,8 @@ from boresight.geometry.sightings import StripSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files import dump as dump_file
-from boresight.pipeline.files.dump import bundled_table, open_dump
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.ground_moves import ground_moves

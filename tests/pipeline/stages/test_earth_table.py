@@ -15,7 +15,8 @@ from boresight.calib.finding import MOST_WORDS
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.diagnosis.earth_table import check_earth_table, earth_findings
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import bundled_table, open_dump, orbit_of, read_earth_orientation
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of, read_earth_orientation
 from boresight.pipeline.files.orbit_file import read_oem
 
 DAY = 60634  # 2024-11-20, of the dump

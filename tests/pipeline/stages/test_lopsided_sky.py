@@ -17,8 +17,8 @@ from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.diagnosis.sky_losses import _columns_reversed, _rows_reversed
-from boresight.pipeline.files.dump import Strip
 from boresight.pipeline.files.images.tiff import StripFiles
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings, strip_motion
 from boresight.star_id.strip_stars.find import StripStars
 from boresight.star_id.strip_stars.settings import StripStarSettings

@@ -1,0 +1,293 @@
+"""The parts of a dump, each read from its files and checked against the others, in one order.
+
+Whoever opens a dump stops at the first part that is wrong; whoever checks one goes on to the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.epoch import Epoch
+from boresight.geometry.ledger import Entry
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats
+from boresight.geometry.spherical import unit_vectors
+from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.dates import Span, check_exposure_dates, check_orbit_dates, orbit_covers
+from boresight.pipeline.files.ground_points import (
+    NO_TARGETS,
+    ChipFile,
+    StripPoints,
+    SurveyedPoints,
+    read_points,
+    read_targets,
+)
+from boresight.pipeline.files.orbit_and_earth import (
+    bundled_table,
+    orbit_of,
+    read_earth_orientation,
+    read_orbit,
+    segment_over,
+)
+from boresight.pipeline.files.orbit_file import Ephemeris
+from boresight.pipeline.files.remote_camera import RemoteCamera, read_remote_camera
+from boresight.pipeline.files.repeated_exposures import exposures_once
+from boresight.pipeline.files.repeated_points import points_once
+from boresight.pipeline.files.repeated_strips import strips_once
+from boresight.pipeline.files.spice_kernels import NO_KERNELS, Kernels
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes, check_attitudes, open_heads
+from boresight.pipeline.files.star_tables import StarTable, survey_of
+from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
+from boresight.pipeline.files.terrain_files import NO_TERRAIN, TargetHeights, TerrainFiles, surface_of
+from boresight.pipeline.files.text_files import path_inside, read_toml
+
+__all__ = ["DumpParts"]
+
+T = TypeVar("T")
+
+
+class part(Generic[T]):  # a decorator
+    """A property of `DumpParts` that is computed once; an error that it raised is raised again."""
+
+    def __init__(self, read: Callable[[Any], T]) -> None:
+        self._read, self.__doc__ = read, read.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, parts: None, owner: type) -> part[T]: ...
+    @overload
+    def __get__(self, parts: DumpParts, owner: type) -> T: ...
+    def __get__(self, parts: DumpParts | None, owner: type) -> part[T] | T:
+        if parts is None:
+            return self
+        if self._name not in parts.kept:
+            try:
+                parts.kept[self._name] = self._read(parts)
+            except RawDataError as error:
+                parts.kept[self._name] = error
+        if isinstance(kept := parts.kept[self._name], RawDataError):
+            raise kept
+        value: T = kept
+        return value
+
+
+class DumpParts:
+    """The parts of the dump in a folder; a part that is wrong raises `RawDataError`.
+
+    They stand in the order in which they are read. Epoch and strips without which others cannot be read have
+    a substitute where their own file is wrong, so that the others are read nevertheless.
+    """
+
+    def __init__(self, root: Path, *, allow_stale_eop: bool = False, sky_alone: bool = False) -> None:
+        self.root, self.allow_stale_eop, self.sky_alone = root, allow_stale_eop, sky_alone
+        self.kept: dict[str, Any] = {}  # of each part what it is, or what is wrong
+
+    def faults(self) -> Iterator[RawDataError]:
+        """What is wrong in each part, in their order; one that needs a wrong one has that one's fault."""
+        for name in (name for name, member in vars(DumpParts).items() if isinstance(member, part)):
+            try:
+                getattr(self, name)
+            except RawDataError as error:
+                yield error
+
+    @part
+    def head(self) -> schema.DumpFile:
+        """What dump.toml says."""
+        return read_toml(self.root / "dump.toml", schema.DumpFile, "dump.toml")
+
+    @part
+    def paths(self) -> dict[str, Path]:
+        """The files that it names, by the keys of `files`."""
+        return {key: self._path(key) for key in self.head.files.single}
+
+    @part
+    def remote_camera(self) -> RemoteCamera:
+        """The camera of frame c, and what its file says."""
+        return read_remote_camera(self.root, self._path("remote_camera"), self.head.files.remote_camera)
+
+    @part
+    def kernels(self) -> Kernels:
+        """The SPICE kernels that a dump names beside those of attitudes and orbit."""
+        spice = self.head.spice
+        if spice is None:
+            return NO_KERNELS
+        paths = tuple(
+            path_inside(self.root, name, file="dump.toml", field=f"spice.kernels.{n}")
+            for n, name in enumerate(spice.kernels)
+        )
+        return Kernels(files=tuple(spice.kernels), paths=paths, spacecraft=spice.spacecraft)
+
+    @part
+    def segments(self) -> tuple[Ephemeris, ...]:
+        """The orbit, as its file has it."""
+        return read_orbit(self._path("orbit"), self.head.files.orbit, self.kernels)
+
+    @part
+    def earth_table(self) -> EarthOrientationTable:
+        """Earth orientation of that orbit."""
+        own = self.head.files.earth_orientation
+        if own is None:
+            return bundled_table()
+        return read_earth_orientation(self._path("earth_orientation"), own)
+
+    @part
+    def listed_strips(self) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
+        """All strips in order of time, and images that are not used."""
+        files = self.head.files
+        remote = self.remote_camera[1]
+        return read_strips(
+            self.root, self._path("strips"), files.strips, self.epoch, remote, files.remote_camera
+        )
+
+    @part
+    def ephemeris(self) -> tuple[Ephemeris, str]:
+        """The part of the orbit that covers the strips; its name in errors."""
+        return segment_over(self.segments, self.spans, self.head.files.orbit)
+
+    @part
+    def orbit(self) -> Orbit:
+        """The trajectory of the satellite."""
+        ephemeris, file = self.ephemeris
+        return orbit_of(ephemeris, file, self.earth_table, allow_stale_eop=self.allow_stale_eop)
+
+    @part
+    def strips(self) -> tuple[tuple[Strip, ...], tuple[Strip, ...], tuple[Entry, ...]]:
+        """Strips of the ground, those of the sky, and what is given twice."""
+        every, file = self.listed_strips[0], self.head.files.strips
+        ground, sky = (tuple(strip for strip in every if strip.kind == kind) for kind in ("ground", "sky"))
+        if not self.sky_alone:
+            check_what_strips_show(ground, sky, self.head)
+        (ground, of_ground), (sky, of_sky) = strips_once(ground, file), strips_once(sky, file)
+        return ground, sky, (*of_ground, *of_sky)
+
+    @part
+    def targets(self) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
+        """The targets, and the files of their chips."""
+        if self._is_without("targets"):
+            return NO_TARGETS, ()
+        return read_targets(self.root, self._path("targets"), str(self.head.files.targets))
+
+    @part
+    def listed_heads(self) -> tuple[Head, ...]:
+        """The star cameras with all that their tables list."""
+        return open_heads(self.root, self.head, self.epoch, self.kernels)
+
+    @part
+    def heads(self) -> tuple[tuple[Head, ...], tuple[Entry, ...]]:
+        """The star cameras, the reference head first, and what is given twice."""
+        return exposures_once(self.listed_heads)
+
+    @part
+    def orbit_covers(self) -> str:
+        """What the orbit covers, for messages; an error if it, or all exposures, are of other times than the
+        strips."""
+        ephemeris, file = self.ephemeris
+        epoch, t_s = ephemeris.epoch, ephemeris.t_s
+        covers = orbit_covers(epoch, t_s, ephemeris.time_system, file, self.spans)
+        check_orbit_dates(covers, epoch, t_s, file, self.spans)
+        check_exposure_dates(epoch, *self._exposed(), self.spans)
+        return covers
+
+    @part
+    def attitudes(self) -> None:
+        """Nothing; an error if attitudes contradict the orbit."""
+        check_attitudes(self.heads[0], self.orbit, self.ephemeris[1], _spans(self.strips[0]))
+
+    @part
+    def listed_points(self) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
+        """Measured image points, one record a strip of the ground, and the same points on the ground."""
+        if self._is_without("points"):
+            return (), ()
+        file = str(self.head.files.points)
+        points, surveyed = read_points(self._path("points"), file)
+        known = {strip.strip_id: strip for strip in self.listed_strips[0] if strip.kind == "ground"}
+        for measured in points:
+            if measured.strip_id not in known:
+                raise RawDataError(file, "strip", measured.strip_id, "a strip of the dump")
+            ccds = known[measured.strip_id].ccd_lines
+            if unknown := sorted(set(measured.ccd.tolist()) - set(ccds)):
+                raise RawDataError(file, "ccd", unknown[0], f"a CCD of strip {measured.strip_id}")
+        return points, (surveyed,)
+
+    @part
+    def points(self) -> tuple[tuple[StripPoints, ...], list[Entry]]:
+        """The points in CCDs of strips that are used, and what is given twice."""
+        once, twice = points_once(self.listed_points[0], str(self.head.files.points))
+        ccds = {strip.strip_id: list(strip.ccd_lines) for strip in self.strips[0]}
+        return tuple(points.of(ccds[points.strip_id]) for points in once if points.strip_id in ccds), twice
+
+    @part
+    def terrain(self) -> TerrainFiles | TargetHeights:
+        """The surface of the Earth."""
+        if self.sky_alone:
+            return NO_TERRAIN
+        stated, names = self.head.terrain, self.head.files.terrain
+        if names is None or stated is None:
+            known = (self.targets[0], *self.listed_points[1])
+            lat, lon, heights = (
+                np.concatenate([getattr(surveyed, name) for surveyed in known])
+                for name in ("lat_rad", "lon_rad", "height_m")
+            )
+            return TargetHeights(unit_vectors(lon, lat), heights)
+        paths = (path_inside(self.root, name, file="dump.toml", field="files.terrain") for name in names)
+        terrain = TerrainFiles(tuple(names), tuple(paths), stated.height_kind)
+        surface_of(terrain)  # an invalid file is reported before hours of work
+        return terrain
+
+    @part
+    def star_catalogue(self) -> StarTable | None:
+        """Stars of strips of the sky; None: the bundled Hipparcos."""
+        if (file := self.head.files.star_catalogue) is None:
+            return None
+        table = StarTable(file, self._path("star_catalogue"))
+        if self.strips[1]:
+            survey_of(table)  # an invalid file is reported before hours of work
+        return table
+
+    @property
+    def epoch(self) -> Epoch:
+        """Zero of all times, that of the orbit."""
+        with suppress(RawDataError):
+            return self.segments[0].epoch
+        return Epoch.from_utc("2000-01-01T12:00:00Z")
+
+    @property
+    def spans(self) -> list[Span]:
+        """First and last instant of each listed strip, TAI seconds since the epoch."""
+        with suppress(RawDataError):
+            return _spans(self.listed_strips[0])
+        return []
+
+    def _path(self, key: str) -> Path:
+        return path_inside(self.root, self.head.files.single[key], file="dump.toml", field=f"files.{key}")
+
+    def _is_without(self, key: str) -> bool:
+        """Whether the targets, or the points, are not stated or not needed."""
+        return self.sky_alone or getattr(self.head.files, key) is None
+
+    def _exposed(self) -> tuple[Floats, str]:
+        """Instants of all exposures and attitudes, and the file of the first."""
+        heads = self.heads[0]
+        of_head = [
+            head.source.rows.t_s
+            if isinstance(head.source, SolvedAttitudes)
+            else np.array([exposure.t_s for exposure in head.source.exposures])
+            for head in heads
+        ]
+        first = heads[0].source
+        file = first.file if isinstance(first, SolvedAttitudes) else self.head.files.exposures
+        return np.concatenate(of_head), file or f"exposures of {heads[0].name}"
+
+
+def _spans(strips: Sequence[Strip]) -> list[Span]:
+    """First and last instant of each strip, TAI seconds since the epoch."""
+    return [(strip.t_first_row_s, strip.t_first_row_s + strip.lines * strip.row_period_s) for strip in strips]
