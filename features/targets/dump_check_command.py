@@ -28,22 +28,22 @@ def dump_check_command(
     Example: boresight dump check my-dump --out check.html
     """
     with executor_for(workers, None, 0) as executor:
-        found = check_dump(dump, read_settings(settings), executor)
-    lines = check_lines(found)
+        check = check_dump(dump, read_settings(settings), executor)
+    lines = check_lines(check)
     if out is not None:
         from boresight.features.targets.check_page import write_check_page  # with Matplotlib 0.2 s to load
 
-        write_check_page(found, out)
+        write_check_page(check, out)
         lines.append(f"-> {out}")
-    failed = bool(found.faults) or not (found.footprints or found.sky_strips)
+    failed = bool(check.faults) or not (check.footprints or check.sky_strips)
     return Answer(
         text="\n".join(lines),
         content={
-            "errors": [str(fault) for fault in found.faults],
-            "facts": list(found.facts),
-            "omitted": [entry.row for entry in found.omissions],
-            "targets": [plain(target) for target in found.targets],
-            "footprints": {name: outline.tolist() for name, outline in found.footprints.items()},
+            "errors": [str(fault) for fault in check.faults],
+            "facts": list(check.facts),
+            "omitted": [entry.row for entry in check.omissions],
+            "targets": [plain(target) for target in check.targets],
+            "footprints": {name: outline.tolist() for name, outline in check.footprints.items()},
         },
         files=() if out is None else (out,),
         exit_status=DATA_DID_NOT_ALLOW if failed else DONE,

@@ -239,16 +239,16 @@ def check_attitudes(
     the orbit, or a line of sight that is used meets the Earth. The orbit is named where all of several heads
     contradict it, and no mistake of theirs explains it.
     """
-    found = [one for head in heads if (one := _contradiction(head, orbit, strips)) is not None]
-    if 1 < len(heads) == sum(unexplained for _, unexplained in found):
+    wrong = [fault for head in heads if (fault := _contradiction(head, orbit, strips)) is not None]
+    if 1 < len(heads) == sum(unexplained for _, unexplained in wrong):
         raise RawDataError(
             orbit_file,
             "positions and velocities",
             "an orbit with which no head's camera sees the Earth",
             "the orbit of this satellite at these dates, in the stated frame",
         )
-    if found:
-        raise found[0][0]
+    if wrong:
+        raise wrong[0][0]
 
 
 def _contradiction(
@@ -267,14 +267,14 @@ def _contradiction(
         during |= (t_s >= max(first - 1.0, begin)) & (t_s <= min(last + 1.0, end))
     R_si = source.rows.R_si[during]
     try:
-        found = find_attitude_fault(t_s[during], R_si, head.R_cs0, orbit)
+        fault = find_attitude_fault(t_s[during], R_si, head.R_cs0, orbit)
         blind_rad = _blind_rad(source, t_s[during], R_si, orbit)
     except OrbitGapError:  # strips that the orbit does not cover are not used, and reported as that
         return None
-    if found is not None:
+    if fault is not None:
         expected = "attitudes with which the camera sees the Earth"
-        error = RawDataError(source.file, "quaternions", str(found), expected)
-        return error, found.fault is AttitudeFault.UNRELATED
+        error = RawDataError(source.file, "quaternions", str(fault), expected)
+        return error, fault.fault is AttitudeFault.UNRELATED
     if blind_rad is not None:
         direction = ", ".join(f"{value:.4g}" for value in source.line_of_sight_s)
         towards = f"[{direction}], which meets the Earth {np.degrees(blind_rad):.0f} deg off nadir"

@@ -84,7 +84,7 @@ def read_strips(
             omitted.append(Entry(Subject(Kind.STRIP, strip=strip_id), Reason.UNREADABLE, unread, name))
             continue
         strips.append(_strip(strip_id, images, members))
-    return tuple(sorted(strips, key=lambda one: (one.t_first_row_s, one.strip_id))), tuple(omitted)
+    return tuple(sorted(strips, key=lambda strip: (strip.t_first_row_s, strip.strip_id))), tuple(omitted)
 
 
 def check_what_strips_show(ground: Sequence[Strip], sky: Sequence[Strip], head: schema.DumpFile) -> None:
@@ -95,8 +95,8 @@ def check_what_strips_show(ground: Sequence[Strip], sky: Sequence[Strip], head: 
             "files.targets (chips) or files.points (measured image points), for its strips of the ground"
         )
         raise RawDataError("dump.toml", "files.targets", "nothing", expected)
-    bare = [one.strip_id for one in ground if not one.images.names] if files.points is None else []
-    if bare := bare + [one.strip_id for one in sky if not one.images.names]:
+    bare = [strip.strip_id for strip in ground if not strip.images.names] if files.points is None else []
+    if bare := bare + [strip.strip_id for strip in sky if not strip.images.names]:
         found = f"no image of strip {bare[0]}"
         raise RawDataError(files.strips, "file", found, "an image, or files.points in dump.toml")
 

@@ -79,8 +79,8 @@ def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> Te
     geoid = egm96() if terrain.height_kind == "egm96" else None
     try:
         grids = tuple(
-            TerrainGrid.from_raster(one.heights_m, one.transform, one.crs, geoid)
-            for one in joined(rasters, MAX_TERRAIN_PIXELS)
+            TerrainGrid.from_raster(raster.heights_m, raster.transform, raster.crs, geoid)
+            for raster in joined(rasters, MAX_TERRAIN_PIXELS)
         )
     except ValueError as error:
         raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
