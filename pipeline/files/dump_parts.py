@@ -5,10 +5,10 @@ Whoever opens a dump stops at the first part that is wrong; whoever checks one g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
@@ -50,35 +50,6 @@ from boresight.pipeline.files.text_files import path_inside, read_toml
 
 __all__ = ["DumpParts"]
 
-T = TypeVar("T")
-
-
-class part(Generic[T]):  # a decorator
-    """A property of `DumpParts` that is computed once; an error that it raised is raised again."""
-
-    def __init__(self, read: Callable[[Any], T]) -> None:
-        self._read, self.__doc__ = read, read.__doc__
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    @overload
-    def __get__(self, parts: None, owner: type) -> part[T]: ...
-    @overload
-    def __get__(self, parts: DumpParts, owner: type) -> T: ...
-    def __get__(self, parts: DumpParts | None, owner: type) -> part[T] | T:
-        if parts is None:
-            return self
-        if self._name not in parts.kept:
-            try:
-                parts.kept[self._name] = self._read(parts)
-            except RawDataError as error:
-                parts.kept[self._name] = error
-        if isinstance(kept := parts.kept[self._name], RawDataError):
-            raise kept
-        value: T = kept
-        return value
-
 
 class DumpParts:
     """The parts of the dump in a folder; a part that is wrong raises `RawDataError`.
@@ -89,32 +60,26 @@ class DumpParts:
 
     def __init__(self, root: Path, *, allow_stale_eop: bool = False, sky_alone: bool = False) -> None:
         self.root, self.allow_stale_eop, self.sky_alone = root, allow_stale_eop, sky_alone
-        self.kept: dict[str, Any] = {}  # of each part what it is, or what is wrong
 
     def faults(self) -> Iterator[RawDataError]:
         """What is wrong in each part, in their order; one that needs a wrong one has that one's fault."""
-        for name in (name for name, member in vars(DumpParts).items() if isinstance(member, part)):
+        for name in (name for name, member in vars(DumpParts).items() if isinstance(member, cached_property)):
             try:
                 getattr(self, name)
             except RawDataError as error:
                 yield error
 
-    @part
+    @cached_property
     def head(self) -> schema.DumpFile:
         """What dump.toml says."""
         return read_toml(self.root / "dump.toml", schema.DumpFile, "dump.toml")
 
-    @part
-    def paths(self) -> dict[str, Path]:
-        """The files that it names, by the keys of `files`."""
-        return {key: self._path(key) for key in self.head.files.single}
-
-    @part
+    @cached_property
     def remote_camera(self) -> RemoteCamera:
         """The camera of frame c, and what its file says."""
         return read_remote_camera(self.root, self._path("remote_camera"), self.head.files.remote_camera)
 
-    @part
+    @cached_property
     def kernels(self) -> Kernels:
         """The SPICE kernels that a dump names beside those of attitudes and orbit."""
         spice = self.head.spice
@@ -126,12 +91,12 @@ class DumpParts:
         )
         return Kernels(files=tuple(spice.kernels), paths=paths, spacecraft=spice.spacecraft)
 
-    @part
+    @cached_property
     def segments(self) -> tuple[Ephemeris, ...]:
         """The orbit, as its file has it."""
         return read_orbit(self._path("orbit"), self.head.files.orbit, self.kernels)
 
-    @part
+    @cached_property
     def earth_table(self) -> EarthOrientationTable:
         """Earth orientation of that orbit."""
         own = self.head.files.earth_orientation
@@ -139,7 +104,7 @@ class DumpParts:
             return bundled_table()
         return read_earth_orientation(self._path("earth_orientation"), own)
 
-    @part
+    @cached_property
     def listed_strips(self) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
         """All strips in order of time, and images that are not used."""
         files = self.head.files
@@ -148,18 +113,18 @@ class DumpParts:
             self.root, self._path("strips"), files.strips, self.epoch, remote, files.remote_camera
         )
 
-    @part
+    @cached_property
     def ephemeris(self) -> tuple[Ephemeris, str]:
         """The part of the orbit that covers the strips; its name in errors."""
         return segment_over(self.segments, self.spans, self.head.files.orbit)
 
-    @part
+    @cached_property
     def orbit(self) -> Orbit:
         """The trajectory of the satellite."""
         ephemeris, file = self.ephemeris
         return orbit_of(ephemeris, file, self.earth_table, allow_stale_eop=self.allow_stale_eop)
 
-    @part
+    @cached_property
     def strips(self) -> tuple[tuple[Strip, ...], tuple[Strip, ...], tuple[Entry, ...]]:
         """Strips of the ground, those of the sky, and what is given twice."""
         every, file = self.listed_strips[0], self.head.files.strips
@@ -169,24 +134,24 @@ class DumpParts:
         (ground, of_ground), (sky, of_sky) = strips_once(ground, file), strips_once(sky, file)
         return ground, sky, (*of_ground, *of_sky)
 
-    @part
+    @cached_property
     def targets(self) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
         """The targets, and the files of their chips."""
         if self._is_without("targets"):
             return NO_TARGETS, ()
         return read_targets(self.root, self._path("targets"), str(self.head.files.targets))
 
-    @part
+    @cached_property
     def listed_heads(self) -> tuple[Head, ...]:
         """The star cameras with all that their tables list."""
         return open_heads(self.root, self.head, self.epoch, self.kernels)
 
-    @part
+    @cached_property
     def heads(self) -> tuple[tuple[Head, ...], tuple[Entry, ...]]:
         """The star cameras, the reference head first, and what is given twice."""
         return exposures_once(self.listed_heads)
 
-    @part
+    @cached_property
     def orbit_covers(self) -> str:
         """What the orbit covers, for messages; an error if it, or all exposures, are of other times than the
         strips."""
@@ -197,12 +162,12 @@ class DumpParts:
         check_exposure_dates(epoch, *self._exposed(), self.spans)
         return covers
 
-    @part
+    @cached_property
     def attitudes(self) -> None:
         """Nothing; an error if attitudes contradict the orbit."""
         check_attitudes(self.heads[0], self.orbit, self.ephemeris[1], _spans(self.strips[0]))
 
-    @part
+    @cached_property
     def listed_points(self) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
         """Measured image points, one record a strip of the ground, and the same points on the ground."""
         if self._is_without("points"):
@@ -218,14 +183,14 @@ class DumpParts:
                 raise RawDataError(file, "ccd", unknown[0], f"a CCD of strip {measured.strip_id}")
         return points, (surveyed,)
 
-    @part
+    @cached_property
     def points(self) -> tuple[tuple[StripPoints, ...], list[Entry]]:
         """The points in CCDs of strips that are used, and what is given twice."""
         once, twice = points_once(self.listed_points[0], str(self.head.files.points))
         ccds = {strip.strip_id: list(strip.ccd_lines) for strip in self.strips[0]}
         return tuple(points.of(ccds[points.strip_id]) for points in once if points.strip_id in ccds), twice
 
-    @part
+    @cached_property
     def terrain(self) -> TerrainFiles | TargetHeights:
         """The surface of the Earth."""
         if self.sky_alone:
@@ -243,7 +208,7 @@ class DumpParts:
         surface_of(terrain)  # an invalid file is reported before hours of work
         return terrain
 
-    @part
+    @cached_property
     def star_catalogue(self) -> StarTable | None:
         """Stars of strips of the sky; None: the bundled Hipparcos."""
         if (file := self.head.files.star_catalogue) is None:

@@ -28,7 +28,7 @@ from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.files import dump as dump_file
+from boresight.pipeline.files import dump_parts
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.results.earth_error import common_covariance
@@ -212,7 +212,7 @@ def test_a_result_of_predicted_values_is_written_and_read(
     finished: tuple[Path, Path], calibration: DumpCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = old_table(300.0, calibration.tasks[0].orbit)
-    monkeypatch.setattr(dump_file, "bundled_table", lambda: old)
+    monkeypatch.setattr(dump_parts, "bundled_table", lambda: old)
     out = tmp_path / "result"
     ran = CliRunner().invoke(app, ["calibrate", str(finished[0]), "--out", str(out), "--workers", "1"])
     assert ran.exit_code == 0, ran.output
@@ -224,7 +224,7 @@ def test_a_result_of_predicted_values_is_written_and_read(
     # measured by now that of the matrix stays. Predicted 300 days ahead, UT1 is off by 8.4 m on the equator;
     # of this orbit, stated in ITRF, the camera's rotation by as much remains: 0.7 m from 530 km.
     same = sigma_of_places(out, finished[0])
-    monkeypatch.setattr(dump_file, "bundled_table", bundled_table)
+    monkeypatch.setattr(dump_parts, "bundled_table", bundled_table)
     measured, plain = sigma_of_places(out, finished[0]), sigma_of_places(finished[1], finished[0])
     added = np.sqrt(np.sum(measured**2 - plain**2, axis=1))
     assert np.all((added > 0.3) & (added < 0.7))
