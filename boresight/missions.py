@@ -37,7 +37,7 @@ from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, array, inner, record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import open_dumps
@@ -47,12 +47,13 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.page import write_report
+from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.results.reading import read_saved_result as saved_in
 from boresight.pipeline.results.summary import validation_summary
-from boresight.pipeline.results.validate import TruthErrors
+from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.settings import Settings, read_settings
@@ -275,15 +276,31 @@ class Calibration(Result):
 
 
 @record(kw_only=True)
-class Validation(TruthErrors, Result):
+class Validation(Result):
     """Errors of a result, and of the matrix that it started from, against a simulated truth."""
+
+    errors: TruthErrors = scalar("the full record")
+    error_rad = inner[Floats](
+        "errors.error_rad", "(3,) theta of the result's error: R_result = exp[[error]] R_true"
+    )
+    sigma_rad = inner[Floats]("errors.sigma_rad", "(3,) 1-sigma that the result states")
+    nees = inner[float]("errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof")
+    before_rad = inner[Floats]("errors.before_rad", "(3,) error of the pre-launch matrix")
+    after = inner[CheckPoints]("errors.after", "check points with the result's matrix")
+    before = inner[CheckPoints]("errors.before", "check points with the pre-launch matrix")
+    predicted = inner[tuple[RmsTest, ...]](
+        "errors.predicted", "errors of check points against those that the result predicts"
+    )
+    without = inner[int](
+        "errors.without", "check points without attitude or ground, for which no error can be given"
+    )
 
     def __repr__(self) -> str:
         return self.summary()
 
     def summary(self) -> str:
         """Errors per axis and on the ground, before and after."""
-        return validation_summary(self)
+        return validation_summary(self.errors)
 
     def table(self) -> pd.DataFrame:
         """One row a check point: strip_id, point_id, lat_deg, lon_deg, errors after and before in m."""
@@ -600,5 +617,4 @@ def validate(result: Calibration | PathLike, dump: DumpLike) -> Validation:
             raise RawDataError(
                 str(flown.root), "dump", "another dump", "the dump that the result is made from"
             )
-    found = against_truth(saved, flown)
-    return Validation(**{field.name: getattr(found, field.name) for field in dataclasses.fields(found)})
+    return Validation(errors=against_truth(saved, flown))

@@ -18,7 +18,8 @@ import dataclasses
 import numbers
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar, cast, dataclass_transform, overload
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, dataclass_transform, overload
 
 __all__ = [
     "Bools",
@@ -27,6 +28,7 @@ __all__ = [
     "Texts",
     "array",
     "check_numbers",
+    "inner",
     "record",
     "scalar",
     "shape_of",
@@ -55,6 +57,7 @@ else:
 
 
 Record = TypeVar("Record")
+T = TypeVar("T")
 # Beyond it a number of a record is no measurement: products of two overflow.
 LARGEST_NUMBER = 1e300
 Dimension = tuple[str, int]  # a shared length plus a number; "" is the length 0
@@ -82,6 +85,18 @@ def scalar(meaning: str, **options: Any) -> Any:
     """Declare a field that is no array. `meaning` states unit and frame; `options` as in `array`."""
     options["metadata"] = {"meaning": meaning}
     return dataclasses.field(**options)
+
+
+class inner(property, Generic[T]):  # declares, as `array` and `scalar` do
+    """Declare an attribute of a record that this one holds: `snr = inner[Floats]("star_list.snr", ...)`."""
+
+    def __init__(self, place: str, meaning: str) -> None:
+        super().__init__(attrgetter(place))
+        self.__doc__ = meaning
+
+    if TYPE_CHECKING:
+
+        def __get__(self, held_by: object, owner: type | None = None, /) -> T: ...  # type: ignore[override]
 
 
 @overload
@@ -211,4 +226,7 @@ def _documented(cls: type) -> str:
         shape = field.metadata.get("shape_text", "")
         lines.append(f"{field.name} : {f'{shape} ' if shape else ''}{kind}")
         lines.append(f"    {field.metadata.get('meaning', '')}".rstrip())
+    for name, member in vars(cls).items():
+        if isinstance(member, inner):
+            lines += [name, f"    {member.__doc__}"]
     return "\n".join(lines) + "\n"

@@ -32,12 +32,12 @@ from boresight.features.sky_images.frame_facts import observer_at
 from boresight.features.sky_images.identify_images import departure, sky_index
 from boresight.features.sky_images.sip import TanSip, tan_sip
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, inner, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import grey_image, read_star_image
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
-from boresight.star_id.field import FieldSolution, nominal_camera, ra_dec_roll, solve_list
+from boresight.star_id.field import FieldSolution, nominal_camera, solve_list
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.finding.star_list import list_stars as stars_of_image
 from boresight.star_id.identification.identify import NotIdentified
@@ -80,21 +80,28 @@ class _Pixels(NamedTuple):
 class Stars(Result):
     """Stars found in one image, brightest first. Row n of every array is the same star."""
 
-    xy_px: Floats = array("N, 2", "centroids (column, row); (0, 0) is the centre of the first pixel")
-    cov_px: Floats = array("N, 2, 2", "covariance of the centroids, px²")
-    flux_dn: Floats = array("N", "total above the background, DN")
-    snr: Floats = array("N", "flux over the error that the background alone causes")
-    saturated: Bools = array("N", "some pixel is full")
-    blended: Bools = array("N", "displaced by a neighbour or by blooming: not for calibration")
-    psf_sigma_px: float = scalar("width of the point spread function, px, 1 sigma")
-    size_px: tuple[int, int] = scalar("width and height of the image, px")
-    misshapen_px: Floats = array(
-        "M, 2", "detections that are not among the stars: cosmic rays, trails, stars that touch one another"
-    )
-    hot_pixels: int = scalar("detections rejected as hot pixels")
-    masked: int = scalar("pixels without a number: they have no weight")
-    saturation_dn: float = scalar("value from which a pixel is full; inf: not known, no star is saturated")
     star_list: StarList = scalar("the full record, as the functions of boresight.star_id take it")
+    size_px: tuple[int, int] = scalar("width and height of the image, px")
+    masked: int = scalar("pixels without a number: they have no weight")
+    xy_px = inner[Floats](
+        "star_list.xy_px", "(N, 2) centroids (column, row); (0, 0) is the centre of the first pixel"
+    )
+    cov_px = inner[Floats]("star_list.cov_px", "(N, 2, 2) covariance of the centroids, px²")
+    flux_dn = inner[Floats]("star_list.flux_dn", "(N,) total above the background, DN")
+    snr = inner[Floats]("star_list.snr", "(N,) flux over the error that the background alone causes")
+    saturated = inner[Bools]("star_list.saturated", "(N,) some pixel is full")
+    blended = inner[Bools](
+        "star_list.blended", "(N,) displaced by a neighbour or by blooming: not for calibration"
+    )
+    psf_sigma_px = inner[float]("star_list.psf.sigma_px", "width of the point spread function, px, 1 sigma")
+    misshapen_px = inner[Floats](
+        "star_list.misshapen_px",
+        "(M, 2) detections that are not among the stars: cosmic rays, trails, stars that touch one another",
+    )
+    hot_pixels = inner[int]("star_list.hot_pixels", "detections rejected as hot pixels")
+    saturation_dn = inner[float](
+        "star_list.saturation_dn", "value from which a pixel is full; inf: not known, no star is saturated"
+    )
 
     def __repr__(self) -> str:
         return self.summary()
@@ -156,26 +163,64 @@ class Stars(Result):
 class StarSolution(SuccessfulResult):
     """An identified image: pointing and stars. Row n of every array is the same star."""
 
-    ra_deg: float = scalar("right ascension of the image's centre, GCRS axes, deg")
-    dec_deg: float = scalar("declination of the image's centre, GCRS axes, deg")
-    roll_deg: float = scalar("position angle of the image's up direction at its centre, east of north, deg")
-    fov_deg: float = scalar("field of view between the middles of the left and right edges, deg")
-    sigma_arcsec: tuple[float, float] = scalar("1-sigma of the pointing per axis and of the roll, arcsec")
-    R_si: Rotation = scalar("attitude: GCRS to star-camera frame s")
-    cov_s: Floats = array("3, 3", "covariance of a small rotation about the axes of s, rad²")
-    hip: Ints = array("M", "Hipparcos numbers of the identified stars")
-    xy_px: Floats = array("M, 2", "their centroids (column, row)")
-    residual_px: Floats = array("M, 2", "measured minus predicted centroids")
-    false_alarm_probability: float = scalar("upper bound of the probability that the identification is wrong")
-    camera: StarCamera = scalar("the camera as given, or as fitted to this image")
-    misfit_px: float = scalar("rms displacement of stars from it, an axis, px; 0: none seen", default=0.0)
-    departure: str = scalar("how the stars depart from a camera that was given; empty: not seen", default="")
+    field: FieldSolution = scalar(
+        "the full record, as the functions of boresight.star_id give it", repr=False
+    )
     stars: Stars = scalar("all stars found in the image, identified or not")
-    mirrored: bool = scalar("whether the image is a mirror image: all is stated for its columns reversed")
     observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
+    R_si = inner[Rotation]("field.R_si", "attitude: GCRS to star-camera frame s")
+    hip = inner[Ints]("field.hip", "(M,) Hipparcos numbers of the identified stars")
+    xy_px = inner[Floats]("field.xy_px", "(M, 2) their centroids (column, row)")
+    residual_px = inner[Floats]("field.residual_px", "(M, 2) measured minus predicted centroids")
+    false_alarm_probability = inner[float](
+        "field.false_alarm_probability", "upper bound of the probability that the identification is wrong"
+    )
+    camera = inner[StarCamera]("field.camera", "the camera as given, or as fitted to this image")
+    misfit_px = inner[float](
+        "field.misfit_px", "rms displacement of stars from the camera, an axis, px; 0: none seen"
+    )
+    mirrored = inner[bool](
+        "field.mirrored", "whether the image is a mirror image: all is stated for its columns reversed"
+    )
 
     def __repr__(self) -> str:
         return self.summary()
+
+    @property
+    def ra_deg(self) -> float:
+        """Right ascension of the image's centre, GCRS axes, deg."""
+        return float(np.degrees(self.field.ra_rad))
+
+    @property
+    def dec_deg(self) -> float:
+        """Declination of the image's centre, GCRS axes, deg."""
+        return float(np.degrees(self.field.dec_rad))
+
+    @property
+    def roll_deg(self) -> float:
+        """Position angle of the image's up direction at its centre, east of north, deg."""
+        return float(np.degrees(self.field.roll_rad))
+
+    @property
+    def fov_deg(self) -> float:
+        """Field of view between the middles of the left and right edges, deg."""
+        return float(np.degrees(self.field.fov_x_rad))
+
+    @property
+    def sigma_arcsec(self) -> tuple[float, float]:
+        """1-sigma of the pointing per axis and of the roll, arcsec."""
+        return self.field.pointing_sigma_rad / ARCSEC, self.field.roll_sigma_rad / ARCSEC
+
+    @property
+    def cov_s(self) -> Floats:
+        """(3, 3) covariance of a small rotation about the axes of s, rad²."""
+        assert self.field.cov_s is not None  # solve_list gives it
+        return self.field.cov_s
+
+    @property
+    def departure(self) -> str:
+        """How the stars depart from a camera that was given; empty: not seen."""
+        return departure(self.field)
 
     def pixel_to_sky(self, xy_px: ArrayLike) -> SkyCoord:
         """Right ascension and declination, ICRS, of pixels.
@@ -200,13 +245,13 @@ class StarSolution(SuccessfulResult):
             raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
         if not (np.isfinite(xy).all() and (np.abs(xy) < LARGEST_PX).all()):
             raise wrong("xy_px", "values that are not finite or beyond a million", "pixels")
-        one, xy = xy.ndim == 1, np.atleast_2d(xy).copy()
+        is_single, xy = xy.ndim == 1, np.atleast_2d(xy).copy()
         if self.mirrored:
             xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
         u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
         ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
         place: SkyCoord = _world().SkyCoord(
-            *((ra[0], dec[0]) if one else (ra, dec)), unit="deg", frame="icrs"
+            *((ra[0], dec[0]) if is_single else (ra, dec)), unit="deg", frame="icrs"
         )
         return place
 
@@ -217,14 +262,14 @@ class StarSolution(SuccessfulResult):
         largest difference from the camera. `ValueError` where it exceeds `max_misfit_px`: a wide lens has no
         tangent plane; use `pixel_to_sky`.
         """
-        limit, found = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
-        if not found.largest_misfit_px <= limit:
+        limit, header = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
+        if not header.largest_misfit_px <= limit:
             raise wrong(
                 "max_misfit_px",
-                f"a misfit of {found.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
+                f"a misfit of {header.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
                 f"at most {limit:g} px; pixel_to_sky has no such limit",
             )
-        wcs: WCS = _world().image_wcs(found, *self.stars.size_px)
+        wcs: WCS = _world().image_wcs(header, *self.stars.size_px)
         return wcs
 
     @property
@@ -301,16 +346,25 @@ class StarSolution(SuccessfulResult):
 class CameraSolution(SuccessfulResult):
     """A star camera calibrated by the stars of several images."""
 
-    camera: StarCamera = scalar("focal length, principal point and distortion")
-    sigma_focal_px: float = scalar("1-sigma of the focal length, px")
-    sigma_principal_px: tuple[float, float] = scalar("1-sigma of the principal point (column, row), px")
-    rms_px: float = scalar("root mean square residual along one axis, px")
-    images_used: tuple[str, ...] = scalar("names of the images that were identified")
-    images_rejected: tuple[tuple[str, str], ...] = scalar("the others, (name, reason)")
     fit: CameraCalibration = scalar("residuals, full covariance and attitudes (boresight.star_id)")
+    camera = inner[StarCamera]("fit.camera", "focal length, principal point and distortion")
+    rms_px = inner[float]("fit.rms_px", "root mean square residual along one axis, px")
+    images_used = inner[tuple[str, ...]]("fit.frames_used", "names of the images that were identified")
+    images_rejected = inner[tuple[tuple[str, str], ...]]("fit.frames_refused", "the others, (name, reason)")
 
     def __repr__(self) -> str:
         return self.summary()
+
+    @property
+    def sigma_focal_px(self) -> float:
+        """1-sigma of the focal length, px."""
+        return float(np.sqrt(self.fit.covariance[0, 0]) / self.camera.pixel_m)
+
+    @property
+    def sigma_principal_px(self) -> tuple[float, float]:
+        """1-sigma of the principal point (column, row), px."""
+        column, row = np.sqrt(np.diag(self.fit.covariance)[1:3]).tolist()
+        return column, row
 
     def summary(self) -> str:
         """Three lines, as `print` shows them."""
@@ -393,15 +447,10 @@ def find_stars(
         raise wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
     if read.floating and chosen.saturation_dn is None:
         chosen = replace(chosen, saturation_dn=np.inf)
-    found = stars_of_image(read.pixels, chosen, frame, read.hidden)
-    names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended", "misshapen_px", "hot_pixels")
     return Stars(
-        **{name: getattr(found, name) for name in names},
-        psf_sigma_px=found.psf.sigma_px,
+        star_list=stars_of_image(read.pixels, chosen, frame, read.hidden),
         size_px=(read.pixels.shape[1], read.pixels.shape[0]),
         masked=0 if read.hidden is None else int(np.count_nonzero(read.hidden)),
-        saturation_dn=found.saturation_dn,
-        star_list=found,
     )
 
 
@@ -469,7 +518,7 @@ def identify(
         raise wrong(
             "camera", f"{known.width_px} x {known.height_px} px", f"{stars.size_px}, as the image has"
         )
-    found = solve_list(
+    field = solve_list(
         stars.star_list,
         stars.size_px,
         sky_index(known, width_deg, chosen),
@@ -478,7 +527,9 @@ def identify(
         fov_x_rad=None if width_deg is None else float(np.radians(width_deg)),
         observer=observer,
     )
-    return found if isinstance(found, NotIdentified) else _solution(found, stars, observer)
+    if isinstance(field, NotIdentified):
+        return field
+    return StarSolution(field=field, stars=stars, observer=observer)
 
 
 def _field_of(fov_deg: float | None) -> float | None:
@@ -552,11 +603,13 @@ def calibrate_star_camera(
     given = [images] if isinstance(images, Stars) else listed(images, "images", "arrays, paths or Stars")
     if not given:
         raise wrong("images", "none", "at least one")
-    utc = None if times is None else [utc_of(one, "times") for one in _times_of(times)]
+    utc = None if times is None else [utc_of(time, "times") for time in _times_of(times)]
     if utc is not None and len(utc) != len(given):
         raise ValueError(f"{len(utc)} times given for {len(given)} images")
-    names = [str(one) if isinstance(one, str | os.PathLike) else f"image {n}" for n, one in enumerate(given)]
-    every = [one if isinstance(one, Stars) else find_stars(one, settings=chosen) for one in given]
+    names = [
+        str(image) if isinstance(image, str | os.PathLike) else f"image {n}" for n, image in enumerate(given)
+    ]
+    every = [image if isinstance(image, Stars) else find_stars(image, settings=chosen) for image in given]
     if len(sizes := {stars.size_px for stars in every}) != 1:
         raise ValueError(f"images must be of one size, got {sorted(sizes)}")
     if camera is not None and (camera.width_px, camera.height_px) != every[0].size_px:
@@ -572,21 +625,10 @@ def calibrate_star_camera(
             return NotIdentified(f"none of {len(every)} images can be identified without fov_deg")
         camera = nominal_camera(every[0].size_px, float(np.radians(fov_deg)))
     index = sky_index(None, float(np.degrees(camera.fov_x_rad)), chosen)
-    observers = [None] * len(every) if utc is None else [observer_at(one, place) for one in utc]
-    frames = [SkyFrame(*one) for one in zip(names, (stars.star_list for stars in every), observers)]
-    found = calibrate_camera(frames, camera, index, chosen)
-    if isinstance(found, NotIdentified):
-        return found
-    sigma = np.sqrt(np.diag(found.covariance))
-    return CameraSolution(
-        camera=found.camera,
-        sigma_focal_px=float(sigma[0] / found.camera.pixel_m),
-        sigma_principal_px=(float(sigma[1]), float(sigma[2])),
-        rms_px=found.rms_px,
-        images_used=found.frames_used,
-        images_rejected=found.frames_refused,
-        fit=found,
-    )
+    observers = [None] * len(every) if utc is None else [observer_at(time, place) for time in utc]
+    frames = [SkyFrame(*frame) for frame in zip(names, (stars.star_list for stars in every), observers)]
+    fit = calibrate_camera(frames, camera, index, chosen)
+    return fit if isinstance(fit, NotIdentified) else CameraSolution(fit=fit)
 
 
 def image_pixels(image: ImageLike, name: str) -> NDArray[Any]:
@@ -648,30 +690,6 @@ def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:
     if min(pixels.shape) < SMALLEST_PX:
         raise wrong(name, f"shape {pixels.shape}", f"at least {SMALLEST_PX} px a side")
     return pixels
-
-
-def _solution(found: FieldSolution, stars: Stars, observer: Observer | None) -> StarSolution:
-    assert found.cov_s is not None  # solve_list gives it
-    ra_deg, dec_deg, roll_deg = np.degrees(ra_dec_roll(found.camera, found.R_si)).tolist()
-    return StarSolution(
-        ra_deg=ra_deg,
-        dec_deg=dec_deg,
-        roll_deg=roll_deg,
-        fov_deg=float(np.degrees(found.fov_x_rad)),
-        sigma_arcsec=(found.pointing_sigma_rad / ARCSEC, found.roll_sigma_rad / ARCSEC),
-        R_si=found.R_si,
-        cov_s=found.cov_s,
-        hip=found.hip,
-        xy_px=found.xy_px,
-        residual_px=found.residual_px,
-        false_alarm_probability=found.false_alarm_probability,
-        camera=found.camera,
-        misfit_px=found.misfit_px,
-        departure=departure(found),
-        stars=stars,
-        mirrored=found.mirrored,
-        observer=observer,
-    )
 
 
 def _sky_axes(ax: Axes | None, size_px: tuple[int, int], image: ImageLike | None) -> Axes:

@@ -92,10 +92,7 @@ def test_aberration_is_removed_by_the_inverse_of_what_erfa_applies(solution: bs.
     stars = hipparcos_stars().places.take(np.arange(50))
     apparent = apparent_star_directions(stars, observer.epoch, observer.t_s, observer.p_i, observer.v_i)
     turned = Rotation.align_vectors([[0.0, 0.0, 1.0]], apparent[:1])[0]
-    at_axis = bs.StarSolution(
-        **{name: getattr(solution, name) for name in solution.__dataclass_fields__ if name != "R_si"},
-        R_si=turned,
-    )
+    at_axis = replace(solution, field=replace(solution.field, R_si=turned))
     sky = at_axis.pixel_to_sky(solution.camera.principal_px)
     years = float(observer.epoch.julian_year(observer.t_s)) - stars.epoch_jyear
     known = SkyCoord(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar, shape_of
+from boresight.geometry.record import Floats, array, inner, record, scalar, shape_of
 
 
 @record
@@ -78,6 +78,26 @@ def test_a_record_is_frozen_and_replaced_with_its_check() -> None:
         points(2).limit = 1.0  # type: ignore[misc]
     with pytest.raises(ValueError, match="xy_px"):
         dataclasses.replace(points(2), xy_px=np.zeros((2, 3)))
+
+
+def test_an_inner_attribute_is_that_of_the_record_held_and_help_shows_its_meaning() -> None:
+    @record
+    class Held:
+        """Held."""
+
+        snr: Floats = array("N", "signal over noise")
+
+    @record
+    class Holder:
+        """Holder."""
+
+        held: Held = scalar("the full record")
+        snr = inner[Floats]("held.snr", "(N,) signal over noise")
+
+    holder = Holder(Held(np.array([3.0, 5.0])))
+    assert holder.snr is holder.held.snr
+    assert "snr\n    (N,) signal over noise\n" in (Holder.__doc__ or "")
+    assert "(N,) signal over noise" in pydoc.render_doc(Holder.snr)
 
 
 def test_declared_shape_can_be_read_back() -> None:

@@ -17,7 +17,7 @@ from rasterio.windows import Window
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.image_file import open_image
-from boresight.pipeline.files.images.tiff import open_tiff, read_pixels
+from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
 
 __all__ = ["GridImage", "GridPlace", "grid_place", "read_grid"]
 
@@ -60,7 +60,7 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
             or not np.isfinite(tuple(image.transform)).all()
         ):
             raise RawDataError(file, "transform", "none", "a GeoTIFF with an affine transform")
-        raw = read_pixels(image, file, Window(0, 0, image.width, image.height))
+        raw = tiff_window(image, file, Window(0, 0, image.width, image.height))
         with np.errstate(over="ignore"):  # beyond 3e38 becomes infinite, which is no value
             values = raw.astype(np.float32, copy=False)
         if image.nodata is not None and np.isfinite(image.nodata):

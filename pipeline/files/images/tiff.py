@@ -34,9 +34,9 @@ __all__ = [
     "check_strip_file",
     "open_tiff",
     "planes_of_png",
-    "read_pixels",
     "read_tiff",
     "tiff_opened",
+    "tiff_window",
     "write_tiff",
 ]
 
@@ -66,7 +66,7 @@ def read_tiff(image: ImageFile) -> NDArray[Any]:
         if image.size is not None:
             _check_counts(image, tiff)
             _check_deflated(tiff, image)
-            return read_pixels(tiff, image.name, Window(0, 0, *image.size))
+            return tiff_window(tiff, image.name, Window(0, 0, *image.size))
         _check_planes(image, tiff)
         _check_deflated(tiff, image)
         try:
@@ -130,7 +130,7 @@ def _answered(streams: Sequence[Any]) -> Iterator[None]:
         raise
 
 
-def read_pixels(tiff: Any, file: str, window: Window) -> NDArray[Any]:
+def tiff_window(tiff: Any, file: str, window: Window) -> NDArray[Any]:
     """Pixels (rows, columns) of the first band of an open TIFF; `RawDataError` where they do not decode."""
     try:
         return np.asarray(tiff.read(1, window=window))
@@ -253,7 +253,7 @@ class StripFiles:
             raise ValueError(f"window {line0}:{line1}, {sample0}:{sample1} is not inside {lines} x {samples}")
         with self._opened(ccd) as tiff:
             window = Window(sample0, line0, sample1 - sample0, line1 - line0)
-            return read_pixels(tiff, self.names[ccd], window)
+            return tiff_window(tiff, self.names[ccd], window)
 
     def read_bands(self, ccd: int, height: int, most_pitch: int) -> tuple[NDArray[Any], int] | None:
         """Bands of `height` lines, one below the other (rows, samples), and the lines from band to band.
@@ -268,7 +268,7 @@ class StripFiles:
                 return None
             tops = range(0, lines - height + 1, pitch)
             windows = [Window(0, top, samples, height) for top in tops]
-            bands = [read_pixels(tiff, self.names[ccd], window) for window in windows]
+            bands = [tiff_window(tiff, self.names[ccd], window) for window in windows]
         return np.concatenate(bands), pitch
 
     def _opened(self, ccd: int) -> AbstractContextManager[Any]:
@@ -280,7 +280,7 @@ def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_dep
     image = open_image(path, file, whole=False, size=(samples, lines), bits=8 if bit_depth <= 8 else 16)
     with open_tiff(image) as tiff:
         _check_counts(image, tiff)
-        read_pixels(tiff, file, Window(0, lines - 1, samples, 1))
+        tiff_window(tiff, file, Window(0, lines - 1, samples, 1))
 
 
 @contextmanager
