@@ -169,7 +169,10 @@ class DumpParts:
 
     @cached_property
     def listed_points(self) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
-        """Measured image points, one record a strip of the ground, and the same points on the ground."""
+        """Measured image points, one record a strip of the ground, and the same points on the ground.
+
+        `RawDataError` for points in a strip or a CCD that the dump has not.
+        """
         if self._is_without("points"):
             return (), ()
         file = str(self.head.files.points)

@@ -90,7 +90,10 @@ NO_POINTS = StripPoints(
 
 
 def read_targets(root: Path, path: Path, file: str) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
-    """The targets of targets.csv, and the file of each one's chip in the dump of folder `root`."""
+    """The targets of targets.csv, and the file of each one's chip in the dump of folder `root`.
+
+    `RawDataError` for a table that is not valid, names a target twice, or has none.
+    """
     rows = read_table(path, schema.TargetRow, file)
     if not rows:
         raise RawDataError(file, "rows", "none", "at least one target")

@@ -61,6 +61,10 @@ def read_strips(
     remote: schema.RemoteCameraFile | schema.LookCameraFile,
     remote_file: str,
 ) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
+    """The strips of strips.csv in order of time, and entries for images and strips that cannot be used.
+
+    `RawDataError` for a table that is not valid, or whose CCDs of one strip contradict one another.
+    """
     rows = read_table(path, schema.StripRow, file)
     if not rows:
         raise RawDataError(file, "rows", "none", "at least one strip")
