@@ -31,11 +31,12 @@ from boresight.pipeline.diagnosis.sky_losses import (
     only,
     stars_found,
 )
-from boresight.pipeline.files.dump import Dump, Strip
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
-from boresight.pipeline.files.image_files import StripFiles
+from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_identified
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
