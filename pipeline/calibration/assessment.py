@@ -18,11 +18,6 @@ from boresight.pipeline.calibration.passes import Pass
 from boresight.pipeline.diagnosis.causes import examined, wrong_convention
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
 from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
-from boresight.pipeline.diagnosis.exchanged_files import (
-    exchanged_in_ground,
-    exchanged_in_sky,
-    exchanged_strips,
-)
 from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
 from boresight.pipeline.diagnosis.left_out import searched_alone, with_left_out
 from boresight.pipeline.diagnosis.losses import (
@@ -36,12 +31,13 @@ from boresight.pipeline.diagnosis.losses import (
 )
 from boresight.pipeline.diagnosis.missing import targets_out_of_view
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
-from boresight.pipeline.diagnosis.sky_losses import (
-    displaced_stars,
-    named_alone,
-    star_ledger,
+from boresight.pipeline.diagnosis.readings import (
+    exchanged_in_ground,
+    exchanged_in_sky,
+    exchanged_strips,
     strips_without_stars,
 )
+from boresight.pipeline.diagnosis.sky_losses import displaced_stars, named_alone, star_ledger
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.basis import Basis

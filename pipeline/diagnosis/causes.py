@@ -6,6 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+
+import numpy as np
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
@@ -14,11 +17,12 @@ from boresight.calib.moved_input import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.line_camera import LineCamera, LineSensor
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.diagnosis.conventions import likely_convention, sees_its_targets
 from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
+from boresight.pipeline.diagnosis.missing import misses
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
-from boresight.pipeline.diagnosis.sky_losses import reversed_strips
+from boresight.pipeline.diagnosis.readings import likeliest, readings_of_dump, reversed_strips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import InOrder
@@ -28,7 +32,7 @@ from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
-from boresight.pipeline.stages.strip import StripTask
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strip_tasks
 
 __all__ = ["cause_of_no_result", "examined", "wrong_convention"]
@@ -55,8 +59,17 @@ def cause_of_no_result(
 
 
 def wrong_convention(basis: Basis) -> Finding | None:
-    """The convention of the dump that another reading, by which the strips see their targets, contradicts."""
-    return likely_convention(basis.dump, lambda changed: _agreeing_strips(changed, basis))
+    """The reading of the dump by which most strips see their stars or targets, where as stated few do."""
+    dump, agreeing = basis.dump, partial(_agreeing_strips, basis)
+    strips, stated = len(dump.strips) + len(dump.sky_strips), agreeing(dump)
+    if 2 * stated > strips:
+        return None
+    best = likeliest(dump, readings_of_dump(dump), agreeing, strips // 2 + 1, strips)
+    if not best:
+        return None
+    reading, count = best
+    see = f"{count} of {strips} strips see their stars or targets, as stated {stated}"
+    return reading.finding(f"{reading.changed} {see}", refutes=True)
 
 
 def examined(
@@ -86,7 +99,7 @@ def _pivots(camera: LineSensor) -> dict[int, float]:
     return {n: ccd.principal_sample for n, ccd in enumerate(ccds)}
 
 
-def _agreeing_strips(dump: Dump, basis: Basis) -> int:
+def _agreeing_strips(basis: Basis, dump: Dump) -> int:
     """Strips of a dump with another convention than that of `basis` that see their stars or targets by the
     pre-launch matrices.
     """
@@ -101,4 +114,21 @@ def _agreeing_strips(dump: Dump, basis: Basis) -> int:
     start = dump.R_cs0, dump.sigma_installation_rad
     tasks, _ = strip_tasks(dump, heads, *start, stated_mountings(heads), settings)
     named = name_in_sky_strips(dump, find_in_sky_strips(dump, heads, settings, runner), *start, known=False)
-    return sum(sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
+    return sum(_sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
+
+
+def _sees_its_targets(task: StripTask, dump: Dump) -> bool:
+    """Whether a strip shows a target, or its measured points lie where the pre-launch matrix allows."""
+    points = task.points
+    if not len(points.ccd):
+        outside = misses(task, dump.targets)[0] if dump.targets else np.full((1, 2), np.nan)
+        return bool((np.hypot(*outside.T) == 0.0).any())
+    limit_px = task.settings.sigmas * float(task.sigma_installation_rad.max()) / task.camera.pixel_rad
+    p_e = np.array([target.p_e for target in points.targets])
+    near: Floats = np.zeros(len(points.ccd))
+    for ccd in np.unique(points.ccd).tolist():
+        here = points.ccd == ccd
+        sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[here])
+        off_px = np.hypot(sample - points.xy_px[here, 0], line - points.xy_px[here, 1])
+        near[here] = np.nan_to_num(off_px, nan=np.inf) < limit_px
+    return bool(near.mean() > 0.5)

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -75,6 +76,7 @@ def _finding(names: Sequence[str], off_rad: float, what: str) -> Finding:
     return Finding(
         cause="files or times of exposures",
         item=f"exposure{'s' if len(names) > 1 else ''} {listed}",
+        subjects=tuple(Subject(Kind.EXPOSURE, exposure=name) for name in names),
         text=f"{what} {_angle(off_rad)}: check file and utc_mid in exposures.csv.",
         file="exposures.csv",
         field="file",
@@ -132,17 +134,8 @@ def _exchanged(
         if not fits or min(fits.values()) > limit:
             return order, found
         a, b = min(fits, key=lambda pair: fits[pair])
-        first, second = sorted((names[a], names[b]))
-        found.append(
-            Finding(
-                cause="files or times of exposures",
-                item=f"exposures {first} and {second}",
-                text=f"exchanged, they fit the motion of the others, as stated they miss it by "
-                f"{_angle(apart[[a, b]].max())}: check file and utc_mid in exposures.csv.",
-                file="exposures.csv",
-                field="file",
-            )
-        )
+        told = "exchanged, they fit the motion of the others, as stated they miss it by"
+        found.append(_finding(sorted((names[a], names[b])), apart[[a, b]].max(), told))
         order[[a, b]] = order[[b, a]]
 
 

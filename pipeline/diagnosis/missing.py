@@ -13,10 +13,11 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.record import Bools, Floats
+from boresight.pipeline.diagnosis.readings import MIRRORED, are_mirrored
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import StarCentroids
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.exposure import is_mirrored, star_tasks
+from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
 
@@ -89,8 +90,8 @@ def _no_exposure(dump: Dump, settings: Settings, failed: Sequence[Entry]) -> str
     not_identified = {entry.subject for entry in failed if entry.reason is Reason.NOT_IDENTIFIED}
     tasks = [task for images in dump.star_images for task in star_tasks(dump, images, settings.stars)[0]]
     tried = [task for task in tasks if task.item.subject in not_identified][:MIRROR_TRIALS]
-    if any(map(is_mirrored, tried)):
-        return f"{text}; mirrored left to right its stars are identified: the images are mirrored"
+    if are_mirrored(tried):
+        return f"{text}; {MIRRORED.changed} its stars are identified: the images are mirrored"
     if not_identified:
         text += "; check focal_length_mm and pixel_size_um of the star camera (`boresight identify IMAGE` "
         text += "measures the focal length), its distortion, the bit depth, and that images are not mirrored"

@@ -6,19 +6,17 @@ a CCD, or a strip, in which many are missing is not where the dump says it is, o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Kind, Ledger, Reason
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.diagnosis.losses import OF_STARS, lost_ccds
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
@@ -30,10 +28,10 @@ __all__ = [
     "crossings",
     "displaced_stars",
     "named_alone",
-    "reversed_strips",
+    "names",
+    "only",
     "star_ledger",
     "stars_found",
-    "strips_without_stars",
 ]
 
 FEWEST = 3  # stars that agree by themselves
@@ -223,94 +221,18 @@ def _of_brightness(
     return list(pairs.items()) if len(pairs) >= FEWEST_DISPLACED else []
 
 
-Changed = Callable[[StripStars, SkyTask], StripStars]
-
-
 def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:
     """Names by the pre-launch matrix."""
     return name_in_sky_strips(dump, side, dump.R_cs0, dump.sigma_installation_rad, known=False)
 
 
-def _is_named(dump: Dump, one: SkySide) -> bool:
-    return len(_named(dump, one)[0].rows) >= FEWEST
+def names(dump: Dump, strip: SkySide) -> int:
+    """How many stars of one strip of the sky have names by the pre-launch matrix."""
+    return len(_named(dump, strip)[0].rows)
 
 
-def _columns_reversed(found: StripStars, task: SkyTask) -> StripStars:
-    last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
-    xy_px = found.xy_px.copy()
-    xy_px[:, 0] = last[found.ccd] - xy_px[:, 0]
-    return replace(found, xy_px=xy_px)
-
-
-def _rows_reversed(found: StripStars, task: SkyTask) -> StripStars:
-    return replace(found, xy_px=found.xy_px * [1.0, -1.0] + [0.0, task.strip.lines - 1.0])
-
-
-# Readings of a strip that are tried where no star is identified, as messages name them.
-TRIALS: Mapping[str, Changed] = {
-    "with the order of columns reversed": _columns_reversed,
-    "with the order of rows reversed": _rows_reversed,
-}
-
-
-def _only(side: SkySide, n: int) -> SkySide:
+def only(side: SkySide, n: int) -> SkySide:
     """One strip of several."""
     return replace(
         side, tasks=(side.tasks[n],), found=(side.found[n],), computed=side.computed[n : n + 1], omissions=()
     )
-
-
-def _order(dump: Dump, only: SkySide) -> str:
-    """With which other order of its image the stars of a strip are named, in words; empty: with none."""
-    (task,), (found,) = only.tasks, only.found
-    trials = ((words, replace(only, found=(changed(found, task),))) for words, changed in TRIALS.items())
-    return next((words for words, trial in trials if _is_named(dump, trial)), "")
-
-
-def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
-    """Strips of the sky of which no star is named as stated, but with rows or columns reversed."""
-    for n, task in enumerate(side.tasks):
-        only = _only(side, n)
-        if not _is_named(dump, only) and (words := _order(dump, only)):
-            yield Finding(
-                cause="order of an image",
-                item=task.strip.subject.words,
-                subjects=(task.strip.subject,),
-                text=f"none of its stars named, but {words} they are: check file in strips.csv.",
-                file="strips.csv",
-                field="file",
-                refutes=True,
-            )
-
-
-def strips_without_stars(
-    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, explained: Collection[str]
-) -> Iterator[Finding]:
-    """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
-    stars agree by themselves contradicts the others, and refutes.
-    """
-    source = dump.heads[0].source
-    attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
-    for n, (task, one) in enumerate(zip(side.tasks, named)):
-        strip_id = task.strip.strip_id
-        expected = len(ledger.of_strip(strip_id).ccd)
-        if len(one.rows) or expected < FEWEST or strip_id in explained:
-            continue
-        only = _only(side, n)
-        file, cause, alone = "file, utc_first_row", "images, clock or attitudes", _is_named(dump, only)
-        if alone:
-            text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
-        elif words := _order(dump, only):
-            file, cause = "file", "order of an image"
-            text = f"none of its {expected} brightest stars found, but {words} they are"
-        else:
-            text = f"none of its {expected} brightest stars is where the other strips place it"
-        yield Finding(
-            cause=cause,
-            item=task.strip.subject.words,
-            subjects=(task.strip.subject,),
-            text=f"{text}: check {file} in strips.csv{attitudes if alone else ''}.",
-            file="strips.csv",
-            field=file,
-            refutes=alone,
-        )

@@ -15,8 +15,8 @@ from boresight.calib.reliability import Contradiction
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.ledger import Kind, Ledger, Subject
-from boresight.pipeline.stages.point_slips import fitting_slip
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
+from boresight.pipeline.stages.strip_tasks import fitting_slip
 
 __all__ = ["MeasuredTargets", "single_targets"]
 

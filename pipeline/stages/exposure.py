@@ -39,7 +39,7 @@ __all__ = [
     "centroid_tasks",
     "exposure_image",
     "in_order",
-    "is_mirrored",
+    "is_identified",
     "sight_exposure",
     "sight_exposure_centroids",
     "star_tasks",
@@ -179,15 +179,9 @@ def _sighted(task: StarTask, image: NDArray) -> StarSightings | NotIdentified:
     return sight_stars(task.exposure.exposure_id, image, task.camera, index, task.observer, task.settings)
 
 
-def is_mirrored(task: StarTask) -> bool:
-    """Whether the stars of an exposure are identified in its mirror image: for the user of a dump of which no
-    exposure is.
-    """
-    try:
-        image = exposure_image(task.exposure, task.camera, task.bit_depth)
-    except RawDataError:
-        return False
-    return not isinstance(_sighted(task, image[:, ::-1].copy()), NotIdentified)
+def is_identified(task: StarTask, image: NDArray) -> bool:
+    """Whether the stars of an image in the place of the exposure's own are identified."""
+    return not isinstance(_sighted(task, image), NotIdentified)
 
 
 @lru_cache(maxsize=2)

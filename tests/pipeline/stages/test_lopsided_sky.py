@@ -16,9 +16,10 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
-from boresight.pipeline.diagnosis.sky_losses import _columns_reversed, _rows_reversed
+from boresight.pipeline.diagnosis.readings import orders_of
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.strip_table import Strip
+from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings, strip_motion
 from boresight.star_id.strip_stars.find import StripStars
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -215,6 +216,7 @@ def test_motion_of_image_points_is_that_of_the_middle_of_each_ccd(task) -> None:
 
 
 def test_rows_and_columns_in_reverse_begin_at_the_other_end(task, named) -> None:
-    rows, columns = _rows_reversed(named.found, task).xy_px, _columns_reversed(named.found, task).xy_px
+    side = SkySide(tasks=(task,), found=(named.found,), omissions=(), computed=(True,))
+    columns, rows = (order.apply(side).found[0].xy_px for order in orders_of(task.strip))
     np.testing.assert_allclose(rows, np.column_stack([XY[:, 0], LINES - 1.0 - XY[:, 1]]))
     np.testing.assert_allclose(columns, np.column_stack([N_PX - 1.0 - XY[:, 0], XY[:, 1]]))

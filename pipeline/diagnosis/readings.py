@@ -1,0 +1,475 @@
+"""Other ways to read an input, tried where strips do not see their stars or targets.
+
+A quaternion of the other sense, times of another scale, exchanged files or a mirrored image lead far from any
+linear test. Each is a row: what would be wrong, where the dump states it, and `apply`, the input as it was
+meant. `likeliest` tries rows and counts the observations that agree. A further mistake is a further row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, islice, pairwise
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.finding import Finding
+from boresight.geometry.constants import WGS84
+from boresight.geometry.epoch import GPS_MINUS_TAI_S, tai_minus_utc_s
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
+from boresight.geometry.ledger import Entry, Kind, Ledger, Subject
+from boresight.geometry.record import Bools, Floats
+from boresight.pipeline.diagnosis.sky_losses import (
+    Crossings,
+    as_bright_as_named,
+    crossings,
+    names,
+    only,
+    stars_found,
+)
+from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.ground_points import StripPoints
+from boresight.pipeline.files.images.tiff import StripFiles
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.files.strip_table import Strip
+from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_identified
+from boresight.pipeline.stages.sky_side import SkySide
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
+from boresight.star_id.strip_stars.find import StripStars
+
+__all__ = [
+    "MIRRORED",
+    "Reading",
+    "are_mirrored",
+    "exchanged_in_ground",
+    "exchanged_in_sky",
+    "exchanged_strips",
+    "likeliest",
+    "orders_of",
+    "readings_of_dump",
+    "reversed_strips",
+    "strips_without_stars",
+]
+
+FEWEST = 3  # targets or stars that agree with a reading
+MOST_EXCHANGED = 6  # strips whose measured points are exchanged pair by pair: the work grows with the square
+MOST_PAIRS = 3  # of strips that are matched with each other's images; bounds their time
+T = TypeVar("T")
+Image = NDArray[Any]
+Turn = Callable[[Rotation], Rotation]
+Points = Callable[[StripPoints, Dump], StripPoints]
+
+
+@dataclass(frozen=True)
+class Reading(Generic[T]):
+    """One other way to read an input: a dump, images, or detections in them."""
+
+    cause: str  # what would be wrong
+    item: str  # what it concerns, in words
+    subjects: tuple[Subject, ...]  # the same; empty: the whole dump
+    file: str  # file of the dump that states it
+    field: str  # field of that file
+    changed: str  # how it is read, in words
+    apply: Callable[[T], T]  # the input as it would have been meant
+
+    def finding(self, text: str, *, refutes: bool = False) -> Finding:
+        """That this is how the input was meant; `text` says by what that is seen."""
+        return Finding(
+            cause=self.cause,
+            item=self.item,
+            subjects=self.subjects,
+            text=f"{text}: check {self.field} in {self.file}.",
+            file=self.file,
+            field=self.field,
+            refutes=refutes,
+        )
+
+
+def likeliest(
+    given: T, readings: Iterable[Reading[T]], agreeing: Callable[[T], int], fewest: int, enough: int
+) -> tuple[Reading[T], int] | None:
+    """The reading of an input by which most observations agree, at least `fewest`, and how many do; of equals
+    the first, and the first by which `enough` do. None where there is none. `agreeing` counts them.
+    """
+    best, most = None, fewest - 1
+    for reading in readings:
+        count = agreeing(reading.apply(given))
+        if count > most:
+            best, most = (reading, count), count
+        if count >= enough:
+            break
+    return best
+
+
+# --- Tables of a dump
+
+
+def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
+    """Every other reading of the tables of a dump alone, the commonest mistakes first."""
+    for head in dump.heads:
+        source, words, subjects = head.source, head.subject.words, (head.subject,)
+        for cause, changed, field, R_meant in MOUNTINGS:
+            file, apply = f"the installation file of {head.name}", partial(_mounted, head.name, R_meant)
+            yield Reading(cause, words, subjects, file, field, changed, apply)
+        for cause, changed, file, field, R_meant in ATTITUDES if isinstance(source, SolvedAttitudes) else ():
+            file, apply = file.format(source), partial(_turned, head.name, R_meant)
+            yield Reading(cause, words, subjects, file, field, changed, apply)
+    for a, b in pairwise([head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]):
+        yield Reading(
+            "files of two heads",
+            f"heads {a.name} and {b.name}",
+            (a.subject, b.subject),
+            "dump.toml",
+            "star_cameras.attitudes",
+            "exchanged,",
+            partial(_heads_exchanged, a.name, b.name),
+        )
+    leap_s, strips = float(tai_minus_utc_s(dump.epoch.mjd_tai(0.0))), Subject(Kind.STRIP)
+    for scale, minus_tai_s in SCALES:
+        changed = f"read as {scale} ({-minus_tai_s - leap_s:+.0f} s)"
+        apply = partial(_moved, -minus_tai_s - leap_s)
+        yield Reading(
+            "scale of times", strips.words, (strips,), "strips.csv", "utc_first_row", changed, apply
+        )
+    for cause, changed, field, meant in POINTS if dump.points else ():
+        apply = partial(_with_points, meant)
+        yield Reading(cause, "all measured points", (), "points.csv", field, changed, apply)
+    for one, other in combinations([points.strip_id for points in dump.points[:MOST_EXCHANGED]], 2):
+        both = Subject(Kind.STRIP, strip=one), Subject(Kind.STRIP, strip=other)
+        apply = partial(_with_points, partial(_renamed, {one: other, other: one}))
+        yield Reading(
+            "points of two strips",
+            f"strips {one} and {other}",
+            both,
+            "points.csv",
+            "strip",
+            "exchanged,",
+            apply,
+        )
+
+
+def _mounted(name: str, meant: Turn, dump: Dump) -> Dump:
+    heads = (replace(one, R_cs0=meant(one.R_cs0)) if one.name == name else one for one in dump.heads)
+    return replace(dump, heads=tuple(heads))
+
+
+def _turned(name: str, meant: Turn, dump: Dump) -> Dump:
+    def turned(source: SolvedAttitudes) -> SolvedAttitudes:
+        return replace(source, rows=replace(source.rows, R_si=meant(source.rows.R_si)))
+
+    sources = [(head, head.source) for head in dump.heads]
+    heads = (
+        replace(head, source=turned(source))
+        if head.name == name and isinstance(source, SolvedAttitudes)
+        else head
+        for head, source in sources
+    )
+    return replace(dump, heads=tuple(heads))
+
+
+def _heads_exchanged(a: str, b: str, dump: Dump) -> Dump:
+    source = {head.name: head.source for head in dump.heads}
+    source[a], source[b] = source[b], source[a]
+    return replace(dump, heads=tuple(replace(head, source=source[head.name]) for head in dump.heads))
+
+
+def _moved(late_s: float, dump: Dump) -> Dump:
+    strips, sky = (
+        tuple(replace(strip, t_first_row_s=strip.t_first_row_s + late_s) for strip in those)
+        for those in (dump.strips, dump.sky_strips)
+    )
+    return replace(dump, strips=strips, sky_strips=sky)
+
+
+def _with_points(meant: Points, dump: Dump) -> Dump:
+    return replace(dump, points=tuple(meant(points, dump) for points in dump.points))
+
+
+def _renamed(names: dict[str, str], points: StripPoints, _: Dump) -> StripPoints:
+    return replace(points, strip_id=names.get(points.strip_id, points.strip_id))
+
+
+def _from_other_end(axis: int, points: StripPoints, dump: Dump) -> StripPoints:
+    """Samples (0) or lines (1) counted from the other end of their CCD."""
+    (strip,) = (strip for strip in dump.strips if strip.strip_id == points.strip_id)
+    length = strip.ccd_lines.__getitem__ if axis else dump.line_camera.n_px
+    xy_px = points.xy_px.copy()
+    xy_px[:, axis] = [length(ccd) - 1.0 for ccd in points.ccd.tolist()] - xy_px[:, axis]
+    return replace(points, xy_px=xy_px)
+
+
+def _columns_exchanged(points: StripPoints, _: Dump) -> StripPoints:
+    return replace(points, xy_px=points.xy_px[:, ::-1])
+
+
+def _ccds_reversed(points: StripPoints, dump: Dump) -> StripPoints:
+    return replace(points, ccd=dump.line_camera.n_ccds - 1 - points.ccd)
+
+
+def _at(meant: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Points:
+    """Places on the ground of other latitude and longitude, rad."""
+
+    def moved(points: StripPoints, _: Dump) -> StripPoints:
+        lat, lon, height = geodetic_from_ecef(np.array([one.p_e for one in points.targets]), WGS84)
+        p_e = ecef_from_geodetic(*meant(lat, lon), height, WGS84)
+        return replace(points, targets=tuple(replace(one, p_e=at) for one, at in zip(points.targets, p_e)))
+
+    return moved
+
+
+def _geodetic(geocentric_rad: Floats) -> Floats:
+    """Latitude whose direction from the centre of the ellipsoid is that of another, at height 0."""
+    return np.asarray(np.arctan(np.tan(geocentric_rad) / (1.0 - WGS84.eccentricity_squared)))
+
+
+def _scalar_first(stated: Rotation) -> Rotation:
+    """A rotation if the first of its four numbers was the scalar."""
+    return Rotation.from_quat(np.roll(stated.as_quat(), -1, axis=-1))
+
+
+def _inverse_scalar_first(stated: Rotation) -> Rotation:
+    """The same where the file states the inverse."""
+    return _scalar_first(stated.inv()).inv()
+
+
+# Of a head's installation file: cause, words, field, and the rotation that was meant.
+MOUNTINGS: tuple[tuple[str, str, str, Turn], ...] = (
+    ("sense of the installation matrix", "inverted,", "quaternion_cs", Rotation.inv),
+    ("order of the quaternion's components", "with the scalar first", "quaternion_cs", _scalar_first),
+)
+# Of a head's attitudes: cause, words, file, field, and the rotations that were meant.
+SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
+ORDER = "order of the quaternions' components", "with the scalar first", "{0.file}", "qx, qy, qz, qw"
+ATTITUDES: tuple[tuple[str, str, str, str, Turn], ...] = (
+    (*SENSE, "dump.toml", "star_cameras.rotation", Rotation.inv),
+    (*ORDER, _inverse_scalar_first),
+    (*ORDER, _scalar_first),
+)
+# Scales of time, and what they are ahead of TAI, s.
+SCALES = (("GPS time", GPS_MINUS_TAI_S), ("TAI", 0.0))
+# Of measured points: cause, words, field, and the points that were meant.
+POINTS: tuple[tuple[str, str, str, Points], ...] = (
+    ("origin of the lines", "with lines counted from the last", "line", partial(_from_other_end, 1)),
+    (
+        "origin of the samples",
+        "with samples counted from the other end",
+        "sample",
+        partial(_from_other_end, 0),
+    ),
+    ("order of the columns", "with sample and line exchanged,", "sample, line", _columns_exchanged),
+    ("order of the CCDs", "with CCDs counted from the other end", "ccd", _ccds_reversed),
+    (
+        "order of the columns",
+        "with latitude and longitude exchanged,",
+        "lat_deg, lon_deg",
+        _at(lambda lat, lon: (lon, lat)),
+    ),
+    ("sign of the latitudes", "with the other sign", "lat_deg", _at(lambda lat, lon: (-lat, lon))),
+    ("sign of the longitudes", "with the other sign", "lon_deg", _at(lambda lat, lon: (lat, -lon))),
+    ("kind of latitude", "read as geocentric", "lat_deg", _at(lambda lat, lon: (_geodetic(lat), lon))),
+)
+
+
+# --- Files of images
+
+
+def _exchanged_ccds(strip: Strip, a: int, b: int, apply: Callable[[T], T]) -> Reading[T]:
+    words, both = (
+        f"CCD {a} and CCD {b} in {strip.subject.words}",
+        (strip.ccd_subject(a), strip.ccd_subject(b)),
+    )
+    return Reading("files of two CCDs", words, both, "strips.csv", "file", "exchanged,", apply)
+
+
+def _exchanged(
+    given: T, reading: Reading[T], agreeing: Callable[[T], int], n: int, what: str
+) -> Iterator[Finding]:
+    """That files are exchanged, if of `n` observations, none of which is found as stated, half are."""
+    enough = max(FEWEST, (n + 1) // 2)
+    if best := likeliest(given, [reading], agreeing, enough, enough):
+        yield reading.finding(f"{reading.changed} {best[1]} of {n} {what} are found, as stated none")
+
+
+def _empty_pairs(strip: Strip, ledger: Ledger) -> Iterator[tuple[int, int, int]]:
+    """Pairs of CCDs of a strip on which nothing is found, and how many observations they must show."""
+    cells = ledger.of_strip(strip.strip_id).cells()
+    empty = [(ccd, n) for (_, ccd), (kept, n) in cells.items() if not kept]
+    yield from ((a, b, n_a + n_b) for (a, n_a), (b, n_b) in combinations(empty, 2))
+
+
+def exchanged_in_ground(
+    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], ledger: Ledger
+) -> Iterator[Finding]:
+    """Pairs of CCDs of strips of the ground on which nothing matches, but with the image of the other."""
+    for task, of_strip in zip(tasks, matched):
+        for a, b, n in _empty_pairs(task.strip, ledger) if len(of_strip.ccd) else ():
+            images = task.strip.images.of((a, b))
+            if images.shape(a) == images.shape(b):
+                reading = _exchanged_ccds(task.strip, a, b, partial(_with_files, {a: b, b: a}))
+                yield from _exchanged((images,), reading, partial(_matches, (task,)), n, "targets")
+
+
+def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+    """Pairs of strips of the ground of which nothing matches, but with the images of the other."""
+    empty = [
+        (task, len(of_strip.omissions))
+        for task, of_strip in zip(tasks, matched)
+        if not len(of_strip.ccd) and task.targets
+    ]
+    for (a, n_a), (b, n_b) in islice(combinations(empty, 2), MOST_PAIRS):
+        if a.strip.images.shapes == b.strip.images.shapes:
+            one, other, images = a.strip.subject, b.strip.subject, (a.strip.images, b.strip.images)
+            reading = Reading[tuple[StripFiles, StripFiles]](
+                "files of two strips",
+                f"{one.words} and {other.words}",
+                (one, other),
+                "strips.csv",
+                "file",
+                "exchanged,",
+                lambda both: (both[1], both[0]),
+            )
+            found = partial(_matches, (a, b))
+            yield from _exchanged(images, reading, found, n_a + n_b, "targets")
+
+
+def exchanged_in_sky(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
+) -> Iterator[Finding]:
+    """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
+    if not len(ledger.ccd):
+        return
+    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    for task, of_strip in zip(side.tasks, named):
+        for a, b, n in _empty_pairs(task.strip, ledger):
+            expected = crossings(task, bright, R_cs)
+            in_both = np.isin(expected.ccd, (a, b))
+
+            def found(
+                stars: StripStars, task: SkyTask = task, expected: Crossings = expected, both: Bools = in_both
+            ) -> int:
+                return int(stars_found(dump, task, stars, expected)[both].sum())
+
+            reading = _exchanged_ccds(task.strip, a, b, partial(_of_other_ccd, a, b))
+            yield from _exchanged(of_strip.found, reading, found, n, "bright stars")
+
+
+def _of_other_ccd(a: int, b: int, stars: StripStars) -> StripStars:
+    """Detections with the numbers of two CCDs exchanged."""
+    return replace(stars, ccd=np.where(stars.ccd == a, b, np.where(stars.ccd == b, a, stars.ccd)))
+
+
+def _with_files(files: dict[int, int], images: tuple[StripFiles]) -> tuple[StripFiles]:
+    """The images of CCDs, each that of another."""
+    ((paths, names, shapes),) = ((one.paths, one.names, one.shapes) for one in images)
+    return (
+        StripFiles(
+            {ccd: paths[of] for ccd, of in files.items()},
+            {ccd: names[of] for ccd, of in files.items()},
+            {ccd: shapes[of] for ccd, of in files.items()},
+        ),
+    )
+
+
+def _matches(tasks: Sequence[StripTask], images: Sequence[StripFiles]) -> int:
+    """How many targets of strips are found in other images."""
+    strips = (replace(task, strip=replace(task.strip, images=of)) for task, of in zip(tasks, images))
+    outcomes = [match_strip_targets(task) for task in strips]
+    return sum(len(outcome.ccd) for outcome in outcomes if not isinstance(outcome, Entry))
+
+
+# --- Order of pixels
+
+
+def _reversed(axis: int, side: SkySide) -> SkySide:
+    """Detections of one strip of the sky with samples (0) or rows (1) in reverse order."""
+    (task,), (stars,) = side.tasks, side.found
+    xy_px = stars.xy_px.copy()
+    last = (
+        [task.camera.n_px(ccd) - 1.0 for ccd in stars.ccd.tolist()] if axis == 0 else task.strip.lines - 1.0
+    )
+    xy_px[:, axis] = last - xy_px[:, axis]
+    return replace(side, found=(replace(stars, xy_px=xy_px),))
+
+
+# Of images of a strip of the sky: words, and the axis.
+ORDERS = (("with the order of columns reversed", 0), ("with the order of rows reversed", 1))
+MIRRORED = Reading[Image](
+    "order of an image",
+    Subject(Kind.EXPOSURE).words,
+    (Subject(Kind.EXPOSURE),),
+    "exposures.csv",
+    "file",
+    "mirrored left to right",
+    lambda image: image[:, ::-1].copy(),
+)
+
+
+def are_mirrored(tasks: Sequence[StarTask]) -> bool:
+    """Whether stars of some exposures, not identified as stated, are in the mirror image of one."""
+    images = (exposure_image(task.exposure, task.camera, task.bit_depth) for task in tasks)
+    trials = (
+        likeliest(image, [MIRRORED], partial(is_identified, task), 1, 1) for task, image in zip(tasks, images)
+    )
+    return any(trials)
+
+
+def orders_of(strip: Strip) -> list[Reading[SkySide]]:
+    """Other orders of pixels in the images of a strip of the sky."""
+    cause, words, subjects = "order of an image", strip.subject.words, (strip.subject,)
+    return [
+        Reading(cause, words, subjects, "strips.csv", "file", changed, partial(_reversed, axis))
+        for changed, axis in ORDERS
+    ]
+
+
+def _order(dump: Dump, side: SkySide) -> Reading[SkySide] | None:
+    """With which other order of its image the stars of a strip are named."""
+    best = likeliest(side, orders_of(side.tasks[0].strip), partial(names, dump), FEWEST, FEWEST)
+    return best and best[0]
+
+
+def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
+    """Strips of the sky of which no star is named as stated, but with rows or columns reversed."""
+    for n in range(len(side.tasks)):
+        strip = only(side, n)
+        if names(dump, strip) < FEWEST and (order := _order(dump, strip)):
+            yield order.finding(f"none of its stars named, but {order.changed} they are", refutes=True)
+
+
+def strips_without_stars(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, explained: Collection[str]
+) -> Iterator[Finding]:
+    """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
+    stars agree by themselves contradicts the others, and refutes.
+    """
+    source = dump.heads[0].source
+    attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
+    for n, (task, of_strip) in enumerate(zip(side.tasks, named)):
+        strip = task.strip
+        expected = len(ledger.of_strip(strip.strip_id).ccd)
+        if len(of_strip.rows) or expected < FEWEST or strip.strip_id in explained:
+            continue
+        alone = names(dump, only(side, n)) >= FEWEST
+        if not alone and (order := _order(dump, only(side, n))):
+            text = f"none of its {expected} brightest stars found, but {order.changed} they are"
+            yield order.finding(text)
+            continue
+        text = f"none of its {expected} brightest stars is where the other strips place it"
+        if alone:
+            text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
+        field = "file, utc_first_row"
+        yield Finding(
+            cause="images, clock or attitudes",
+            item=strip.subject.words,
+            subjects=(strip.subject,),
+            text=f"{text}: check {field} in strips.csv{attitudes if alone else ''}.",
+            file="strips.csv",
+            field=field,
+            refutes=alone,
+        )

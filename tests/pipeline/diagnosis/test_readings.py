@@ -1,0 +1,211 @@
+"""Tables that mean something else than they say: read as meant, they are those of the sound dump again, and a
+calibration that has no matrix names the reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import fault_dumps
+import faults
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.diagnosis.causes import _agreeing_strips
+from boresight.pipeline.diagnosis.readings import Reading, likeliest, readings_of_dump
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.stages.basis import Basis
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.head import sight_head
+
+GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
+LAST_LINE, LAST_SAMPLE, LAST_CCD = 1999, 511, 3  # of the CCDs of the dump, from 0
+Row = dict[str, str]
+
+
+@pytest.fixture(scope="module")
+def sound(made_once) -> Path:
+    """Measured points of three strips and two heads, without a fault."""
+    return (
+        made_once("measured-points", lambda folder: fault_dumps.sound_dump("points", 1, folder)) / "points-1"
+    )
+
+
+def late(seconds: float, row: Row) -> None:
+    row["utc_first_row"] = faults.later(row["utc_first_row"], seconds)
+
+
+def from_the_other_end(column: str, last: int, row: Row) -> None:
+    row[column] = repr(last - float(row[column]))
+
+
+def exchanged(one: str, other: str, row: Row) -> None:
+    row[one], row[other] = row[other], row[one]
+
+
+def negative(column: str, row: Row) -> None:
+    row[column] = repr(-float(row[column]))
+
+
+def other_strip(row: Row) -> None:
+    row["strip"] = {"s01": "s03", "s03": "s01"}.get(row["strip"], row["strip"])
+
+
+def from_the_other_ccd(row: Row) -> None:
+    row["ccd"] = str(LAST_CCD - int(row["ccd"]))
+
+
+def geocentric(row: Row) -> None:
+    """The angle of the direction from the centre of the Earth to the ellipsoid, for a latitude."""
+    lat = np.radians(float(row["lat_deg"]))
+    a, b = 6_378_137.0, 6_356_752.314245  # m, WGS84
+    normal = a**2 / np.hypot(a * np.cos(lat), b * np.sin(lat))
+    x, z = normal * np.cos(lat), normal * (b / a) ** 2 * np.sin(lat)
+    row["lat_deg"] = repr(float(np.degrees(np.arctan2(z, x))))
+
+
+READINGS: list[tuple[str, Callable[[Row], None], str, str]] = [
+    ("strips.csv", partial(late, GPS_MINUS_UTC_S), "scale of times", "GPS time (-18 s)"),
+    ("strips.csv", partial(late, TAI_MINUS_UTC_S), "scale of times", "TAI (-37 s)"),
+    ("points.csv", partial(from_the_other_end, "line", LAST_LINE), "origin of the lines", "the last"),
+    ("points.csv", partial(from_the_other_end, "sample", LAST_SAMPLE), "origin of the samples", "other end"),
+    ("points.csv", partial(negative, "lat_deg"), "sign of the latitudes", "sign"),
+    ("points.csv", partial(negative, "lon_deg"), "sign of the longitudes", "sign"),
+    ("points.csv", other_strip, "points of two strips", "exchanged"),
+    ("points.csv", from_the_other_ccd, "order of the CCDs", "the other end"),
+    ("points.csv", geocentric, "kind of latitude", "geocentric"),
+]
+
+
+def numbers(dump: Dump) -> np.ndarray:
+    """All that a reading changes: rotations of the heads, times of the strips, and every measurement with its
+    CCD, image point (px) and place on the ground (m), in the order of strips, points and CCDs.
+    """
+    rotations = [
+        R.as_matrix().ravel()
+        for head in dump.heads
+        for R in (
+            head.R_cs0,
+            *(() if not isinstance(head.source, SolvedAttitudes) else head.source.rows.R_si),
+        )
+    ]
+    times = [strip.t_first_row_s for strip in dump.strips]
+    of_points = [
+        (one.strip_id, target.target_id, ccd, *xy_px, *target.p_e)
+        for one in dump.points
+        for target, ccd, xy_px in zip(one.targets, one.ccd.tolist(), one.xy_px.tolist())
+    ]
+    places = np.array([row[2:] for row in sorted(of_points, key=lambda row: row[:3])])
+    return np.concatenate([times, *rotations, places.ravel()])
+
+
+def alike(one: Dump, other: Dump) -> bool:
+    """To the digits of the tables: 1 um on the ground, 1 us, 1e-6 px, and 1e-9 of a rotation."""
+    a, b = numbers(one), numbers(other)
+    return a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("file", "change", "cause", "words"), READINGS)
+def test_one_reading_alone_makes_the_sound_dump(sound, tmp_path, file, change, cause, words):
+    fault_dumps.linked(sound, tmp_path / "dump")
+    faults.edited(file, change, tmp_path / "dump")
+    meant, found = open_dump(sound), open_dump(tmp_path / "dump")
+    (right,) = [one for one in readings_of_dump(found) if alike(one.apply(found), meant)]
+    assert (right.cause, right.file) == (cause, file)
+    assert words in right.changed
+
+
+@pytest.fixture(scope="module")
+def narrow(sound) -> Basis:
+    """The dump with few points of two strips, and mountings as they truly are within 0.3 mrad: 25 px."""
+    dump = open_dump(sound)
+    truth = Rotation.from_quat(toml_tables(sound / "truth" / "installation.toml", "")["quaternion_cs"])
+    heads = tuple(
+        replace(
+            head,
+            R_cs0=truth * dump.R_cs0.inv() * head.R_cs0,
+            sigma_installation_rad=0.1 * head.sigma_installation_rad,
+        )
+        for head in dump.heads
+    )
+    of_one_ccd = tuple(one.of([0]) for one in dump.points[:2])
+    few = replace(dump, heads=heads, strips=dump.strips[:2], points=of_one_ccd)
+    return basis_of(few)
+
+
+def basis_of(dump: Dump) -> Basis:
+    settings, runner = Settings(), StageRunner(None, InOrder())
+    errors = calibration_settings(settings, dump.errors, dump.line_camera)
+    heads = tuple(sight_head(dump, head, settings, errors.attitudes, runner) for head in dump.heads)
+    return Basis(dump, heads, settings, errors, runner)
+
+
+def misread(reading: Reading[Dump], dump: Dump) -> Dump:
+    """What a reading makes `dump` of, found by the reading itself: it is its own inverse, or returns after
+    four times, or moves times and places almost alike wherever they are.
+    """
+    wrong = dump
+    for _ in range(3):
+        wrong = reading.apply(wrong)
+        if alike(reading.apply(wrong), dump):
+            return wrong
+    wrong = dump
+    for _ in range(5):
+        made = reading.apply(wrong)
+        strips = zip(wrong.strips, dump.strips, made.strips)
+        points = zip(wrong.points, dump.points, made.points)
+        wrong = replace(
+            wrong,
+            strips=tuple(
+                replace(one, t_first_row_s=one.t_first_row_s + meant.t_first_row_s - now.t_first_row_s)
+                for one, meant, now in strips
+            ),
+            points=tuple(
+                replace(
+                    one,
+                    targets=tuple(
+                        replace(target, p_e=target.p_e + a.p_e - b.p_e)
+                        for target, a, b in zip(one.targets, meant.targets, now.targets)
+                    ),
+                )
+                for one, meant, now in points
+            ),
+        )
+    assert alike(reading.apply(wrong), dump), reading
+    return wrong
+
+
+def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narrow):
+    """Each makes its own mistake in the sound dump. What the second head states no strip rests on."""
+    dump = narrow.dump
+    assert _agreeing_strips(narrow, dump) == 2
+    for reading in readings_of_dump(dump):
+        wrong = misread(reading, dump)
+        named, strips = likeliest(
+            wrong, readings_of_dump(wrong), lambda read: int(alike(read, dump)), fewest=1, enough=1
+        )
+        assert (named.cause, named.changed) == (reading.cause, reading.changed)
+        assert set(named.subjects) == set(reading.subjects)
+        assert strips == 1 and (named.file, named.field) == (reading.file, reading.field)
+        seen = _agreeing_strips(narrow, wrong)
+        assert seen == (2 if reading.item == "head STR2" else 0), reading
+
+
+@pytest.mark.parametrize("number", [0, 7, 8])
+def test_a_calibration_without_a_matrix_names_the_reading(sound, tmp_path, number):
+    """Not those within the pre-launch uncertainty: 0.003 rad are 250 px of an image of 512 x 2000 px."""
+    file, change, cause, _ = READINGS[number]
+    fault_dumps.linked(sound, tmp_path / "dump")
+    faults.edited(file, change, tmp_path / "dump")
+    with pytest.raises(DataNotSufficientError, match=f"^{cause}, .*3 of 3 strips see .* in {file}"):
+        calibrate_dump(open_dump(tmp_path / "dump"))
