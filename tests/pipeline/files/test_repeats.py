@@ -17,10 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.ledger import Reason
+from boresight.pipeline.diagnosis.input_findings import contradicting_rows
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.repeats import common_errors, targets_once
+from boresight.pipeline.files.repeats import common_errors, heads_once, targets_once
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 
 Row = dict[str, str]
 
@@ -209,3 +211,74 @@ def test_targets_with_the_same_pixels_are_counted_once(mini: Path) -> None:
         "it lies 0 m from target s01-t02 and shares 100% of its pixels"
     )
     assert found["target s01-t02-b"].startswith("it lies 22.2 m from target s01-t02 and shares ")
+
+
+def again(**cells: str) -> Callable[[list[Row]], list[Row]]:
+    """The first row once more under another id, with other cells."""
+    return lambda rows: sorted(
+        [*rows, rows[0] | {"id": "again"} | cells], key=lambda row: row.get("utc_mid", "")
+    )
+
+
+@pytest.mark.parametrize(
+    ("table", "inject", "entries"),
+    [
+        ("strips", again(), {"strip again": Reason.REPEATED}),
+        (
+            "strips",
+            again(ccd="3", utc_first_row="2024-11-20T04:10:00.000000000"),
+            {"ccd s01/0": Reason.SAME_PIXELS, "strip again": Reason.SAME_PIXELS},
+        ),
+        ("exposures", again(), None),  # equal times are refused by the table
+        ("exposures", again(utc_mid="later"), {"exposure again": Reason.REPEATED}),
+        (
+            "exposures",
+            again(utc_mid="later", file="exposures/e0009.png"),
+            {"exposure again": Reason.SAME_TIME, "exposure e0001": Reason.SAME_TIME},
+        ),
+        ("targets", again(), {"target again": Reason.REPEATED}),
+    ],
+)
+def test_each_kind_is_counted_once_or_contradicts(mini: Path, table, inject, entries) -> None:
+    def into(rows: list[Row]) -> list[Row]:
+        made = inject(rows)
+        for row in made:
+            if row.get("utc_mid") == "later":
+                row["utc_mid"] = later(rows[0]["utc_mid"], 1)
+        return sorted(made, key=lambda row: row.get("utc_mid", ""))
+
+    change(mini / f"{table}.csv", into)
+    if entries is None:
+        with pytest.raises(RawDataError, match="strictly increasing times"):
+            open_dump(mini)
+        return
+    dump = targets_once(open_dump(mini), MatchSettings())
+    assert {f"{o.subject.kind} {o.subject.name}": o.reason for o in dump.omissions} == entries
+    causes = {finding.cause for finding in contradicting_rows(dump.omissions)}
+    assert causes == {reason.value for reason in entries.values()} - {Reason.REPEATED.value}
+
+
+def heads_with(*rows: AttitudeRows) -> list[Head]:
+    of_mini = open_dump(FIXTURE).heads[0]
+    sources = (
+        SolvedAttitudes(own, f"{n}.csv", "none", np.array([0.0, 0.0, 1.0])) for n, own in enumerate(rows)
+    )
+    return [replace(of_mini, name=f"STR{n}", source=source) for n, source in enumerate(sources)]
+
+
+def test_two_heads_with_the_same_attitudes_are_an_error_of_dump_toml() -> None:
+    rows = AttitudeRows(t_s=np.arange(4.0), R_si=Rotation.from_rotvec(np.eye(4, 3)))
+    other = replace(rows, R_si=Rotation.from_rotvec(2.0 * np.eye(4, 3)))
+    assert heads_once(heads_with(rows, other))[1] == []
+    with pytest.raises(RawDataError, match=r"attitudes of STR1: found 1\.csv has the same content as 0\.csv"):
+        heads_once(heads_with(rows, rows))
+
+
+def test_two_ccds_of_one_camera_at_one_time_are_no_repeats_under_two_ids(mini: Path) -> None:
+    """CCDs 2 and 3 of each strip as a strip of its own: same times, other CCDs."""
+    change(
+        mini / "strips.csv",
+        lambda rows: [row | {"id": row["id"] + ("b" if row["ccd"] in "23" else "")} for row in rows],
+    )
+    dump = open_dump(mini)
+    assert len(dump.strips) == 6 and dump.omissions == ()
