@@ -38,11 +38,11 @@ from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.diagnosis.head_records import noise_of_heads
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
+from boresight.pipeline.results.head_records import noise_of_heads
 from boresight.pipeline.run.settings import Settings
 
 # IERS Bulletin A of 24 October 2019, which the operator's software used

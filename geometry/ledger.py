@@ -113,6 +113,7 @@ class Reason(StrEnum):
     MARKED_INVALID = "marked invalid", State.UNREADABLE
     REPEATED = "given twice", State.REPEATED
     SAME_PIXELS = "same pixels as another", State.UNREADABLE
+    SAME_TIME = "same time as another", State.UNREADABLE
     NOT_NEEDED = "not near a strip", State.NOT_NEEDED
     ATTITUDES_NOT_NEEDED = "with attitudes not near a strip", State.NOT_NEEDED
     HIDDEN = "beyond the horizon", State.UNREADABLE

@@ -20,9 +20,9 @@ from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.orbit import argument_of_latitude
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.pipeline.diagnosis.head_records import HeadNoise, head_track, noise_of_tracks
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.results.head_records import HeadNoise, head_track, noise_of_tracks
 from boresight.pipeline.run.settings import Settings
 
 __all__ = ["AlignmentTerm", "HeadAlignment", "HeadsAlone", "align_heads", "heads_alone"]

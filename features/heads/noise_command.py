@@ -10,9 +10,9 @@ import typer
 from boresight.features.heads.head_files import noise_json, noise_lines, write_noise
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.messages import Answer
-from boresight.pipeline.diagnosis.head_records import noise_of_heads
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.stated_noise import state_noise
+from boresight.pipeline.results.head_records import noise_of_heads
 from boresight.pipeline.run.settings import read_settings
 
 __all__ = ["noise_command"]

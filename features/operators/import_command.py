@@ -23,7 +23,6 @@ from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
 from boresight.pipeline.console.completion import among, ccds_of, first_argument, strips_of
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
-from boresight.pipeline.diagnosis.head_records import noise_of_heads
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_dump
@@ -31,6 +30,7 @@ from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text
+from boresight.pipeline.results.head_records import noise_of_heads
 from boresight.pipeline.run.settings import Settings
 
 __all__ = ["import_dimap_command", "import_points_command", "import_sentinel2_command"]

@@ -16,11 +16,11 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump, dump_or_faults
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import strips_to_match
 

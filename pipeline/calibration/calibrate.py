@@ -25,6 +25,7 @@ from boresight.pipeline.calibration.passes import first_and_last_pass, unused_so
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
@@ -32,7 +33,6 @@ from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.head import sight_head
-from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.sky_side import (
     SkySide,
     find_in_sky_strips,

@@ -18,13 +18,20 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.files.coordinate_slips import off_middle_m
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head
 from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
-from boresight.pipeline.stages.coordinate_slips import off_middle_m
 from boresight.pipeline.stages.strip import StripTask, compass
 
-__all__ = ["assumed_motion", "given_twice", "heights", "input_findings", "outside_chips", "shifted_chips"]
+__all__ = [
+    "assumed_motion",
+    "contradicting_rows",
+    "heights",
+    "input_findings",
+    "outside_chips",
+    "shifted_chips",
+]
 
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
@@ -41,7 +48,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
     every = {target.target_id: target for task in tasks for target in task.targets}
     without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
-        *given_twice(omissions),
+        *contradicting_rows(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
         *(() if shifted else outside_chips(omissions)),
         *_smeared(dump, omissions),
@@ -50,17 +57,13 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
     ]
 
 
-def given_twice(entries: Sequence[Entry]) -> Iterator[Finding]:
-    """Strips, CCDs, exposures and targets that repeat others, and images that several rows name."""
-    for kind, table in TABLES:
-        of_points = table == "points.csv"
-        of_kind = [
-            entry
-            for entry in entries
-            if entry.subject.kind is kind and (entry.file == "points.csv") == of_points
-        ]
-        for reason, text in SEVERAL.items():
-            subjects = tuple(entry.subject for entry in of_kind if entry.reason is reason)
+def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:
+    """Images that several rows name, and different images of one time."""
+    for kind, table in TABLES.items():
+        for reason, text in CONTRADICTIONS.items():
+            subjects = tuple(
+                entry.subject for entry in entries if (entry.subject.kind, entry.reason) == (kind, reason)
+            )
             if subjects:
                 names = [subject.name for subject in subjects]
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
@@ -70,23 +73,15 @@ def given_twice(entries: Sequence[Entry]) -> Iterator[Finding]:
                     subjects=subjects,
                     text=f"{', '.join(names[:SHOWN])}{more}: {text} {table}.",
                     file=table,
-                    is_fault=kind is not Kind.TARGET or of_points,  # chips may overlap
                 )
 
 
-# File of a dump that states a kind of thing, for the messages of findings.
-TABLES = (
-    (Kind.STRIP, "strips.csv"),
-    (Kind.CCD, "strips.csv"),
-    (Kind.EXPOSURE, "exposures.csv"),
-    (Kind.HEAD, "dump.toml"),
-    (Kind.TARGET, "targets.csv"),
-    (Kind.TARGET, "points.csv"),
-)
-# What a finding says of items of one reason, before the file to correct.
-SEVERAL = {
-    Reason.REPEATED: "not independent of others, so left out; remove from",
+# File of a dump that lists the images of a kind.
+TABLES = {Kind.STRIP: "strips.csv", Kind.CCD: "strips.csv", Kind.EXPOSURE: "exposures.csv"}
+# What a finding says of images of one reason, before the file to correct.
+CONTRADICTIONS = {
     Reason.SAME_PIXELS: "one image under several times, so none is used; correct file in",
+    Reason.SAME_TIME: "several images of one time, so none is used; correct utc_mid in",
 }
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
 from boresight.pipeline.files.attitude_kinds import (
@@ -63,6 +63,12 @@ class AttitudeRows:
     )
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
+
+    def take(self, which: Bools) -> AttitudeRows:
+        """The attitudes that a mask (N,) selects."""
+        names = ("t_s", "R_si", "covariance_s", "temperature_c")
+        columns = {name: column for name in names if (column := getattr(self, name)) is not None}
+        return replace(self, **{name: column[which] for name, column in columns.items()})
 
 
 def read_attitudes(

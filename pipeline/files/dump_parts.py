@@ -38,9 +38,7 @@ from boresight.pipeline.files.orbit_and_earth import (
 )
 from boresight.pipeline.files.orbit_file import Ephemeris
 from boresight.pipeline.files.remote_camera import RemoteCamera, read_remote_camera
-from boresight.pipeline.files.repeated_exposures import exposures_once
-from boresight.pipeline.files.repeated_points import points_once
-from boresight.pipeline.files.repeated_strips import strips_once
+from boresight.pipeline.files.repeats import heads_once, points_once, strips_once
 from boresight.pipeline.files.spice_kernels import NO_KERNELS, Kernels
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, check_attitudes, open_heads
 from boresight.pipeline.files.star_tables import StarTable, survey_of
@@ -147,9 +145,9 @@ class DumpParts:
         return open_heads(self.root, self.head, self.epoch, self.kernels)
 
     @cached_property
-    def heads(self) -> tuple[tuple[Head, ...], tuple[Entry, ...]]:
+    def heads(self) -> tuple[tuple[Head, ...], list[Entry]]:
         """The star cameras, the reference head first, and what is given twice."""
-        return exposures_once(self.listed_heads)
+        return heads_once(self.listed_heads)
 
     @cached_property
     def orbit_covers(self) -> str:

@@ -44,7 +44,6 @@ from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.head_records import attitude_signal
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.dump import Dump
@@ -62,6 +61,7 @@ from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
+from boresight.pipeline.results.head_records import attitude_signal
 from boresight.pipeline.results.plan_forecast import improvements
 from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder

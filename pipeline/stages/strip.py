@@ -36,13 +36,13 @@ from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS, ChipFile, StripPoints
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.stages.coordinate_slips import contradiction
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, Places, match_pictures
 
 __all__ = [

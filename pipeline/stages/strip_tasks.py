@@ -18,15 +18,15 @@ from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Bools, Floats
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
+from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coordinate_slips import likeliest, slips
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, sight_head
-from boresight.pipeline.stages.repeated_targets import targets_once
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,

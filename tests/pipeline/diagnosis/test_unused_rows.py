@@ -20,10 +20,10 @@ from boresight.pipeline.diagnosis.unused_rows import (
     unseen_targets,
     without_measurement,
 )
+from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.writing import verdict_json
-from boresight.pipeline.stages.coordinate_slips import likeliest, slips
 
 
 @pytest.fixture(scope="module")

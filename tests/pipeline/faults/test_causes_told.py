@@ -312,8 +312,8 @@ def test_the_same_points_under_other_ids_count_once(told, right):
 
     again = told(twice)
     assert again.estimate.cov_theta.tolist() == right.estimate.cov_theta.tolist()
-    (finding,) = [one for one in again.verdict.findings if one.is_fault]
-    assert (finding.cause, finding.file) == ("given twice", "points.csv")
+    assert [one for one in again.verdict.findings if one.is_fault] == []
+    assert {"given twice"} <= {entry.reason.value for entry in again.omissions}
 
 
 def test_numbers_of_two_ccds_exchanged_in_all_strips_are_one_finding_about_both(told):

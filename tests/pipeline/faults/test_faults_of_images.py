@@ -140,7 +140,7 @@ ROWS = [
         FINDINGS,
         [("files or times of exposures", "exposures e0007 and e0010", None, "exposures.csv")],
     ),
-    ("mini", strips_again, FINDINGS, [("given twice", "3 strips", None, "strips.csv")]),
+    ("mini", strips_again, Outcome.CONSISTENT, []),
     (
         "sky",
         number("star_camera.toml", "focal_length_mm", lambda v: 0.9999 * v),

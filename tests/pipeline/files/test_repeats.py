@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.ledger import Reason
+from boresight.pipeline.diagnosis.input_findings import contradicting_rows
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.repeated_exposures import common_errors
-from boresight.pipeline.stages.repeated_targets import targets_once
+from boresight.pipeline.files.repeats import common_errors, heads_once, targets_once
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 
 Row = dict[str, str]
 
@@ -47,7 +48,7 @@ def later(utc: str, ms: int) -> str:
 
 
 def reasons(dump: Dump) -> dict[str, str]:
-    assert {o.reason for o in dump.omissions} <= {Reason.REPEATED, Reason.SAME_PIXELS}
+    assert {o.reason for o in dump.omissions} <= {Reason.REPEATED, Reason.SAME_PIXELS, Reason.SAME_TIME}
     return {f"{o.subject.kind} {o.subject.name}": o.text for o in dump.omissions}
 
 
@@ -71,7 +72,7 @@ def test_strips_under_other_ids_are_left_out_by_name(mini: Path, times: int) -> 
     assert [one.strip_id for one in dump.strips] == [one.strip_id for one in clean.strips]
     found = reasons(dump)
     assert len(found) == 3 * (times - 1)
-    assert found["strip s02b"].startswith("its rows have the times of strip s02 (utc_first_row)")
+    assert found["strip s02b"].startswith("it begins 0 s after CCD 0 in strip s02, which lasts 1.8 s")
 
 
 def test_a_part_of_a_strip_in_other_files_loses_its_ccds(mini: Path) -> None:
@@ -118,7 +119,7 @@ def test_equal_files_with_other_times_are_both_left_out(mini: Path) -> None:
     found = reasons(open_dump(mini))
     assert set(found) == {"ccd s01/2", "ccd s03/2"}
     assert found["ccd s03/2"].startswith(
-        "copy.tif has the same pixels as strips/s01_ccd2.tif of strip s01, CCD 2"
+        "copy.tif has the same content as strips/s01_ccd2.tif of CCD 2 in strip s01"
     )
 
 
@@ -162,9 +163,7 @@ def test_exposures_doubled_one_millisecond_apart_are_counted_once(mini: Path, co
     dump = open_dump(mini)
     assert [one.exposure_id for one in dump.exposures] == [one.exposure_id for one in clean.exposures]
     found = reasons(dump)
-    assert len(found) == 42 and found["exposure e0001x"].startswith(
-        "its utc_mid is 0.001 s after that of e0001"
-    )
+    assert len(found) == 42 and found["exposure e0001x"].startswith("it begins 0.001 s after exposure e0001")
 
 
 def test_one_image_for_two_exposures_is_used_for_neither(mini: Path) -> None:
@@ -174,7 +173,7 @@ def test_one_image_for_two_exposures_is_used_for_neither(mini: Path) -> None:
     )
     dump = open_dump(mini)
     assert set(reasons(dump)) == {"exposure e0020", "exposure e0023"}
-    assert "0.6 s apart" in reasons(dump)["exposure e0023"]
+    assert "of exposure e0020: one of the two rows" in reasons(dump)["exposure e0023"]
 
 
 @pytest.mark.parametrize("common", [False, True])
@@ -212,3 +211,74 @@ def test_targets_with_the_same_pixels_are_counted_once(mini: Path) -> None:
         "it lies 0 m from target s01-t02 and shares 100% of its pixels"
     )
     assert found["target s01-t02-b"].startswith("it lies 22.2 m from target s01-t02 and shares ")
+
+
+def again(**cells: str) -> Callable[[list[Row]], list[Row]]:
+    """The first row once more under another id, with other cells."""
+    return lambda rows: sorted(
+        [*rows, rows[0] | {"id": "again"} | cells], key=lambda row: row.get("utc_mid", "")
+    )
+
+
+@pytest.mark.parametrize(
+    ("table", "inject", "entries"),
+    [
+        ("strips", again(), {"strip again": Reason.REPEATED}),
+        (
+            "strips",
+            again(ccd="3", utc_first_row="2024-11-20T04:10:00.000000000"),
+            {"ccd s01/0": Reason.SAME_PIXELS, "strip again": Reason.SAME_PIXELS},
+        ),
+        ("exposures", again(), None),  # equal times are refused by the table
+        ("exposures", again(utc_mid="later"), {"exposure again": Reason.REPEATED}),
+        (
+            "exposures",
+            again(utc_mid="later", file="exposures/e0009.png"),
+            {"exposure again": Reason.SAME_TIME, "exposure e0001": Reason.SAME_TIME},
+        ),
+        ("targets", again(), {"target again": Reason.REPEATED}),
+    ],
+)
+def test_each_kind_is_counted_once_or_contradicts(mini: Path, table, inject, entries) -> None:
+    def into(rows: list[Row]) -> list[Row]:
+        made = inject(rows)
+        for row in made:
+            if row.get("utc_mid") == "later":
+                row["utc_mid"] = later(rows[0]["utc_mid"], 1)
+        return sorted(made, key=lambda row: row.get("utc_mid", ""))
+
+    change(mini / f"{table}.csv", into)
+    if entries is None:
+        with pytest.raises(RawDataError, match="strictly increasing times"):
+            open_dump(mini)
+        return
+    dump = targets_once(open_dump(mini), MatchSettings())
+    assert {f"{o.subject.kind} {o.subject.name}": o.reason for o in dump.omissions} == entries
+    causes = {finding.cause for finding in contradicting_rows(dump.omissions)}
+    assert causes == {reason.value for reason in entries.values()} - {Reason.REPEATED.value}
+
+
+def heads_with(*rows: AttitudeRows) -> list[Head]:
+    of_mini = open_dump(FIXTURE).heads[0]
+    sources = (
+        SolvedAttitudes(own, f"{n}.csv", "none", np.array([0.0, 0.0, 1.0])) for n, own in enumerate(rows)
+    )
+    return [replace(of_mini, name=f"STR{n}", source=source) for n, source in enumerate(sources)]
+
+
+def test_two_heads_with_the_same_attitudes_are_an_error_of_dump_toml() -> None:
+    rows = AttitudeRows(t_s=np.arange(4.0), R_si=Rotation.from_rotvec(np.eye(4, 3)))
+    other = replace(rows, R_si=Rotation.from_rotvec(2.0 * np.eye(4, 3)))
+    assert heads_once(heads_with(rows, other))[1] == []
+    with pytest.raises(RawDataError, match=r"attitudes of STR1: found 1\.csv has the same content as 0\.csv"):
+        heads_once(heads_with(rows, rows))
+
+
+def test_two_ccds_of_one_camera_at_one_time_are_no_repeats_under_two_ids(mini: Path) -> None:
+    """CCDs 2 and 3 of each strip as a strip of its own: same times, other CCDs."""
+    change(
+        mini / "strips.csv",
+        lambda rows: [row | {"id": row["id"] + ("b" if row["ccd"] in "23" else "")} for row in rows],
+    )
+    dump = open_dump(mini)
+    assert len(dump.strips) == 6 and dump.omissions == ()
