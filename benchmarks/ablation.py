@@ -26,7 +26,7 @@ from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack
-from boresight.geometry.constants import ARCSEC, GM_EARTH, SPEED_OF_LIGHT, WGS84
+from boresight.geometry.constants import ARCSEC, DAY_S, GM_EARTH, SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -291,7 +291,7 @@ def errors(passes: list[Pass], how: Processing, stars: StarPlaces) -> tuple[Arra
     """Error of theta: (P, 3) from each pass alone, (3,) from all together, arcsec; and chi2 per degree of
     freedom.
     """
-    strips = [sightings(one, how, stars) for one in passes]
+    strips = [sightings(one, how, stars).later(n * DAY_S) for n, one in enumerate(passes)]
     alone = np.array([_error([strip])[0] for strip in strips])
     together, chi2 = _error(strips)
     return alone, together, chi2

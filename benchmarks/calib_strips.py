@@ -17,7 +17,7 @@ from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.paper.vector_experiments import MATRIX_28, NO_NUISANCES, TABLE_1
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
@@ -64,27 +64,24 @@ def line(name: str, rms: np.ndarray, bound: np.ndarray, nees: float) -> None:
 
 def nearest_exposure(strip: StripSightings, still: bool) -> list[StripSightings]:
     """Every target given the attitude of the exposure nearest in time; between the two the nominal
-    motion, or none.
+    motion, or none. Days lie between the parts: as the paper's frames, they share no error.
     """
     times = np.array([exposure.t_s for exposure in strip.exposures])
     nearest = np.argmin(np.abs(strip.ground.t_s[:, None] - times), axis=1)
     parts = []
     for k in np.unique(nearest):
         rows = np.flatnonzero(nearest == k)
-        ground = replace(
-            strip.ground, **{n: getattr(strip.ground, n)[rows] for n in strip.ground.__dataclass_fields__}
-        )
+        ground = strip.ground.take(rows)
         R_oi = strip.R_oi_exposures[int(k) : int(k) + 1]
         targets = Rotation.concatenate([R_oi[0]] * len(rows)) if still else strip.R_oi_targets[rows]
-        parts.append(
-            StripSightings(
-                strip_id=f"{strip.strip_id}/{k}",
-                exposures=(strip.exposures[k],),
-                ground=ground,
-                R_oi_exposures=R_oi,
-                R_oi_targets=targets,
-            )
+        one = StripSightings(
+            strip_id=f"{strip.strip_id}/{k}",
+            exposures=(strip.exposures[k],),
+            ground=ground,
+            R_oi_exposures=R_oi,
+            R_oi_targets=targets,
         )
+        parts.append(one.later(k * DAY_S))
     return parts
 
 
