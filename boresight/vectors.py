@@ -47,11 +47,11 @@ def calibrate_vectors(
 ) -> Calibration:
     """The installation matrix from star and target vectors of one frame or many; attitudes are not needed.
 
-    A frame is one attitude. Errors are isotropic and independent from vector to vector; for strips with
-    errors of orbit, clock, vibration and distortion use `calibrate`. Rejection of wrong stars and targets,
-    residuals, chi2, the verdict and what the vectors cannot show are by the same code as in `calibrate`: a
-    frame needs three stars that agree. The six arguments are tables for one frame, or lists with one table a
-    frame.
+    A frame is one attitude; frames with the same stars are parts of one. Errors are isotropic and
+    independent from vector to vector; for strips with errors of orbit, clock, vibration and distortion use
+    `calibrate`. Rejection of wrong stars and targets, residuals, chi2, the verdict and what the vectors
+    cannot show are by the same code as in `calibrate`: a frame needs three stars that agree. The six
+    arguments are tables for one frame, or lists with one table a frame.
 
     Parameters
     ----------
@@ -121,9 +121,10 @@ def calibrate_vectors(
 
 def _calibration(vectors: VectorSets, found: VectorCalibration) -> Calibration:
     estimate = found.estimate
+    stars = {strip.exposures[0].t_s: len(strip.exposures[0].hip) for strip in found.strips}  # by instant
     counts = (
-        f"{estimate.n_exposures} of {len(vectors)} frames with {estimate.n_stars} of {len(vectors.u_s)} star "
-        f"vectors and {estimate.n_targets} of {len(vectors.w_c)} target vectors"
+        f"{estimate.n_exposures} of {len(stars)} frames with {estimate.n_stars} of {sum(stars.values())} "
+        f"star vectors and {estimate.n_targets} of {len(vectors.w_c)} target vectors"
     )
     unused = [entry.row for entry in map(_of_frame, estimate.rejected)]
     return Calibration(

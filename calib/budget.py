@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.forecast import forecast_from_strips
 from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.record import Floats, array, record, scalar
@@ -61,7 +62,7 @@ def uncertainty_budget(
         If no strip has a target between usable star exposures.
     """
     model = replace(settings, robust=False)
-    fitted = with_attitudes([carried(strip) for strip in strips], model.attitudes)
+    fitted = [carried(one) for one in passes_of(with_attitudes(strips, model.attitudes))]
 
     def covariance(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
         return forecast_from_strips(these, R_cs, model).after(len(these)).covariance

@@ -1,8 +1,9 @@
 """The calibration: strips of sightings to the installation matrix (docs/estimation.md, section 3).
 
 Gauss-Newton on theta about the matrix of the last step until the correction vanishes (paper, end of section
-2.3), all other unknowns being eliminated strip by strip. Targets with gross errors are searched for at the
-noise that is assumed, and rejected for good (`gross_errors`); the covariance is that of least squares.
+2.3), all other unknowns being eliminated pass by pass (`simultaneous_strips`). Targets with gross errors are
+searched for at the noise that is assumed, and rejected for good (`gross_errors`); the covariance is that of
+least squares.
 """
 
 from __future__ import annotations
@@ -55,6 +56,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.orbit_bias import common_bias
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.simultaneous_strips import passes_of
 from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.installation import deviation_from_theta, theta_between
@@ -100,7 +102,7 @@ def calibrate_strips(
     Raises
     ------
     ValueError
-        If two strips share one id.
+        If two strips share one id, or list exposures of one instant that differ.
 
     Examples
     --------
@@ -108,12 +110,23 @@ def calibrate_strips(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
-    found = _calibrated(strips, R_cs0, settings, interior)
+    passes = _passes(strips, settings)
+    found = _calibrated(passes, R_cs0, settings, interior)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
-    heads = ("", *unknown_heads(strips))
-    trials = [_without(strips, head, R_cs0, settings, interior) for head in heads]
+    heads = ("", *unknown_heads(passes))
+    trials = [_without(passes, head, R_cs0, settings, interior) for head in heads]
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
+
+
+def _passes(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[StripSightings]:
+    """Passes of strips in any order, with attitudes."""
+    strips = sorted(strips, key=lambda strip: strip.strip_id)
+    ids = [strip.strip_id for strip in strips]
+    if len(set(ids)) != len(ids):
+        twice = next(a for a, b in pairwise(ids) if a == b)
+        raise ValueError(f"two strips have the id {twice!r}")
+    return passes_of(with_attitudes(strips, settings.attitudes))
 
 
 def _contradict(agreement: HeadAgreement) -> bool:
@@ -146,15 +159,9 @@ def _calibrated(
     settings: CalibrationSettings,
     interior: InteriorModel | None,
 ) -> InstallationEstimate | NotObservable:
-    """The estimate from strips in any order, about the alignments of heads that the attitudes measure or, of
-    heads that were never on together with another, that the targets show.
+    """The estimate from passes, about the alignments of heads that the attitudes measure or, of heads that
+    were never on together with another, that the targets show.
     """
-    strips = sorted(strips, key=lambda strip: strip.strip_id)
-    ids = [strip.strip_id for strip in strips]
-    if len(set(ids)) != len(ids):
-        twice = next(a for a, b in pairwise(ids) if a == b)
-        raise ValueError(f"two strips have the id {twice!r}")
-    strips = with_attitudes(strips, settings.attitudes)
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
     found = _about(strips, R_cs0, settings, interior)
     for _ in range(MOST_ALIGNMENTS):
@@ -203,10 +210,10 @@ def _about(
 def strip_pairs(
     strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
 ) -> tuple[InformationPairs, Floats]:
-    """Normal equations of each strip about `R_cs`, no target rejected, and the prior information (G, G) of
-    the unknowns that the strips share. `ValueError` where no strip has a target that exposures cover.
+    """Normal equations of each pass about `R_cs`, no target rejected, and the prior information (G, G) of
+    the unknowns that passes share. `ValueError` where no strip has a target that exposures cover.
     """
-    fitted = with_attitudes([carried(strip) for strip in strips], settings.attitudes)  # in one fit
+    fitted = [carried(one) for one in _passes(strips, settings)]
     problem = Problem.of(prepare_strips(fitted, settings), settings)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
@@ -287,11 +294,9 @@ def _residuals(
     fit: _Fit,
     test: RejectionTest,
 ) -> TargetResiduals:
-    """Residuals of all targets in the order of `strips`; NaN for targets that the exposures do not cover."""
+    """Residuals of all targets in order of strips; NaN for targets that the exposures do not cover."""
     start = np.concatenate([[0], np.cumsum([len(strip.target_id) for strip in prepared])]).astype(np.int64)
-    rows = np.concatenate(
-        [np.arange(start[s], start[s + 1]) for group in problem.groups for s in group.place]
-    )
+    rows = np.concatenate([np.arange(start[s], start[s + 1]) for s in problem.members])
     covered, weight = rows[problem.inside], np.zeros(start[-1])
     statistic, detectable = np.full((2, start[-1]), np.nan)
     residual = np.full((start[-1], 2), np.nan)
@@ -300,18 +305,21 @@ def _residuals(
     statistic[covered] = squared_mahalanobis(fit.step)[problem.inside]
     detectable[covered] = detectable_bias(fit.step, test.noncentrality)[problem.inside]
     residual[covered] = fit.step.residual_c[problem.inside]
+    strip_id = np.concatenate([strip.strip for strip in prepared])
+    order = np.argsort(strip_id, kind="stable")
+    place = np.argsort(order)[rows]  # row of each target of the problem
     return TargetResiduals(
-        strip_id=np.repeat([strip.strip_id for strip in prepared], np.diff(start)),
-        target_id=np.concatenate([strip.target_id for strip in prepared]),
-        ccd=np.concatenate([strip.ccd for strip in prepared]),
-        sample=np.concatenate([strip.sample for strip in prepared]),
-        is_star=np.concatenate([strip.is_star for strip in prepared]),
-        residual_c=residual,
-        statistic=statistic,
-        weight=weight,
-        detectable_rad=detectable,
-        detectable_m=detectable * range_m,
-        rivals={int(rows[j]): rows[others] for j, others in fit.rivals.items()},
+        strip_id=strip_id[order],
+        target_id=np.concatenate([strip.target_id for strip in prepared])[order],
+        ccd=np.concatenate([strip.ccd for strip in prepared])[order],
+        sample=np.concatenate([strip.sample for strip in prepared])[order],
+        is_star=np.concatenate([strip.is_star for strip in prepared])[order],
+        residual_c=residual[order],
+        statistic=statistic[order],
+        weight=weight[order],
+        detectable_rad=detectable[order],
+        detectable_m=(detectable * range_m)[order],
+        rivals={int(place[j]): place[others] for j, others in fit.rivals.items()},
     )
 
 
@@ -362,7 +370,7 @@ def _estimate(
         dof=2 * (n_kept - len(residuals.doubtful)) - 3,
         chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
         dof_stars=dof_stars,
-        n_strips=len(carrying),
+        n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
         n_exposures=n_exposures,
         n_stars=int(sum(_stars_kept(attitudes, used) for attitudes, used in exposures)),
         n_targets=n_kept,

@@ -2,6 +2,8 @@
 
 A frame is the paper's: one attitude, stars and targets at one instant. It becomes a strip with one exposure
 whose targets, like stars, no position of the satellite moves; errors that strips have in common are off.
+Frames with the same stars are of one instant: their attitude is one, and its error counts once
+(`simultaneous_strips`).
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ INDEPENDENT = CalibrationSettings(
     sigma_vibration_rad=0.0,
     sigma_distortion_rad=0.0,
 )
+EVERY_S = 60.0  # from one instant to the next: no two frames of different stars are of one pass
 # Cosine of the largest angle, 80°, between a star's direction and the axis z up to which an error of the
 # focal length is tested: its effect grows with the tangent.
 WIDEST_FIELD = np.cos(np.radians(80.0))
@@ -74,11 +77,18 @@ def calibrate_vector_sets(frames: VectorSets, R_cs0: Rotation) -> VectorCalibrat
 def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
     """Each frame as a strip of one exposure. Stars and targets are numbered from 0 within their frame."""
     digits = len(str(max(len(frames) - 1, 0)))
-    return [_strip(f"{k:0{digits}d}", *frames.frame(k)) for k in range(len(frames))]
+    first: dict[tuple[bytes, bytes], int] = {}  # frame with these stars
+    strips = []
+    for k in range(len(frames)):
+        u_s, v_stars, *rest = frames.frame(k)
+        t_s = EVERY_S * first.setdefault((u_s.tobytes(), v_stars.tobytes()), k)
+        strips.append(_strip(f"{k:0{digits}d}", t_s, u_s, v_stars, *rest))
+    return strips
 
 
 def _strip(
     name: str,
+    t_s: float,
     u_s: Floats,
     v_stars: Floats,
     sigma_s: Floats,
@@ -89,7 +99,7 @@ def _strip(
     N, J = len(u_s), len(w_c)
     stars = StarSightings(
         exposure_id=name,
-        t_s=0.0,
+        t_s=t_s,
         hip=np.arange(N),
         xy_px=np.zeros((N, 2)),
         u_s=u_s,
@@ -100,7 +110,7 @@ def _strip(
         target_id=np.array([f"{name}/{j}" for j in range(J)], dtype=str),
         ccd=np.zeros(J, dtype=np.int64),
         xy_px=np.column_stack([np.arange(J), np.zeros(J)]).astype(float),
-        t_s=np.zeros(J),
+        t_s=np.full(J, t_s),
         u_c=w_c,
         u_i=v_targets,
         cov_c=isotropic_covariance(w_c, sigma_c),

@@ -7,8 +7,9 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +20,7 @@ from boresight.calib.strips import PreparedStrip
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
@@ -31,6 +32,7 @@ PERCENT = 1e-2
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
+SIZES = ("too large", "too small")  # a positive and a negative size in words
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
@@ -43,7 +45,7 @@ class Hypothesis:
     subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
     unit: str = scalar("of its size")
     words: tuple[str, str] = scalar(
-        "a positive and a negative size in words, behind the number", default=("too large", "too small")
+        "a positive and a negative size in words, behind the number", default=SIZES
     )
     file: str = scalar("file of the dump that states the input")
     field: str = scalar("field of that file")
@@ -80,20 +82,47 @@ class HypothesisInputs:
 HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
 
 
+@dataclass(frozen=True)
+class _InputError:
+    """One error of an input, one unit large, at all targets: where it is, a scope says."""
+
+    cause: str
+    unit: str
+    words: tuple[str, str]
+    file: str
+    field: str
+    change_c: Floats  # (J, 3)
+
+
+# What an error concerns: in words, as subjects, and its targets (J,).
+Place = tuple[str, tuple[Subject, ...], Bools]
+
+
+def _in_each(places: Iterable[Place], errors: Sequence[_InputError]) -> Iterator[Hypothesis]:
+    """A hypothesis for each error in each place of its scope."""
+    for item, subjects, here in places:
+        for one in errors:
+            yield Hypothesis(
+                cause=one.cause,
+                item=item,
+                subjects=subjects,
+                unit=one.unit,
+                words=one.words,
+                file=one.file,
+                field=one.field,
+                change_c=one.change_c * here[:, None],
+            )
+
+
 def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first is named."""
-    prepared, pixel_rad = of.prepared, of.pixel_rad
-    C = of.R_cs.as_matrix()
-    strip = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
-    ccd = np.concatenate([one.ccd for one in prepared])
-    late_c = -np.concatenate([one.late_s for one in prepared]) @ C.T  # rows dated late by 1 s
-    ground = ~np.concatenate([one.is_star for one in prepared])
-    found = [*_of_clock(prepared, strip, late_c), *_of_position(of, strip, ground)]
-    found += [_of_input(prepared, C, one) for one in of.inputs]
-    found += _of_looks(prepared, ccd, pixel_rad, of.pivots or {})
+    prepared, C = of.prepared, of.R_cs.as_matrix()
     attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
-    found += _of_attitude(prepared, strip, C, attitudes)
-    found += _of_images(prepared, strip, ccd, pixel_rad)
+    found = [*_of_clock(prepared, C), *_of_position(of, C)]
+    found += [_of_input(prepared, C, one) for one in of.inputs]
+    found += _of_looks(prepared, of.pixel_rad, of.pivots or {})
+    if len(prepared) > 1:
+        found += [*_of_attitude(prepared, C, attitudes), *_of_images(prepared, of.pixel_rad)]
     if of.effects:
         found += _of_star_camera(prepared, C, of.effects)
     return [one for one in found if np.any(one.change_c)]
@@ -103,41 +132,28 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
-    prepared, pixel_rad = of.prepared, of.pixel_rad
-    C = of.R_cs.as_matrix()
-    u_c = np.concatenate([one.u_c for one in prepared])
-    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
-    found = [
-        Hypothesis(
-            cause=f"origin of the look vectors, {'xy'[axis]} of c",
-            item="all frames",
-            unit="″",
-            file="w_c",
-            field="",
-            change_c=pixel_rad * across[:, :, axis],
+    prepared, C = of.prepared, of.R_cs.as_matrix()
+    u_c, across = _looks(prepared)
+    every = _all("all frames", prepared)
+    origin = [
+        _InputError(
+            f"origin of the look vectors, {'xy'[axis]} of c", "″", SIZES, "w_c", "", of.pixel_rad * column
         )
-        for axis in range(2)
+        for axis, column in enumerate(np.moveaxis(across, 2, 0)[:2])
     ]
+    found = list(_in_each(every, origin))
     if u_c[:, 2].min() > 0.0:
-        found.append(_focal_length(u_c, across, "w_c", "", "all frames"))
+        found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
     if 1 < len(prepared) <= MOST_FRAMES:
-        w = np.concatenate([one.v_s for one in prepared]) @ C.T
-        frame, turned = (
-            np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared]),
-            cross_matrices(w),
-        )
-        found += [
-            Hypothesis(
-                cause=f"attitude of a frame, about {'xyz'[axis]} of c",
-                item=f"frame {one.strip_id}",
-                unit="″",
-                file="v_stars, v_targets",
-                field="",
-                change_c=ARCSEC * turned[:, :, axis] * (frame == n)[:, None],
+        turned = _turned(prepared, C)
+        frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(prepared)))
+        axes = [
+            _InputError(
+                f"attitude of a frame, about {'xyz'[axis]} of c", "″", SIZES, "v_stars, v_targets", "", turn
             )
-            for n, one in enumerate(prepared)
-            for axis in range(3)
+            for axis, turn in enumerate(turned)
         ]
+        found += _in_each(frames, axes)
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -146,75 +162,91 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     return [one for one in found if np.any(one.change_c)]
 
 
-def _each(prepared: Sequence[PreparedStrip]) -> Iterator[tuple[str, tuple[Subject, ...], list[int]]]:
-    """All strips, then each strip: in words, as subjects, and their numbers."""
-    if len(prepared) > 1:
-        yield "all strips", (), list(range(len(prepared)))
-    for n, strip in enumerate(prepared):
-        subject = Subject(Kind.STRIP, strip=strip.strip_id)
-        yield subject.words, (subject,), [n]
+def _column(prepared: Sequence[PreparedStrip], name: str) -> Any:
+    """A field of all targets (J, ...), pass after pass."""
+    return np.concatenate([getattr(one, name) for one in prepared])
 
 
-def _of_clock(prepared: Sequence[PreparedStrip], strip: Ints, late_c: Floats) -> Iterator[Hypothesis]:
+def _looks(prepared: Sequence[PreparedStrip]) -> tuple[Floats, Floats]:
+    """Look directions (J, 3), and what takes a small change of each to the part across it, (J, 3, 3)."""
+    u_c: Floats = _column(prepared, "u_c")
+    return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+
+
+def _turned(prepared: Sequence[PreparedStrip], C: Floats) -> Floats:
+    """Change (3, J, 3) by a rotation of an arc-second of the attitudes about each axis of c."""
+    return np.moveaxis(ARCSEC * cross_matrices(_column(prepared, "v_s") @ C.T), 2, 0)
+
+
+def _passes(prepared: Sequence[PreparedStrip]) -> Iterator[Place]:
+    """Each pass."""
+    number = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
+    for n, one in enumerate(prepared):
+        strips = tuple(Subject(Kind.STRIP, strip=name) for name in np.unique(one.strip).tolist())
+        yield f"{'pass of ' if len(strips) > 1 else ''}strip {one.strip_id}", strips, number == n
+
+
+def _all(item: str, prepared: Sequence[PreparedStrip]) -> list[Place]:
+    """All targets."""
+    return [(item, (), np.ones(sum(len(one.ccd) for one in prepared), dtype=bool))]
+
+
+def _all_strips(prepared: Sequence[PreparedStrip]) -> list[Place]:
+    """All strips, where they are of several passes."""
+    return _all("all strips", prepared) if len(prepared) > 1 else []
+
+
+def _strips_within(prepared: Sequence[PreparedStrip]) -> Iterator[Place]:
+    """Each strip of passes of several: errors of one strip's rows in strips.csv."""
+    strip = _column(prepared, "strip")
+    for one in prepared:
+        names = np.unique(one.strip).tolist()
+        for name in names if len(names) > 1 else ():
+            yield f"strip {name}", (Subject(Kind.STRIP, strip=name),), strip == name
+
+
+def _of_clock(prepared: Sequence[PreparedStrip], C: Floats) -> Iterator[Hypothesis]:
     """Rows dated late, and a period of the rows that is too long."""
-    since = np.concatenate([_since_first_row(one) for one in prepared])
-    for item, subjects, members in _each(prepared):
-        here = np.isin(strip, members)[:, None]
-        several = len(members) > 1
-        yield Hypothesis(
-            cause="clock of the rows",
-            item=item,
-            subjects=subjects,
-            unit="ms",
-            words=("too late", "too early"),
-            file="strips.csv",
-            field="utc_first_row" + (", time_of_row" if several else ""),
-            change_c=MILLI * late_c * here,
-        )
-        yield Hypothesis(
-            cause="row period",
-            item=item,
-            subjects=subjects,
-            unit="%",
-            words=("too long", "too short"),
-            file="strips.csv",
-            field="row_period_s",
-            change_c=PERCENT * since[:, None] * late_c * here,
-        )
+    late_c = -_column(prepared, "late_s") @ C.T  # rows dated late by 1 s
+    since = np.concatenate([_since_first_row(one) for one in prepared])[:, None]
+    late = _InputError(
+        "clock of the rows", "ms", ("too late", "too early"), "strips.csv", "utc_first_row", MILLI * late_c
+    )
+    long = _InputError(
+        "row period", "%", ("too long", "too short"), "strips.csv", "row_period_s", PERCENT * since * late_c
+    )
+    of_all = replace(late, field="utc_first_row, time_of_row")
+    yield from _in_each(_all_strips(prepared), [of_all, long])
+    yield from _in_each([*_passes(prepared), *_strips_within(prepared)], [late, long])
 
 
 def _since_first_row(strip: PreparedStrip) -> Floats:
     """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
-    if np.ptp(strip.line) < 1.0:
-        return np.zeros(len(strip.line))
-    first, last = np.argmin(strip.line), np.argmax(strip.line)
-    period = (strip.t_s[last] - strip.t_s[first]) / (strip.line[last] - strip.line[first])
-    return np.asarray(strip.line * period)
+    since = np.zeros(len(strip.line))
+    for name in np.unique(strip.strip):
+        own = strip.strip == name
+        line, t_s = strip.line[own], strip.t_s[own]
+        if np.ptp(line) >= 1.0:
+            first, last = np.argmin(line), np.argmax(line)
+            since[own] = line * ((t_s[last] - t_s[first]) / (line[last] - line[first]))
+    return since
 
 
-def _of_position(of: HypothesisInputs, strip: Ints, ground: Bools) -> Iterator[Hypothesis]:
+def _of_position(of: HypothesisInputs, C: Floats) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
-    move_c = -of.R_cs.as_matrix() @ np.concatenate([one.move_s for one in of.prepared])
-    axes = (
-        ("along the track", 1.0, ("too far ahead", "too far back")),
-        ("across the track", 1.0, ("too far right", "too far left")),
-        ("height", -1.0, ("too high", "too low")),
+    ground = ~_column(of.prepared, "is_star")[:, None]
+    ahead, right, down = np.moveaxis(-C @ _column(of.prepared, "move_s"), 2, 0) * ground
+    along, *rest = (
+        _InputError(f"orbit or targets, {name}", "m", words, f"orbit, {of.target_files}", "", change)
+        for name, words, change in (
+            ("along the track", ("too far ahead", "too far back"), ahead),
+            ("across the track", ("too far right", "too far left"), right),
+            ("height", ("too high", "too low"), -down),
+        )
     )
-    for item, subjects, members in _each(of.prepared):
-        here = (np.isin(strip, members) & ground)[:, None]
-        for axis, (name, sign, words) in enumerate(axes):
-            if len(members) == 1 and axis == 0:
-                continue  # the clock of the strip, but for parts in a thousand
-            yield Hypothesis(
-                cause=f"orbit or targets, {name}",
-                item=item,
-                subjects=subjects,
-                unit="m",
-                words=words,
-                file=f"orbit, {of.target_files}",
-                field="",
-                change_c=sign * move_c[:, :, axis] * here,
-            )
+    yield from _in_each(_all_strips(of.prepared), [along, *rest])
+    # Along the track it is the clock of a pass, but for parts in a thousand.
+    yield from _in_each(_passes(of.prepared), rest)
 
 
 def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -> Hypothesis:
@@ -242,92 +274,66 @@ def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -
 
 
 def _of_looks(
-    prepared: Sequence[PreparedStrip], ccd: Ints, pixel_rad: float, pivots: Mapping[int, float]
+    prepared: Sequence[PreparedStrip], pixel_rad: float, pivots: Mapping[int, float]
 ) -> Iterator[Hypothesis]:
     """Shifts and rotation of each CCD, all shifted alike, and the focal length."""
-    u_c = np.concatenate([one.u_c for one in prepared])
-    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
-    sample = np.concatenate([one.sample for one in prepared])
+    (u_c, across), ccd = _looks(prepared), _column(prepared, "ccd")
+    sample, file = _column(prepared, "sample"), "remote_camera.toml"
+    x, y = across[:, :, 0], across[:, :, 1]
+
+    def placed(what: str) -> list[_InputError]:
+        return [
+            _InputError(
+                f"place of {what}, along the track", "px", SIZES, file, "x_offset_mm", -pixel_rad * x
+            ),
+            _InputError(
+                f"place of {what}, across the track", "px", SIZES, file, "y_first_mm", -pixel_rad * y
+            ),
+        ]
+
+    every = _all("all CCDs", prepared)
+    yield from _in_each(every, placed("the CCDs"))
     numbers = np.unique(ccd).tolist()
-    for number in (None, *(numbers if len(numbers) > 1 else ())):
-        here = np.ones(len(ccd), dtype=bool) if number is None else ccd == number
-        ccd_subject = Subject(Kind.CCD, ccd=-1 if number is None else number)
-        arm = (sample - pivots.get(number or 0, float(sample[here].mean()))) * here
-        rows = (
-            ("place", ", along the track", "px", "x_offset_mm", -pixel_rad * here, 0),
-            ("place", ", across the track", "px", "y_first_mm", -pixel_rad * here, 1),
-            ("rotation", "", "mrad", "rotation_mrad", MILLI * pixel_rad * arm, 0),
-        )
-        for part, axis_name, unit, field, size, axis in rows if number is not None else rows[:2]:
-            yield Hypothesis(
-                cause=f"{part} of {'the CCDs' if number is None else 'a CCD'}{axis_name}",
-                item=ccd_subject.words,
-                subjects=() if number is None else (ccd_subject,),
-                unit=unit,
-                file="remote_camera.toml",
-                field=field,
-                change_c=size[:, None] * across[:, :, axis],
-            )
-    yield _focal_length(u_c, across, "remote_camera.toml", "focal_length_m", "all CCDs")
+    for number in numbers if len(numbers) > 1 else ():
+        here = ccd == number
+        arm = MILLI * pixel_rad * (sample - pivots.get(number, float(sample[here].mean())))[:, None]
+        turn = _InputError("rotation of a CCD", "mrad", SIZES, file, "rotation_mrad", arm * x)
+        subject = Subject(Kind.CCD, ccd=number)
+        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), turn])
+    yield from _in_each(every, [_focal_length(u_c, across, file, "focal_length_m")])
 
 
-def _focal_length(u_c: Floats, across: Floats, file: str, field: str, item: str) -> Hypothesis:
+def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> _InputError:
     """The focal length of the remote-sensing camera, by which all looks (J, 3) spread from its axis z."""
     v = u_c / u_c[:, 2:]
     v[:, 2] = 0.0
-    return Hypothesis(
-        cause="focal length of the remote-sensing camera",
-        item=item,
-        unit="%",
-        words=("too long", "too short"),
-        file=file,
-        field=field,
-        change_c=-PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:],
-    )
+    change = -PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:]
+    cause = "focal length of the remote-sensing camera"
+    return _InputError(cause, "%", ("too long", "too short"), file, field, change)
 
 
-def _of_attitude(
-    prepared: Sequence[PreparedStrip], strip: Ints, C: Floats, attitudes: str
-) -> Iterator[Hypothesis]:
-    """Attitude of a strip about the axes x and z of c; about y it is the strip's clock."""
-    if len(prepared) < 2:
-        return
-    w = np.concatenate([one.v_s for one in prepared]) @ C.T
-    turned = cross_matrices(w)
-    for n, one in enumerate(prepared):
-        for axis, name in ((0, "across the track"), (2, "about the line of sight")):
-            yield Hypothesis(
-                cause=f"attitude {name}",
-                item=f"strip {one.strip_id}",
-                subjects=(Subject(Kind.STRIP, strip=one.strip_id),),
-                unit="″",
-                file=f"{attitudes}, orbit",
-                field="",
-                change_c=ARCSEC * turned[:, :, axis] * (strip == n)[:, None],
-            )
+def _of_attitude(prepared: Sequence[PreparedStrip], C: Floats, attitudes: str) -> Iterator[Hypothesis]:
+    """Attitude of a pass about the axes x and z of c; about y it is its clock."""
+    x, _, z = _turned(prepared, C)
+    names = (("across the track", x), ("about the line of sight", z))
+    file = f"{attitudes}, orbit"
+    turns = [_InputError(f"attitude {name}", "″", SIZES, file, "", change) for name, change in names]
+    yield from _in_each(_passes(prepared), turns)
 
 
-def _of_images(
-    prepared: Sequence[PreparedStrip], strip: Ints, ccd: Ints, pixel_rad: float
-) -> Iterator[Hypothesis]:
-    """Shifts of the image of one CCD in one strip."""
-    u_c = np.concatenate([one.u_c for one in prepared])
-    across = np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
-    for n, one in enumerate(prepared):
-        numbers = np.unique(one.ccd).tolist()
-        for number in numbers if len(numbers) > 1 and len(prepared) > 1 else ():
-            here = pixel_rad * ((strip == n) & (ccd == number))
-            subject = Subject(Kind.CCD, strip=one.strip_id, ccd=number)
-            for axis, name in ((0, "lines"), (1, "samples")):
-                yield Hypothesis(
-                    cause=f"image of a CCD, {name}",
-                    item=subject.words,
-                    subjects=(subject,),
-                    unit="px",
-                    file="strips.csv",
-                    field="file",
-                    change_c=here[:, None] * across[:, :, axis],
-                )
+def _of_images(prepared: Sequence[PreparedStrip], pixel_rad: float) -> Iterator[Hypothesis]:
+    """Shifts of the image of one CCD in one strip, of a pass that has several CCDs."""
+    (_, across), strip, ccd = _looks(prepared), _column(prepared, "strip"), _column(prepared, "ccd")
+    several = [one for one in prepared if len(np.unique(one.ccd)) > 1]
+    images = [key for one in several for key in sorted(set(zip(one.strip.tolist(), one.ccd.tolist())))]
+    subjects = [Subject(Kind.CCD, strip=name, ccd=number) for name, number in images]
+    places = ((one.words, (one,), (strip == one.strip) & (ccd == one.ccd)) for one in subjects)
+    names = (("lines", across[:, :, 0]), ("samples", across[:, :, 1]))
+    shifts = [
+        _InputError(f"image of a CCD, {name}", "px", SIZES, "strips.csv", "file", pixel_rad * change)
+        for name, change in names
+    ]
+    yield from _in_each(places, shifts)
 
 
 def _of_star_camera(
@@ -336,32 +342,15 @@ def _of_star_camera(
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
     rows = (
         ("focal length of the star camera", "%", "focal_length_mm", ("too long", "too short")),
-        (
-            "principal point of the star camera, column",
-            "px",
-            "principal_point_px",
-            ("too large", "too small"),
-        ),
-        ("principal point of the star camera, row", "px", "principal_point_px", ("too large", "too small")),
-        (
-            "radial distortion of the star camera",
-            "px at its corner",
-            "q1_per_mm2",
-            ("too large", "too small"),
-        ),
+        ("principal point of the star camera, column", "px", "principal_point_px", SIZES),
+        ("principal point of the star camera, row", "px", "principal_point_px", SIZES),
+        ("radial distortion of the star camera", "px at its corner", "q1_per_mm2", SIZES),
     )
+    every = _all("all exposures", prepared)
     for k, (cause, unit, field, words) in enumerate(rows):
         change = [
             C @ (cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None])
             for one, effect in zip(prepared, effects)
         ]
-        yield Hypothesis(
-            cause=cause,
-            item="all exposures",
-            unit=unit,
-            words=words,
-            file="star_camera.toml",
-            field=field,
-            change_c=np.concatenate(change)[:, :, 0],
-            star_part=k,
-        )
+        error = _InputError(cause, unit, words, "star_camera.toml", field, np.concatenate(change)[:, :, 0])
+        yield from (replace(one, star_part=k) for one in _in_each(every, [error]))

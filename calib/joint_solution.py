@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.correlated_passes import correlated_passes
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total
@@ -42,7 +43,8 @@ class Problem:
     """All strips in groups of equal shape. The J targets of all are in the order group, strip, target."""
 
     groups: list[StripGroup] = scalar("strips of equal shape")
-    names: Texts = array("S", "strip ids, group after group")
+    names: Texts = array("S", "ids of the passes, group after group")
+    members: tuple[int, ...] = scalar("which of the prepared strips they hold, in the order of the targets")
     shared: SharedUnknowns = scalar("unknowns beside theta that several strips share")
     prior_shared: Floats = array("G, G", "prior information of the shared unknowns")
     inside: Bools = array("J", "whether exposures cover the target's instant")
@@ -60,22 +62,27 @@ class Problem:
         """The problem that these strips pose, the camera's interior unknown if there is a model of it;
         without groups where no target is covered.
         """
+        units = correlated_passes(prepared, settings)
+        passes = [one for one, _ in units]
         carrying = [strip for strip in prepared if strip.inside.any()]
         tied = {tie.head for strip in carrying for tie in strip.ties}
         heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
-        shared = find_shared([strip.seen() for strip in carrying], settings, heads, interior)
-        groups = [condensed(group) for group in group_strips(prepared, shared, settings)]
-        members = [prepared[n] for group in groups for n in group.place]
+        seen = [one.seen() for one in passes if one.inside.any()]
+        shared = find_shared(seen, settings, heads, interior)
+        groups = [condensed(group) for group in group_strips(passes, shared, settings)]
+        places = [n for group in groups for n in group.place.tolist()]
+        members = [passes[n] for n in places]
         keys = [
-            (strip.strip_id, target, ccd)
+            key
             for strip in members
-            for target, ccd in zip(strip.target_id.tolist(), strip.ccd.tolist())
+            for key in zip(strip.strip.tolist(), strip.target_id.tolist(), strip.ccd.tolist())
         ]
         rank = np.empty(len(keys), dtype=np.int64)
         rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
         return cls(
             groups=groups,
             names=np.array([strip.strip_id for strip in members], dtype=str),
+            members=tuple(n for place in places for n in units[place][1]),
             shared=shared,
             prior_shared=shared.prior_information(),
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),

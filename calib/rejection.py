@@ -20,14 +20,15 @@ def rejected_observations(
     limit: float,
     residuals: TargetResiduals | None = None,
 ) -> tuple[Entry, ...]:
-    """Rejected stars, exposures, targets and strips, strip by strip.
+    """Rejected stars, exposures, targets and strips, pass by pass; an exposure once.
 
     `limit` is that of the tests of stars and targets; without `residuals` no target has been tested.
     """
     entries: list[Entry] = []
     for strip, ready in zip(strips, prepared):
         entries += _stars_and_exposures(strip, ready, limit)
-        entries += _targets(ready, limit, residuals)
+        for name in [name for name, _ in strip.parts] or [strip.strip_id]:
+            entries += _targets(name, ready, limit, residuals)
     return tuple(entries)
 
 
@@ -50,28 +51,32 @@ def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: flo
             )
 
 
-def _targets(ready: PreparedStrip, limit: float, residuals: TargetResiduals | None) -> Iterator[Entry]:
-    name = ready.strip_id
-    if not ready.inside.any():
-        counts = float(ready.used.sum()), float(len(ready.inside))
+def _targets(
+    name: str, ready: PreparedStrip, limit: float, residuals: TargetResiduals | None
+) -> Iterator[Entry]:
+    """Targets of the strip `name` that are not covered, or fail their test; or that none is covered."""
+    rows = np.flatnonzero(ready.strip == name)
+    inside = ready.inside[rows]
+    if not inside.any():
+        counts = float(ready.used.sum()), float(len(rows))
         yield Entry(Subject(Kind.STRIP, strip=name), Reason.NO_TARGET_COVERED, more=counts)
         return
-    kinds = [Kind.STAR if is_star else Kind.TARGET for is_star in ready.is_star.tolist()]
 
     def subject(row: int) -> Subject:
-        return Subject(kinds[row], strip=name, ccd=int(ready.ccd[row]), id=str(ready.target_id[row]))
+        kind = Kind.STAR if ready.is_star[row] else Kind.TARGET
+        return Subject(kind, strip=name, ccd=int(ready.ccd[row]), id=str(ready.target_id[row]))
 
-    for row in np.flatnonzero(~ready.inside).tolist():
+    for row in rows[~inside].tolist():
         yield Entry(subject(row), Reason.NOT_BETWEEN_EXPOSURES)
     if residuals is None:
         return
     own = np.flatnonzero(residuals.strip_id == name)
-    for row in np.flatnonzero(ready.inside & ~residuals.kept[own]).tolist():
-        rivals = {residuals.subject(int(n)) for n in residuals.rivals[int(own[row])]}
+    for n in np.flatnonzero(inside & ~residuals.kept[own]).tolist():
+        rivals = {residuals.subject(int(other)) for other in residuals.rivals[int(own[n])]}
         yield Entry(
-            subject(row),
+            subject(rows[n]),
             Reason.TARGET_RESIDUAL,
-            value=float(residuals.statistic[own[row]]),
+            value=float(residuals.statistic[own[n]]),
             limit=limit,
             rivals=tuple(sorted(rivals, key=lambda rival: rival.name)),
         )

@@ -47,6 +47,7 @@ from boresight.calib.joint_solution import (
 )
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import StarEffects, star_effects, summed
 from boresight.calib.strips import PreparedStrip, prepare_strips, tangent_axes
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -251,13 +252,15 @@ def examine(
         The tests at the weights of the estimate, and at most three causes.
     """
     limits = limits or ReliabilitySettings()
+    passes = passes_of(with_attitudes(strips, settings.attitudes))
+    moved = [moved_in_passes(one, strips, passes) for one in inputs]
     one = _adjustment(
         estimate,
-        strips,
+        passes,
         settings,
         star_camera,
         lambda prepared, effects: table_of(
-            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, inputs, pivots, target_files)
+            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, moved, pivots, target_files)
         ),
     )
     tests = _tests(one, limits)
@@ -273,23 +276,18 @@ def _adjustment(
     star_camera: StarCamera | None,
     table_of: Callable[[Sequence[PreparedStrip], Sequence[StarEffects]], list[Hypothesis]],
 ) -> _Adjustment:
-    strips = with_attitudes(sorted(strips, key=lambda strip: strip.strip_id), settings.attitudes)
     strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
     prepared = prepare_strips(strips, settings)
     problem = Problem.of(prepared, settings)
-    members = [n for group in problem.groups for n in group.place.tolist()]
-    strips, prepared = [strips[n] for n in members], [prepared[n] for n in members]
+    strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
     about = linearised(problem, estimate.R_cs, 1.0)
-    found, places = estimate.targets, (s for s in prepared for _ in s.ccd)
+    found = estimate.targets
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
-    targets = np.concatenate([one.target_id for one in prepared]).tolist()
-    ccds = np.concatenate([one.ccd for one in prepared]).tolist()
-    samples = np.concatenate([one.sample for one in prepared]).tolist()
-    weight = np.array(
-        [weights.get((s.strip_id, *key), 0.0) for s, *key in zip(places, targets, ccds, samples)]
-    )
+    columns = ([getattr(one, name) for one in prepared] for name in ("strip", "target_id", "ccd", "sample"))
+    own = zip(*(np.concatenate(column).tolist() for column in columns))
+    weight = np.array([weights.get(key, 0.0) for key in own])
     step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
     table = table_of(prepared, effects)
@@ -308,7 +306,7 @@ def _adjustment(
         by_place=_whitened(problem, about, R_cs @ np.concatenate([one.move_s for one in prepared])),
         measured=_whitened(problem, about, apart[:, :, None])[:, :, 0],
         is_star=np.concatenate([one.is_star for one in prepared]),
-        strip_id=np.repeat([strip.strip_id for strip in prepared], [len(strip.ccd) for strip in prepared]),
+        strip_id=np.concatenate([strip.strip for strip in prepared]),
         target_id=np.concatenate([strip.target_id for strip in prepared]),
         ccds=np.concatenate([strip.ccd for strip in prepared]),
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),

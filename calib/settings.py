@@ -18,8 +18,12 @@ class CalibrationSettings:
     A prior of zero switches its error off. The defaults are the paper's Table 1.
     """
 
-    sigma_position_m: float = 2.0  # per axis, common to a strip (Table 1, GPS)
-    sigma_clock_s: float = 1e-4  # common to a strip: its rows against orbit and star camera (Table 1)
+    sigma_position_m: float = 2.0  # per axis, common to a pass (Table 1, GPS)
+    position_time_s: float = (
+        0.0  # after which its correlation is 1/e; 0: constant over a pass, and new in each
+    )
+    sigma_clock_s: float = 1e-4  # common to a pass: its rows against orbit and star camera (Table 1)
+    clock_time_s: float = 0.0  # as that of the position
     sigma_vibration_rad: float = (
         0.1 * ARCSEC
     )  # per axis and target: motion that the exposures cannot follow (Table 1)
@@ -83,7 +87,9 @@ class CalibrationSettings:
     def __post_init__(self) -> None:
         for name in (
             "sigma_position_m",
+            "position_time_s",
             "sigma_clock_s",
+            "clock_time_s",
             "sigma_vibration_rad",
             "sigma_vibration_exposure_rad",
             "sigma_motion_rad",

@@ -1,4 +1,4 @@
-"""One strip, linearised: its targets' residuals as theta, the errors that targets share, and white noise.
+"""One pass, linearised: its targets' residuals as theta, the errors that targets share, and white noise.
 
 Each target of a line scanner has its own instant t_j. The star camera's attitude there is interpolated
 between the exposures' attitudes (relative to the nominal motion, Lagrange weights w_jk), and the exposures'
@@ -66,7 +66,8 @@ NEGLIGIBLE_MOTION_RAD = 0.01 * ARCSEC  # a tenth of the vibration of the paper's
 class PreparedStrip:
     """A strip before the installation matrix is known: K exposures, J targets, N unknowns common to them."""
 
-    strip_id: str = scalar("strip")
+    strip_id: str = scalar("the strip; of a pass of several (`simultaneous_strips`), the first of them")
+    strip: Texts = array("J", "strip of each target")
     attitudes: ExposureAttitudes = scalar("of all exposures")
     used: Bools = array("K", "exposures whose attitudes are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
@@ -195,6 +196,7 @@ def prepare_strip(
     motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
+        strip=strip.strip_of_target,
         attitudes=attitudes,
         used=used,
         inside=inside,

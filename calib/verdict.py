@@ -25,6 +25,7 @@ from boresight.calib.estimate import HeadAgreement, InstallationEstimate, Withou
 from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
+from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
@@ -488,9 +489,10 @@ def _orbit_finding(
 def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> Check:
     """Targets of different ids at one place on the ground; a single pair refutes the list."""
     groups: dict[str, set[str]] = {}
-    for strip in strips:
-        names = strip.ground.target_id.tolist()
-        for a, b in [] if strip.ground.is_star.any() else _same_place(strip.ground):
+    for members in groups_of(strips):
+        ground = GroundSightings.together([strip.ground for strip in members])
+        names = ground.target_id.tolist()
+        for a, b in [] if ground.is_star.any() else _same_place(ground):
             if names[a] != names[b]:
                 both = groups.get(names[a], {names[a]}) | groups.get(names[b], {names[b]})
                 groups.update(dict.fromkeys(both, both))

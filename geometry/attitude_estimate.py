@@ -98,15 +98,19 @@ def fit_exposures(
 def with_attitudes(
     strips: Sequence[StripSightings], settings: AttitudeSettings = AttitudeSettings()
 ) -> list[StripSightings]:
-    """The strips, with attitudes fitted for those that have none (`attitudes` is None), all in one fit."""
+    """The strips, with attitudes fitted for those that have none (`attitudes` is None), all in one fit, to
+    which an exposure that several strips list contributes once.
+    """
     bare = [n for n, strip in enumerate(strips) if strip.attitudes is None]
     if not bare:
         return list(strips)
-    fit = fit_exposures([exposure for n in bare for exposure in strips[n].exposures], settings)
-    out, at = list(strips), 0
+    keys = {n: [(one.t_s, one.u_s.tobytes()) for one in strips[n].exposures] for n in bare}
+    once = {key: one for n in bare for key, one in zip(keys[n], strips[n].exposures)}
+    row = {key: k for k, key in enumerate(once)}
+    fit, out = fit_exposures(list(once.values()), settings), list(strips)
     for n in bare:
-        here = np.arange(at, at + len(strips[n].exposures))
-        out[n], at = replace(strips[n], attitudes=fit.take(here)), at + len(here)
+        here = np.array([row[key] for key in keys[n]], dtype=np.int64)
+        out[n] = replace(strips[n], attitudes=fit.take(here))
     return out
 
 

@@ -29,7 +29,7 @@ class AttitudeNoise:
     white_rad: Floats = array("3", "1-sigma, independent from row to row")
     correlated_rad: Floats = array("3", "1-sigma of the AR(1) process")
     correlation_time_s: Floats = array("3", "in which its correlation falls to 1/e")
-    constant_rad: Floats = array("3", "1-sigma, constant over a strip")
+    constant_rad: Floats = array("3", "1-sigma, constant over a pass: strips of one time")
     R_sn: Rotation = scalar("axes of the head to frame s", default=Rotation.identity())
 
     def __post_init__(self) -> None:

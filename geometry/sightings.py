@@ -7,7 +7,8 @@ along the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar, shape_of
 
 __all__ = [
     "ExposureAttitudes",
@@ -26,6 +27,7 @@ __all__ = [
     "exposure_without_stars",
     "information_of_directions",
     "isotropic_covariance",
+    "rotations_together",
     "solved_attitudes",
 ]
 
@@ -75,6 +77,17 @@ class ExposureAttitudes:
             **{n: getattr(self, n)[exposures] for n in ("R_si", "covariance_s", "usable", "chi2", "dof")},
         )
 
+    @classmethod
+    def together(cls, parts: Sequence[ExposureAttitudes]) -> ExposureAttitudes:
+        """The exposures of several, part after part; scale and its error are those of the first."""
+        counts = np.concatenate([np.diff(part.start) for part in parts])
+        names = ("R_si", "covariance_s", "usable", "kept", "squared_mahalanobis", "chi2", "dof")
+        return replace(
+            parts[0],
+            start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
+        )
+
 
 @record(kw_only=True)
 class GroundSightings:
@@ -111,6 +124,15 @@ class GroundSightings:
         """(N,) whether the target is a star."""
         return np.isinf(self.range_m)
 
+    def take(self, rows: Ints) -> GroundSightings:
+        """The measurements with indices (M,), in that order."""
+        return GroundSightings(**{name: getattr(self, name)[rows] for name in _columns(GroundSightings)})
+
+    @classmethod
+    def together(cls, parts: Sequence[GroundSightings]) -> GroundSightings:
+        """The measurements of several, part after part."""
+        return cls(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _columns(cls)})
+
 
 @record(kw_only=True)
 class HeadAttitudes:
@@ -118,16 +140,31 @@ class HeadAttitudes:
 
     head: str = scalar("name of the head")
     t_s: Floats = array("K", "instants, TAI seconds since the dump's epoch")
-    R_hi: Rotation = scalar("(K,) GCRS to frame h")
+    R_hi: Rotation = array("K", "GCRS to frame h")
     covariance_h: Floats = array("K, 3, 3", "of each attitude by itself, axes of h, rad²")
     noise: AttitudeNoise = scalar("errors that the attitudes have in common, axes of h")
-    R_oi: Rotation = scalar("(K,) GCRS to the orbital frame at the same instants")
+    R_oi: Rotation = array("K", "GCRS to the orbital frame at the same instants")
     R_sh: Rotation = scalar("alignment: frame h to that of the reference head, as far as it is known")
 
     @property
     def noise_s(self) -> AttitudeNoise:
         """The errors about the axes of frame s."""
         return replace(self.noise, R_sn=self.R_sh * self.noise.R_sn)
+
+    def take(self, rows: Ints) -> HeadAttitudes:
+        """The attitudes with indices (M,), in that order."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _columns(HeadAttitudes)})
+
+    @classmethod
+    def together(cls, parts: Sequence[HeadAttitudes]) -> HeadAttitudes:
+        """The attitudes of one head in several records, part after part."""
+        return replace(
+            parts[0],
+            t_s=np.concatenate([part.t_s for part in parts]),
+            covariance_h=np.concatenate([part.covariance_h for part in parts]),
+            R_hi=rotations_together([part.R_hi for part in parts]),
+            R_oi=rotations_together([part.R_oi for part in parts]),
+        )
 
 
 @record(kw_only=True)
@@ -158,6 +195,26 @@ class StripSightings:
         "prediction of Earth orientation (`EarthRotation.prediction`) of `ground.earth_i`; empty: measured",
         default="",
     )
+    parts: tuple[tuple[str, int], ...] = scalar(
+        "of strips joined to one (`calib.simultaneous_strips`): their ids, each with the number of its rows "
+        "in `ground`, in order; none: the strip itself",
+        default=(),
+    )
+
+    @property
+    def strip_of_target(self) -> Texts:
+        """Strip (J,) of each target."""
+        names, counts = zip(*(self.parts or ((self.strip_id, len(self.ground.target_id)),)))
+        return np.repeat(np.array(names, dtype=str), counts)
+
+    def later(self, seconds: float) -> StripSightings:
+        """The strip with all its instants so much later."""
+        return replace(
+            self,
+            exposures=tuple(replace(one, t_s=one.t_s + seconds) for one in self.exposures),
+            ground=replace(self.ground, t_s=self.ground.t_s + seconds),
+            others=tuple(replace(one, t_s=one.t_s + seconds) for one in self.others),
+        )
 
     def __post_init__(self) -> None:
         times = [exposure.t_s for exposure in self.exposures]
@@ -169,6 +226,17 @@ class StripSightings:
             counts = np.diff(self.attitudes.start).tolist()
             if counts != [len(exposure.hip) for exposure in self.exposures]:
                 raise ValueError(f"strip {self.strip_id}: `attitudes` are not those of its exposures")
+
+
+def rotations_together(parts: Sequence[Rotation]) -> Rotation:
+    """Rotations of several arrays, one after another; of one array itself."""
+    full = [part for part in parts if len(part)]
+    return Rotation.concatenate(full) if len(full) > 1 else (full or parts)[0]
+
+
+def _columns(kind: type) -> list[str]:
+    """Names of a record's arrays."""
+    return [field.name for field in fields(kind) if shape_of(field) is not None]
 
 
 def exposure_without_stars(exposure_id: str, t_s: float) -> StarSightings:

@@ -3,8 +3,8 @@ paper's Table 1.
 
 From a plan to `StripSightings` and their truth, or to `VectorSets`; no images. A circular orbit over an Earth
 at rest, nadir pointing with waves on all three axes, a line scanner whose rows have their own times.
-Frames: i inertial, o orbital (x along the velocity, z to nadir), c = o but for the waves, s by the
-installation matrix. SI units, radians.
+Strips follow one another; each has an orbit of its own, drawn anew. Frames: i inertial, o orbital (x along
+the velocity, z to nadir), c = o but for the waves, s by the installation matrix. SI units, radians.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ __all__ = [
     "looks_across",
     "noisy",
     "noisy_frames",
+    "strip_every_s",
     "unit",
     "vibration",
 ]
@@ -45,6 +46,9 @@ Array = NDArray[np.float64]
 # the orbit's angular momentum) to the orbital frame o (x along the flight, y against the momentum, z to
 # nadir).
 _R_AT_NODE = Rotation.from_matrix([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+
+
+PAUSE_S = 60.0  # between the exposures of one strip and those of the next (set by hand)
 
 
 def installation_by_tilt(from_zenith_rad: float, about_boresight_rad: float = 0.0) -> Rotation:
@@ -147,7 +151,8 @@ def draw_strips(
     for n in range(plan.strips):
         if plan.distortion_scope == "strip":
             curve = DistortionCurve.draw(plan, cameras, rng)
-        drawn.append(_draw_strip(f"strip{n:04d}", plan, cameras, curve, survey_i, rng))
+        begin_s = n * strip_every_s(plan)
+        drawn.append(_draw_strip((f"strip{n:04d}", begin_s), plan, cameras, curve, survey_i, rng))
     return [strip for strip, _ in drawn], StripTruth(
         cameras.R_cs,
         frozenset().union(*(truth.wrong_stars for _, truth in drawn)),
@@ -156,6 +161,11 @@ def draw_strips(
         tuple(look_c for _, truth in drawn for look_c in truth.look_c),
         tuple(motion for _, truth in drawn for motion in truth.motion),
     )
+
+
+def strip_every_s(plan: StripPlan) -> float:
+    """Time from the beginning of one strip of a campaign to that of the next."""
+    return plan.duration_s + 2.0 * plan.exposure_margin_s + PAUSE_S
 
 
 def draw_frames(
@@ -215,6 +225,7 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
 class DrawnStripMotion:
     """Circular orbit and waves of one strip."""
 
+    begin_s: float  # of the strip: zero of the angles
     radius_m: float
     rate: float  # rad/s
     R_ie: Rotation  # orbit's axes (x to the node, z along the orbit's normal) to i
@@ -223,10 +234,11 @@ class DrawnStripMotion:
     phase: Array  # (3,)
 
     @classmethod
-    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> DrawnStripMotion:
+    def draw(cls, plan: StripPlan, begin_s: float, rng: np.random.Generator) -> DrawnStripMotion:
         """A motion of one strip drawn at random."""
         radius = WGS84.semi_major_m + plan.height_m
         return cls(
+            begin_s,
             radius,
             float(np.sqrt(GM_EARTH / radius**3)),
             Rotation.identity() if plan.same_targets else Rotation.random(rng=rng),
@@ -237,23 +249,24 @@ class DrawnStripMotion:
 
     def position_i(self, t: Array) -> Array:
         """Positions (N, 3) of the satellite, frame i, m, at instants (N,), s."""
-        angle = self.rate * t
-        return self.R_ie.apply(self.radius_m * np.column_stack([np.cos(angle), np.sin(angle), 0 * t]))
+        angle = self.rate * (t - self.begin_s)
+        return self.R_ie.apply(self.radius_m * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]))
 
     def velocity_i(self, t: Array) -> Array:
         """Velocities (N, 3), frame i, m/s."""
-        angle = self.rate * t
+        angle = self.rate * (t - self.begin_s)
         speed = self.radius_m * self.rate
-        return self.R_ie.apply(speed * np.column_stack([-np.sin(angle), np.cos(angle), 0 * t]))
+        return self.R_ie.apply(speed * np.column_stack([-np.sin(angle), np.cos(angle), 0 * angle]))
 
     def R_oi(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the orbital frame."""
-        from_node = Rotation.from_rotvec(np.outer(-self.rate * t, [0.0, 0.0, 1.0]))
+        from_node = Rotation.from_rotvec(np.outer(-self.rate * (t - self.begin_s), [0.0, 0.0, 1.0]))
         return _R_AT_NODE * from_node * self.R_ie.inv()
 
     def R_co(self, t: Array) -> Rotation:
         """Rotations (N,) from the orbital frame to the remote-sensing camera, without vibration."""
-        return Rotation.from_rotvec(self.amplitude * np.sin(self.omega * t[:, None] + self.phase))
+        waves = np.sin(self.omega * (t - self.begin_s)[:, None] + self.phase)
+        return Rotation.from_rotvec(self.amplitude * waves)
 
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
@@ -297,19 +310,21 @@ class DistortionCurve:
 
 
 def _draw_strip(
-    name: str,
+    begins: tuple[str, float],
     plan: StripPlan,
     cameras: CameraPair,
     curve: DistortionCurve,
     survey_i: Array | None,
     rng: np.random.Generator,
 ) -> tuple[StripSightings, StripTruth]:
-    motion, margin = DrawnStripMotion.draw(plan, rng), plan.exposure_margin_s
-    t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
+    (name, begin_s), margin = begins, plan.exposure_margin_s
+    motion = DrawnStripMotion.draw(plan, begin_s, rng)
+    since: Array = np.linspace(-margin, plan.duration_s + margin, plan.exposures, dtype=np.float64)
+    t_stars = begin_s + since
     R_oi_stars = motion.R_oi(t_stars)
     R_ci_stars = motion.R_co(t_stars) * R_oi_stars
     exposures, wrong_stars = draw_exposures(name, t_stars, plan, cameras, R_ci_stars, rng)
-    t = plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+    t = begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
     R_oi = motion.R_oi(t)
     rows = t, R_oi, motion.R_co(t) * R_oi
     ground, wrong_rows, look_c = _draw_targets(name, rows, plan, cameras, motion, (curve, survey_i), rng)
@@ -373,7 +388,7 @@ def _draw_targets(
     ccd, sample, u_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
     R_ci_true = R_ci if np.array_equal(t_true, t) else motion.R_ci(t_true)
-    R_ic = (Rotation.from_rotvec(vibration(t, plan, rng)) * R_ci_true).inv()
+    R_ic = (Rotation.from_rotvec(vibration(t - motion.begin_s, plan, rng)) * R_ci_true).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
@@ -392,7 +407,7 @@ def _draw_targets(
     ground = GroundSightings(
         target_id=np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
         ccd=ccd,
-        xy_px=np.column_stack([sample, t]),
+        xy_px=np.column_stack([sample, t - motion.begin_s]),
         t_s=t,
         u_c=measured,
         u_i=(known_i - recorded_i) / range_m[:, None],

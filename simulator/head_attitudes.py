@@ -94,7 +94,8 @@ def _attitudes(
 ) -> tuple[Array, Rotation]:
     """Instants (K,) and measured attitudes (K,), GCRS to the head."""
     begin, end = -head.margin_s, duration_s + head.margin_s
-    t_s: Array = np.arange(begin, end + 1e-9, head.step_s, dtype=np.float64) + head.shift_s
+    since: Array = np.arange(begin, end + 1e-9, head.step_s, dtype=np.float64) + head.shift_s
+    t_s = motion.begin_s + since
     noise = head.noise
     error = noise.white_rad * rng.standard_normal((len(t_s), 3)) + noise.constant_rad * rng.standard_normal(3)
     error += correlated_noise(noise.correlated_rad, noise.correlation_time_s, len(t_s), head.step_s, rng)

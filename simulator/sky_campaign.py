@@ -2,7 +2,8 @@
 
 The satellite turns at a constant rate about an axis of the remote-sensing camera, with waves on all axes, so
 that stars move along the columns as the ground does; a rate of the other sign scans backwards. No position of
-the satellite, no refraction, no map has a part in it. SI units, radians.
+the satellite, no refraction, no map has a part in it. The scans lie before t = 0, where a campaign of the
+ground begins. SI units, radians.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from boresight.simulator.campaign import (
     draw_exposures,
     looks_across,
     noisy,
+    strip_every_s,
     unit,
     vibration,
 )
@@ -34,16 +36,20 @@ Array = NDArray[np.float64]
 class DrawnSkyScan:
     """Attitude of the remote-sensing camera during a scan: a constant rate and waves."""
 
-    R_ci0: Rotation  # nominal attitude at t = 0
+    begin_s: float  # of the scan
+    R_ci0: Rotation  # nominal attitude there
     rate_c: Array  # (3,) of the camera about its axes, rad/s
     amplitude: Array  # (3,)
     omega: Array  # (3,)
     phase: Array  # (3,)
 
     @classmethod
-    def draw(cls, plan: StripPlan, rate_rad_s: float, rng: np.random.Generator) -> DrawnSkyScan:
+    def draw(
+        cls, plan: StripPlan, begin_s: float, rate_rad_s: float, rng: np.random.Generator
+    ) -> DrawnSkyScan:
         """A scan of a field drawn at random, about the axis y of frame c."""
         return cls(
+            begin_s,
             Rotation.random(rng=rng),
             np.array([0.0, rate_rad_s, 0.0]),
             rng.uniform(*plan.wave_rad, 3),
@@ -53,11 +59,11 @@ class DrawnSkyScan:
 
     def R_oi(self, t: Array) -> Rotation:
         """Nominal attitudes (N,) at instants (N,), s."""
-        return Rotation.from_rotvec(-np.outer(t, self.rate_c)) * self.R_ci0
+        return Rotation.from_rotvec(-np.outer(t - self.begin_s, self.rate_c)) * self.R_ci0
 
     def R_ci(self, t: Array) -> Rotation:
         """Attitudes (N,) with the waves, without vibration."""
-        waves = self.amplitude * np.sin(self.omega * t[:, None] + self.phase)
+        waves = self.amplitude * np.sin(self.omega * (t - self.begin_s)[:, None] + self.phase)
         return Rotation.from_rotvec(waves) * self.R_oi(t)
 
 
@@ -75,13 +81,12 @@ def draw_sky_strips(
     `curve` the camera's distortion; None: drawn here.
     """
     curve = curve or DistortionCurve.draw(plan, cameras, rng)
-    rates = [rates_rad_s[n % len(rates_rad_s)] for n in range(plan.strips)]
-    return [
-        _draw_strip(
-            f"sky{n:04d}", plan, DrawnSkyScan.draw(plan, rate, rng), cameras, curve, sigma_star_rad, rng
-        )
-        for n, rate in enumerate(rates)
-    ]
+    strips = []
+    for n in range(plan.strips):
+        begin_s, rate = -(n + 1) * strip_every_s(plan), rates_rad_s[n % len(rates_rad_s)]
+        scan = DrawnSkyScan.draw(plan, begin_s, rate, rng)
+        strips.append(_draw_strip(f"sky{n:04d}", plan, scan, cameras, curve, sigma_star_rad, rng))
+    return strips
 
 
 def _draw_strip(
@@ -94,12 +99,13 @@ def _draw_strip(
     rng: np.random.Generator,
 ) -> StripSightings:
     margin, J = plan.exposure_margin_s, plan.targets
-    t_stars = np.asarray(np.linspace(-margin, plan.duration_s + margin, plan.exposures), dtype=np.float64)
+    since: Array = np.linspace(-margin, plan.duration_s + margin, plan.exposures, dtype=np.float64)
+    t_stars = scan.begin_s + since
     exposures, _ = draw_exposures(name, t_stars, plan, cameras, scan.R_ci(t_stars), rng)
-    t = plan.duration_s * np.sort(rng.uniform(*plan.along, J))
+    t = scan.begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, J))
     ccd, sample, true_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
-    R_ic = (Rotation.from_rotvec(vibration(t, plan, rng)) * scan.R_ci(t_true)).inv()
+    R_ic = (Rotation.from_rotvec(vibration(t - scan.begin_s, plan, rng)) * scan.R_ci(t_true)).inv()
     catalogue_i = noisy(R_ic.apply(true_c), sigma_star_rad, rng)
     seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
     sigma = plan.sigma_c_px * cameras.pixel_rad
@@ -107,7 +113,7 @@ def _draw_strip(
     stars = GroundSightings(
         target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
         ccd=ccd,
-        xy_px=np.column_stack([sample, t]),
+        xy_px=np.column_stack([sample, t - scan.begin_s]),
         t_s=t,
         u_c=measured,
         u_i=catalogue_i,

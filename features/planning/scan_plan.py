@@ -40,6 +40,7 @@ from boresight.simulator.motion import acceleration
 __all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]
 
 TRIES = 200  # pointings drawn for one candidate
+APART_S = 1e4  # between candidates where they are compared: longer than any scan
 COMPARED = 5  # pointings clear of the bodies whose stars are counted: that with most is the candidate
 FIELD_RAD = 0.012  # half-angle of the cone in which they are counted
 # Steps of finding when a star crosses the detector (set by hand).
@@ -168,7 +169,8 @@ def choose_scans(
             f"{len(found)} of {settings.candidates} candidates hold stars, clear of Sun, Moon and Earth; "
             f"{settings.count} are needed; more candidates or hours, fainter stars or smaller angles help"
         )
-    pairs, prior = strip_pairs([strip for _, strip in found], cameras.R_cs, errors)
+    apart = [strip.later(n * APART_S) for n, (_, strip) in enumerate(found)]  # candidates share no error
+    pairs, prior = strip_pairs(apart, cameras.R_cs, errors)
     half = 0.5 * sum(cameras.line.n_px(c) for c in range(cameras.line.n_ccds)) * cameras.line.pixel_rad
     weight = np.array([1.0, 1.0, half**2 / 3.0])  # variance of looks, mean over the field
     place = {name: k for k, name in enumerate(pairs.names.tolist())}

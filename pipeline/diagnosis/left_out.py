@@ -7,12 +7,11 @@ expects it, a target that contradicts its strip, a CCD that only a search of its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from boresight.geometry.ledger import Entry
-from boresight.geometry.record import shape_of
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 
@@ -39,13 +38,7 @@ def _joined(strip: StripSightings, more: StripSightings) -> StripSightings:
     new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=np.int64)
     if not len(new):
         return strip
-    names = [field.name for field in fields(GroundSightings) if shape_of(field) is not None]
-    ground = GroundSightings(
-        **{
-            name: np.concatenate([getattr(strip.ground, name), getattr(more.ground, name)[new]])
-            for name in names
-        }
-    )
+    ground = GroundSightings.together([strip.ground, more.ground.take(new)])
     R_oi = strip.R_oi_targets.concatenate([strip.R_oi_targets, more.R_oi_targets[new]])
     return replace(strip, ground=ground, R_oi_targets=R_oi)
 

@@ -150,6 +150,10 @@ class Files(_Strict):
 
 MotionSize = Annotated[float, Field(ge=0.0, le=3600.0, description="slow motion, rms per axis, arc-seconds")]
 MotionTime = Annotated[float, Field(ge=1e-3, le=1e3, description="time over which it is smooth, s")]
+CorrelationTime = Annotated[
+    float,
+    Field(ge=0.0, le=1e7, description="time after which the error has the correlation 1/e, s; 0: a pass"),
+]
 OF_LOOK_DISTORTION = 0.2  # a CCD's own shift, slope and bend, where not stated: NEES in band for either kind
 OfCcd = Annotated[float, Field(ge=0.0, le=1e3, description="look vectors of one CCD, per axis, rms, pixels")]
 
@@ -158,7 +162,9 @@ class Errors(_Strict):
     """Errors of the mission's own data, each as 1-sigma of a zero-mean error."""
 
     position_m: float = within(0.0, 1e5, "orbit, per axis and strip, m; a two-line element set has some km")
+    position_time_s: CorrelationTime = 0.0
     clock_s: float = within(0.0, 10.0, "time tags of the strips against those of the exposures, s")
+    clock_time_s: CorrelationTime = 0.0
     vibration_arcsec: float = within(0.0, 3600.0, "attitude between exposures, per axis, arc-seconds")
     motion_arcsec: MotionSize = 6.0  # oscillations of 3 to 12 arcsec, the paper's Fig. 4
     motion_s: MotionTime = 0.8  # of periods of 3 to 7 s

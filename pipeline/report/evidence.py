@@ -36,6 +36,7 @@ from boresight.calib.finding import Finding
 from boresight.calib.information import solve_total
 from boresight.calib.noise_spectrum import allan_deviation
 from boresight.calib.settings import CalibrationSettings
+from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
@@ -249,16 +250,15 @@ def _fingerprint(path: Path, name: str) -> tuple[str, int, str]:
 
 
 def _convergence(calibration: DumpCalibration) -> pa.Table:
-    """theta (rad, relative to the final matrix) and 1-sigma after each further strip in time order; NaN and
+    """theta (rad, relative to the final matrix) and 1-sigma after each further pass in time order; NaN and
     infinity while theta is not observable.
     """
     estimate = calibration.estimate
     pairs = estimate.pairs
     order = [strip.strip_id for strip in calibration.strips if strip.strip_id in set(pairs.names.tolist())]
     row = {name: n for n, name in enumerate(pairs.names.tolist())}
-    count = {
-        strip.strip_id: (len(strip.exposures), len(strip.ground.target_id)) for strip in calibration.strips
-    }
+    passes = passes_of(calibration.strips)
+    count = {one.strip_id: (len(one.exposures), len(one.ground.target_id)) for one in passes}
     F, F_theta = np.zeros(pairs.F.shape[1:]), np.zeros(pairs.F_theta.shape[1:])
     theta, sigma, frames, targets = [], [], [], []
     limit = calibration.settings.sigma_observable_rad

@@ -107,7 +107,9 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
     shift, slope, bend = (one * camera.pixel_rad for one in errors.look_ccd_px)
     stated: dict[str, Any] = {
         "sigma_position_m": errors.position_m,
+        "position_time_s": errors.position_time_s,
         "sigma_clock_s": errors.clock_s,
+        "clock_time_s": errors.clock_time_s,
         "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
         "sigma_motion_rad": errors.motion_arcsec * ARCSEC,
         "motion_time_s": errors.motion_s,

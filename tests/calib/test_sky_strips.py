@@ -70,7 +70,9 @@ def test_the_row_clock_moves_a_star_by_the_rate_of_the_scan():
 
 
 def copies(strip, n, sigma_star_rad, rng):
-    """One scan n times: the noise is new each time, the errors of the star catalogue are the same."""
+    """One scan n times, a minute apart: the noise is new each time, the errors of the star catalogue are the
+    same.
+    """
     known = strip.ground.u_i + sigma_star_rad * rng.standard_normal(strip.ground.u_i.shape)
     known /= np.linalg.norm(known, axis=1, keepdims=True)
     stated = isotropic_covariance(known, sigma_star_rad)
@@ -78,7 +80,7 @@ def copies(strip, n, sigma_star_rad, rng):
         seen = strip.ground.u_c + 5e-8 * rng.standard_normal(strip.ground.u_c.shape)
         seen /= np.linalg.norm(seen, axis=1, keepdims=True)
         ground = replace(strip.ground, u_i=known, u_c=seen, cov_target_i=stated)
-        yield replace(strip, strip_id=f"copy{k}", ground=ground)
+        yield replace(strip, strip_id=f"copy{k}", ground=ground).later(60.0 * k)
 
 
 @pytest.mark.parametrize(("most", "honest"), [(100, True), (0, False)])

@@ -38,7 +38,7 @@ def one_instant(strip: StripSightings) -> StripSightings:
     """
     exposure, ground = strip.exposures[0], strip.ground
     R_oi = strip.R_oi_exposures[:1]
-    same = replace(ground, t_s=np.zeros(len(ground.t_s)))
+    same = replace(ground, t_s=np.full(len(ground.t_s), exposure.t_s))
     return replace(
         strip,
         exposures=(exposure,),

@@ -1,0 +1,121 @@
+"""Errors of the satellite that last longer than a pass: position and clock as processes in time.
+
+Where the mission states a correlation time T, the errors at two instants have the correlation
+exp(-|t - t'| / T), whatever pass the instants are of; those of the position are independent along the track,
+across it and in height. Passes that are still correlated are eliminated together. Where it is not stated, an
+error is constant over a pass and independent from pass to pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from boresight.calib.heads import HeadTie
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.strips import PreparedStrip
+from boresight.geometry.record import Floats, Ints, shape_of
+from boresight.geometry.sightings import ExposureAttitudes
+
+__all__ = ["correlated_passes"]
+
+REACH = 4.6  # correlation times between two passes from which on their correlation is below a hundredth
+NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
+
+
+def correlated_passes(
+    prepared: Sequence[PreparedStrip], settings: CalibrationSettings
+) -> list[tuple[PreparedStrip, list[int]]]:
+    """Passes that are eliminated together, joined to one, and which of `prepared` they are."""
+    longest = max(settings.position_time_s, settings.clock_time_s)
+    groups: list[list[int]] = []
+    before: tuple[str, str, float] = "", "", -np.inf
+    for n in sorted(range(len(prepared)), key=lambda n: (*_shared(prepared[n]), *_span_s(prepared[n]), n)):
+        one, (first, last) = _shared(prepared[n]), _span_s(prepared[n])
+        if not longest or one != before[:2] or not first - before[2] <= REACH * longest:
+            groups.append([])
+        groups[-1].append(n)
+        before = *one, max(last, before[2]) if one == before[:2] else last
+    groups = sorted(sorted(group) for group in groups)
+    return [(_together([prepared[n] for n in group], settings), group) for group in groups]
+
+
+def _shared(one: PreparedStrip) -> tuple[str, str]:
+    """What passes that are joined have in common."""
+    return one.carrier, one.earth
+
+
+def _span_s(one: PreparedStrip) -> tuple[float, float]:
+    return float(min(one.t_s, default=np.inf)), float(max(one.t_s, default=np.inf))
+
+
+def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> PreparedStrip:
+    """Passes as one, each with attitudes of its own."""
+    if not (settings.position_time_s or settings.clock_time_s):
+        (alone,) = passes
+        return alone
+    number = np.repeat(np.arange(len(passes)), [len(one.t_s) for one in passes])
+    columns = (f.name for f in fields(PreparedStrip) if (shape_of(f) or ("",))[0] == "J")
+    joined = {
+        name: np.concatenate([getattr(one, name) for one in passes])
+        for name in columns
+        if name not in ("weights", "shared_s")
+    }
+    t_s = joined["t_s"]
+    position = _process(settings.sigma_position_m * joined["move_s"], t_s, settings.position_time_s, number)
+    clock = _process(
+        settings.sigma_clock_s * joined["late_s"][:, :, None], t_s, settings.clock_time_s, number
+    )
+    phi = _blocks([one.shared_s[:, :, : one.n_phi] for one in passes])
+    motion = _blocks([one.shared_s[:, :, one.n_phi : -4] for one in passes])
+    names = [name for one in passes for name in one.unknowns[: one.n_phi]]
+    names += [name for one in passes for name in one.unknowns[one.n_phi : -4]]
+    names += [f"position/{n}" for n in range(position.shape[2])] + [
+        f"clock/{n}" for n in range(clock.shape[2])
+    ]
+    return replace(
+        passes[0],
+        **joined,
+        attitudes=ExposureAttitudes.together([one.attitudes for one in passes]),
+        used=np.concatenate([one.used for one in passes]),
+        weights=_blocks([one.weights[:, None] for one in passes])[:, 0],
+        shared_s=np.concatenate([phi, motion, position, clock], axis=2),
+        unknowns=tuple(names),
+        ties=_ties(passes),
+        n_phi=phi.shape[2],
+    )
+
+
+def _process(columns: Floats, t_s: Floats, time_s: float, number: Ints) -> Floats:
+    """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
+    instant, (J, 3, A): its M independent parts of unit variance.
+    """
+    if time_s:
+        values, vectors = np.linalg.eigh(np.exp(-np.abs(t_s[:, None] - t_s) / time_s))
+        large = values > NO_EFFECT * values[-1:]
+        root = vectors[:, large] * np.sqrt(values[large])
+    else:
+        root = (number[:, None] == np.unique(number)).astype(float)
+    return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def _blocks(parts: Sequence[Floats]) -> Floats:
+    """Columns (J, A, m) of passes by themselves as columns (sum J, A, sum m) of all."""
+    out = np.zeros((sum(len(one) for one in parts), parts[0].shape[1], sum(one.shape[2] for one in parts)))
+    row = column = 0
+    for one in parts:
+        out[row : row + len(one), :, column : column + one.shape[2]] = one
+        row, column = row + len(one), column + one.shape[2]
+    return out
+
+
+def _ties(passes: Sequence[PreparedStrip]) -> tuple[HeadTie, ...]:
+    """Rows of the other heads, by the attitude unknowns of all passes."""
+    ties, before, n_phi = [], 0, sum(one.n_phi for one in passes)
+    for one in passes:
+        after = n_phi - before - one.n_phi
+        ties += [replace(tie, by_phi=np.pad(tie.by_phi, ((0, 0), (before, after)))) for tie in one.ties]
+        before += one.n_phi
+    return tuple(ties)

@@ -1,0 +1,161 @@
+"""Strips that the satellite took at the same time, as one pass.
+
+Such strips (of CCDs with clocks of their own, of bands, pieces of a long strip) see the same attitudes, the
+same position and the same clock. How they are cut and named is bookkeeping: their errors are eliminated once,
+and each exposure counts once, whichever strips list it. Strips are of one pass where the spans of their
+exposures overlap or touch, at most one and a half steps of the exposures apart; errors of the satellite are
+constant over a pass, and independent from pass to pass. A strip around which the reference head has no
+exposure is of the pass whose exposures cover it; else another head carries it (`heads`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from boresight.calib.moved_input import MovedInput
+from boresight.geometry.record import Floats, Ints
+from boresight.geometry.sightings import (
+    ExposureAttitudes,
+    GroundSightings,
+    HeadAttitudes,
+    StripSightings,
+    rotations_together,
+)
+
+__all__ = ["groups_of", "moved_in_passes", "passes_of"]
+
+REACH_STEPS = 0.75  # beyond the first and last exposure of a strip, within which another strip touches it
+REACH_S = 0.5  # the same of one exposure alone: it covers half a second (`strips`)
+INSTANT_S = 1e-9  # exposures of one instant: two dumps count seconds from epochs of their own
+
+Span = tuple[float, float]
+
+
+def passes_of(strips: Sequence[StripSightings]) -> list[StripSightings]:
+    """The passes of strips with attitudes, each with the id of its first strip, in order of ids. A strip by
+    itself stays what it is.
+
+    Raises `ValueError` where strips of one pass list exposures of one instant that differ.
+    """
+    return sorted(map(_joined, groups_of(strips)), key=lambda strip: strip.strip_id)
+
+
+def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:
+    """The strips of each pass."""
+    groups: list[list[StripSightings]] = []
+    for carrier in sorted({strip.carrier for strip in strips}):
+        seen = [strip for strip in strips if strip.exposures and strip.carrier == carrier]
+        groups += _touching(seen, [_reach_s(_times(strip)) for strip in seen])
+    covered = [_reach_s(np.unique(np.concatenate([_times(one) for one in group]))) for group in groups]
+    blind: list[StripSightings] = []
+    for strip in strips:
+        if strip.exposures:
+            continue
+        by = [group for group, span in zip(groups, covered) if _is_within(strip.ground.t_s, span)]
+        (by[0] if by else blind).append(strip)
+    return groups + _touching(blind, [_reach_s(_times_of_others(strip)) for strip in blind])
+
+
+def moved_in_passes(
+    moved: MovedInput, strips: Sequence[StripSightings], passes: Sequence[StripSightings]
+) -> MovedInput:
+    """What a moved input does, pass by pass, from what it does strip by strip."""
+    by_id = {strip.strip_id: strip for strip in strips}
+    directions, turns = dict(moved.directions_i), dict(moved.turns_s)
+    for one in passes:
+        members = [by_id[name] for name, _ in one.parts]
+        if any(strip.strip_id in directions for strip in members):
+            own = [directions.get(s.strip_id, np.zeros((len(s.ground.t_s), 3))) for s in members]
+            directions[one.strip_id] = np.concatenate(own)
+        if any(strip.strip_id in turns for strip in members):
+            own = [turns.get(s.strip_id, np.zeros((len(s.exposures), 3))) for s in members]
+            rows = _first_of_each(np.concatenate([_times(strip) for strip in members]))
+            turns[one.strip_id] = np.concatenate(own)[rows]
+    return replace(moved, directions_i=directions, turns_s=turns)
+
+
+def _touching(strips: Sequence[StripSightings], spans: Sequence[Span]) -> list[list[StripSightings]]:
+    """Groups of strips whose spans overlap."""
+    groups: list[list[StripSightings]] = []
+    end = -np.inf
+    for n in sorted(range(len(strips)), key=lambda n: (spans[n], strips[n].strip_id)):
+        if spans[n][0] > end or np.isinf(end):
+            groups.append([])
+        groups[-1].append(strips[n])
+        end = max(end, spans[n][1])
+    return groups
+
+
+def _times(strip: StripSightings) -> Floats:
+    return np.array([exposure.t_s for exposure in strip.exposures])
+
+
+def _times_of_others(strip: StripSightings) -> Floats:
+    """Instants of the other heads' attitudes; without any, those of the targets."""
+    times = np.unique(np.concatenate([np.zeros(0), *(other.t_s for other in strip.others)]))
+    return times if len(times) else np.unique(strip.ground.t_s)
+
+
+def _reach_s(times: Floats) -> Span:
+    """Span within which another strip touches one with exposures at `times` (K,), increasing."""
+    if not len(times):
+        return np.inf, np.inf
+    reach = REACH_STEPS * float(np.diff(times).max()) if len(times) > 1 else REACH_S
+    return float(times[0]) - reach, float(times[-1]) + reach
+
+
+def _is_within(t_s: Floats, span: Span) -> bool:
+    return bool(len(t_s) and span[0] <= t_s.min() and t_s.max() <= span[1])
+
+
+def _joined(strips: list[StripSightings]) -> StripSightings:
+    """Strips of one pass as one: all targets, in order of the strips' ids, and every exposure once."""
+    if len(strips) == 1:
+        return strips[0]
+    strips = sorted(strips, key=lambda strip: strip.strip_id)
+    listed = [exposure for strip in strips for exposure in strip.exposures]
+    rows = _first_of_each(np.array([exposure.t_s for exposure in listed]))
+    _check_same(strips, rows)
+    heads = sorted({other.head for strip in strips for other in strip.others})
+    return replace(
+        strips[0],
+        exposures=tuple(listed[n] for n in rows),
+        ground=GroundSightings.together([strip.ground for strip in strips]),
+        R_oi_exposures=rotations_together([strip.R_oi_exposures for strip in strips])[rows],
+        R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
+        attitudes=ExposureAttitudes.together([_attitudes(strip) for strip in strips]).take(rows),
+        others=tuple(_record_of(head, strips) for head in heads),
+        parts=tuple((strip.strip_id, len(strip.ground.t_s)) for strip in strips),
+    )
+
+
+def _attitudes(strip: StripSightings) -> ExposureAttitudes:
+    assert strip.attitudes is not None
+    return strip.attitudes
+
+
+def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:
+    """Attitudes of one head around strips, each once."""
+    record = HeadAttitudes.together([one for strip in strips for one in strip.others if one.head == head])
+    return record.take(_first_of_each(record.t_s))
+
+
+def _first_of_each(t_s: Floats) -> Ints:
+    """Rows, in order of time, of the first that has each instant."""
+    return np.asarray(np.unique(np.round(t_s / INSTANT_S), return_index=True)[1], dtype=np.int64)
+
+
+def _check_same(strips: Sequence[StripSightings], rows: Ints) -> None:
+    """`ValueError` where exposures of one instant hold other stars."""
+    listed = [(strip.strip_id, exposure) for strip in strips for exposure in strip.exposures]
+    first = {round(listed[n][1].t_s / INSTANT_S): listed[n] for n in rows}
+    for strip_id, exposure in listed:
+        other_id, other = first[round(exposure.t_s / INSTANT_S)]
+        if exposure is not other and not np.array_equal(exposure.u_s, other.u_s):
+            raise ValueError(
+                f"exposure {exposure.exposure_id} of strip {strip_id} and {other.exposure_id} of strip "
+                f"{other_id} are of one instant, {exposure.t_s:.6f} s, and hold other stars"
+            )
