@@ -402,7 +402,7 @@ def images(options: argparse.Namespace) -> None:
     from image_mutants import FORMATS, differs, mutated
 
     from boresight.pipeline.errors import RawDataError
-    from boresight.pipeline.files.star_images import read_star_image
+    from boresight.pipeline.files.images.star_images import read_star_image
 
     found: Counter[str] = Counter()
     longest_s, formats = 0.0, options.only or list(FORMATS)
