@@ -399,10 +399,10 @@ IMAGE_S = 2.0  # processor time of one file
 
 def images(options: argparse.Namespace) -> None:
     """Damaged images of each format in one process: no file may end it."""
-    from boresight.pipeline.files.star_images import read_star_image
     from image_mutants import FORMATS, differs, mutated
 
     from boresight.pipeline.errors import RawDataError
+    from boresight.pipeline.files.images.star_images import read_star_image
 
     found: Counter[str] = Counter()
     longest_s, formats = 0.0, options.only or list(FORMATS)

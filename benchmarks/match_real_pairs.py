@@ -1,6 +1,6 @@
 """Matching on real pairs of dates: two of Sentinel-2, five years of NAIP.
 
-    python benchmarks/match_real_pairs.py
+    python benchmarks/match_real_pairs.py [--votes 10]
 
 Sentinel-2: chips of one date in the other, around the known offset, beside peers; the figure is the scatter
 about a robust affine fit. NAIP: one place in five years, water levels and crops changed. The common offset
@@ -18,7 +18,7 @@ import numpy as np
 import rasterio
 from match_peers import MARGIN, METHODS, SETTINGS, Array, Outcome, located
 from numpy.typing import NDArray
-from record import SHARED, exit_status, head, judge_largest, judge_share, not_run, verdict
+from record import SHARED, arguments_of, exit_status, head, judge_largest, judge_share, not_run, verdict
 from rendered_pairs import Pair
 
 from boresight.features.targets.suggest import suggest_targets
@@ -37,12 +37,13 @@ Place = tuple[int, int]
 
 
 def main() -> None:
+    votes = arguments_of(__doc__, ("--votes", 10, "of each pair of years of NAIP, in wrong windows")).votes
     if not (SHARED / "pairs").is_dir():
         not_run("the pairs of dates are not there (shared/data/pairs)")
     head("Matching on real pairs of dates")
     cv2.setNumThreads(1)
     sentinel()
-    naip()
+    naip(votes)
 
 
 def sentinel() -> None:
@@ -118,7 +119,7 @@ def _scatter(places: list[tuple[int, int]], outcomes: list[Outcome]) -> tuple[in
     return len(kept), rms, float(1.0 - good.mean()), float(np.mean(nees)) if nees else float("nan")
 
 
-def naip() -> None:
+def naip(votes: int) -> None:
     """Five years: the common offset of six chips in a wide window, then fine matches and their closure."""
     images, corner = {}, {}
     for path in sorted((SHARED / "pairs").glob("naip_*.tif")):
@@ -129,12 +130,14 @@ def naip() -> None:
     true = {(one, two): corner[one] - corner[two] for one, two in combinations(images, 2)}
     rng = np.random.default_rng(5)
     print(f"NAIP, {len(images)} years, {len(true)} pairs, {SIZE} px chips, searched ± {REACH} px")
-    _offsets(images, true, rng)
-    _chance(images, true, rng)
+    _offsets(images, true, rng, votes)
+    _chance(images, true, rng, votes)
     _fine(images, true)
 
 
-def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator) -> None:
+def _offsets(
+    images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator, votes: int
+) -> None:
     """Six chips in windows that hold them."""
     chosen, anywhere = [], []
     for (one, two), offset in true.items():
@@ -142,7 +145,7 @@ def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.
         good = suggest_targets(a, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0), a > 0.0, size_px=SIZE, most=6)
         places = [(int(t.column) - SIZE // 2, int(t.row) - SIZE // 2) for t in good]
         chosen.append(_judged(_common_offset(a, b, places), offset))
-        for _ in range(20):
+        for _ in range(votes // 2):
             places = _anywhere(a, b, rng)
             anywhere.append(_judged(_common_offset(a, b, places), offset))
     for text, found in (("that `targets suggest` names", chosen), ("anywhere", anywhere)):
@@ -155,10 +158,10 @@ def _offsets(images: Images, true: dict[tuple[str, str], Array], rng: np.random.
     judge_share("NAIP: wrong offsets accepted", every.count("wrong"), len(every), most=0.0)
 
 
-def _chance(images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator) -> None:
+def _chance(images: Images, true: dict[tuple[str, str], Array], rng: np.random.Generator, votes: int) -> None:
     """Six chips in windows that do not hold them: is a vote's probability of chance what it says?"""
     stated = []
-    for one, two in list(true) * 40:
+    for one, two in list(true) * votes:
         a, b = images[one], images[two]
         aside = np.array([int(rng.choice([-1, 1]) * rng.integers(250, 400)), 0])
         places = [p for p in _anywhere(a, b, rng, 60) if 0 <= p[0] + aside[0] < b.shape[1] - SIZE][:6]

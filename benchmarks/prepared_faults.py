@@ -124,7 +124,7 @@ FAULTS = (  # name, what was done, how, words of the page, target whose card is 
           ("chip", "s02-t05", "m east of the true place", "Consistent, findings"), "s02-t05"),
     Fault("cloud", "cloud over the middle of CCD 1 and 2 of s01", cloud, ("Cloud", "strip s01"), "s01-t06"),
     Fault("height-kind", "heights above EGM96 as ellipsoidal", height_kind,
-          ("Kind of height", "targets.csv")),
+          ("Kind of height", "check height_kind")),
     Fault("mirrored", "star images mirrored left to right", mirrored, ("mirrored",)),
     Fault("clock", "rows of s02 dated 20 ms late", clock, ("Clock of the rows", "strip s02")),
     Fault("dead-ccd", "CCD 2 delivers one grey value", dead_ccd, ("Dead detector", "CCD 2")),

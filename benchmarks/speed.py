@@ -36,13 +36,13 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(record.ROOT / "tests"))
 
-from boresight.pipeline.files.star_images import read_star_image
 from frames import PAPER_CAMERA, Sensor, star_frame
 
 from boresight.calib.reliability import Reliability
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files import content
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.star_id.catalogue import hipparcos_stars
 
 MINI = record.ROOT / "fixtures" / "mini"
@@ -61,7 +61,8 @@ STAGE = "boresight.pipeline.calibration.assessment."
 WITHOUT = {
     "examined": Reliability((), (), ()),
     "moved_inputs": (),
-    "sky_counts": {},
+    "ground_ledger": None,
+    "star_ledger": None,
     "_explanations": [],
     "input_findings": [],
     "targets_out_of_view": [],
@@ -200,7 +201,7 @@ def without_tests() -> Iterator[None]:
     with ExitStack() as stack:
         for name, nothing in WITHOUT.items():
             stack.enter_context(patch(f"{STAGE}{name}", lambda *_, nothing=nothing, **__: nothing))
-        stack.enter_context(patch(f"{STAGE}_sighted", lambda basis, first, last, looked_for: last.strips))
+        stack.enter_context(patch(f"{STAGE}_sighted", lambda basis, first, last, *_: last.strips))
         yield
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from record import SHARED, exit_status, head, judge_share, not_run, verdict
 from scipy.stats import chi2
 
-from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import IdentifiedStars
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
@@ -108,7 +107,8 @@ def fields(name: str, frames: list[Frame], most: float | None) -> None:
     print(f"\n{name}: {np.degrees(mean):.4f} deg")
     for frame, one, own in zip(frames, field, sigma):
         text = f"  {frame.file[:40]:40s} {1e6 * (one / mean - 1.0):+6.0f} ppm, stated {1e6 * own / mean:5.0f}"
-        stretch = 1e6 * frame.errors.stretch_px / half_px(frame.found.camera)
+        camera = frame.found.camera
+        stretch = 2e6 * frame.errors.stretch_px / max(camera.width_px, camera.height_px)
         text += f", stretch {stretch:4.0f}" if stretch else " " * 14
         print(f"{text}; {len(frame.used.xy_px)} stars")
     total = float((((field - mean) / sigma) ** 2).sum())
@@ -119,10 +119,6 @@ def fields(name: str, frames: list[Frame], most: float | None) -> None:
         chance = float(chi2(dof).sf(total))
         text += f", {100.0 * chance:.0f} of 100 by chance"
         verdict(text, f"at most {most:g}", total / dof <= most, len(field))
-
-
-def half_px(camera: StarCamera) -> float:
-    return 0.5 * max(camera.width_px, camera.height_px)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from boresight.features.table import NAMES, features
 FOLDERS = ("tests", "benchmarks", "scripts")  # whose README lists every module
 PAGES = ("CONTRIBUTING.md", "docs/architecture.md", *(f"{folder}/README.md" for folder in FOLDERS))
 # What a run makes, what a dump holds, a name that no file has; files of a feature that a reader adds.
-ELSEWHERE = {"site", "truth", "utils.py", *recipe()}
+ELSEWHERE = {"site", "truth", "utils.py", "benchmarks/results/table.md", "results/table.md", *recipe()}
 ROOMS = [path for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")]
 PLACES = {path.relative_to(ROOT).as_posix() for room in ROOMS for path in (room, *room.rglob("*"))}
 PLACES |= {path.name for path in ROOT.iterdir()}
