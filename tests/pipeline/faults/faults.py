@@ -952,6 +952,7 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             ("strip|same|twice|repeat|duplicat",),
             "",
             ("*",),
+            harmless=True,
         )
     if facts.listed:
 
@@ -977,6 +978,7 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 ("target|same|twice|repeat|duplicat",),
                 "",
                 ("*",),
+                harmless=True,
             )
 
         def few(names: frozenset[str], dump: Path) -> None:
@@ -1017,6 +1019,7 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             ("exposure|same|twice|repeat|duplicat",),
             "",
             ("*",),
+            harmless=True,
         )
 
     def thinned(keep: int, dump: Path) -> None:

@@ -270,7 +270,9 @@ def test_two_heads_with_the_same_attitudes_are_an_error_of_dump_toml() -> None:
     rows = AttitudeRows(t_s=np.arange(4.0), R_si=Rotation.from_rotvec(np.eye(4, 3)))
     other = replace(rows, R_si=Rotation.from_rotvec(2.0 * np.eye(4, 3)))
     assert heads_once(heads_with(rows, other))[1] == []
-    with pytest.raises(RawDataError, match=r"attitudes of STR1: found 1\.csv has the same content as 0\.csv"):
+    with pytest.raises(
+        RawDataError, match=r"attitudes of STR0: found 0\.csv has the same content as 1\.csv of"
+    ):
         heads_once(heads_with(rows, rows))
 
 
