@@ -67,7 +67,7 @@ Draw = Callable[[np.random.Generator], list[StripSightings]]
 
 @dataclass(frozen=True)
 class Condition:
-    """What is drawn and what the estimator is told."""
+    """What is drawn, and what is stated to the estimator."""
 
     name: str
     draw: Draw

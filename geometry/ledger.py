@@ -17,7 +17,7 @@ import numpy as np
 
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
-__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "listed"]
+__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "either_of"]
 
 
 class Kind(StrEnum):
@@ -262,7 +262,7 @@ class Entry:
     slip: str = scalar("kind of slip in its coordinates that explains it; empty: none", default="")
 
     def because(self, reason: Reason, detail: str = "") -> Entry:
-        """The same observation in another state."""
+        """An entry of this observation in another state."""
         return dataclasses.replace(self, reason=reason, detail=detail)
 
     @property
@@ -279,7 +279,7 @@ class Entry:
             return self.detail
         said = self.reason.sentence.format(sigmas=sigmas, kind=self.subject.kind.value, **numbers)
         if self.rivals:
-            said += f"; it or {listed(self.rivals)}: the data do not tell which"
+            said += f"; it or {either_of(self.rivals)}: the data do not tell which"
         return f"{said}; {self.detail}" if said and self.detail else said or self.detail
 
     @property
@@ -306,7 +306,7 @@ class Entry:
         return f"{self.state}: {self.text}" if self.text else f"{self.state}"
 
 
-def listed(subjects: Sequence[Subject]) -> str:
+def either_of(subjects: Sequence[Subject]) -> str:
     """Names of subjects of which one is meant: "s01/T07 or s02/T07"."""
     return " or ".join(subject.name for subject in subjects)
 
@@ -345,15 +345,15 @@ class Ledger:
 
     @property
     def found(self) -> Bools:
-        """Which observations were found."""
+        """Which observations (N,) were found."""
         return self.reason == 0
 
     def is_of(self, reason: Reason) -> Bools:
-        """Which observations are in their state for one reason."""
+        """Which observations (N,) are in their state for one reason."""
         return self.reason == reason.number
 
     def take(self, rows: Bools | Ints) -> Ledger:
-        """Some of the rows."""
+        """The ledger of some rows: a mask (N,), or their numbers (K,)."""
         columns = ("strip", "ccd", "id", "part", "along", "magnitude", "reason")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
@@ -362,7 +362,7 @@ class Ledger:
         return self.take(self.strip == self.strips.index(strip_id))
 
     def within(self, subjects: Iterable[Subject]) -> Bools:
-        """Which observations are, or are parts of, one of some subjects."""
+        """Which observations (N,) are, or are parts of, one of some subjects."""
         inside = self.reason < 0
         for subject in subjects:
             if subject.exposure or subject.head or not (subject.strip or subject.id or subject.ccd >= 0):
@@ -376,7 +376,7 @@ class Ledger:
         return inside
 
     def subjects(self, rows: Bools) -> tuple[Subject, ...]:
-        """The observations of a mask."""
+        """The observations of a mask (N,)."""
         cells = zip(self.strip[rows].tolist(), self.ccd[rows].tolist(), self.id[rows].tolist())
         return tuple(Subject(self.kind, strip=self.strips[n], ccd=ccd, id=name) for n, ccd, name in cells)
 

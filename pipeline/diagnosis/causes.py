@@ -22,7 +22,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.diagnosis.missing import misses
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
-from boresight.pipeline.diagnosis.readings import likeliest, readings_of_dump, reversed_strips
+from boresight.pipeline.diagnosis.readings import best_reading, readings_of_dump, reversed_strips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.run.executor import InOrder
@@ -64,7 +64,7 @@ def wrong_convention(basis: Basis) -> Finding | None:
     strips, stated = len(dump.strips) + len(dump.sky_strips), agreeing(dump)
     if 2 * stated > strips:
         return None
-    best = likeliest(dump, readings_of_dump(dump), agreeing, strips // 2 + 1, strips)
+    best = best_reading(dump, readings_of_dump(dump), agreeing, strips // 2 + 1, strips)
     if not best:
         return None
     reading, count = best

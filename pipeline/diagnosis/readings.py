@@ -2,7 +2,7 @@
 
 A quaternion of the other sense, times of another scale, exchanged files or a mirrored image lead far from any
 linear test. Each is a row: what would be wrong, where the dump states it, and `apply`, the input as it was
-meant. `likeliest` tries rows and counts the observations that agree. A further mistake is a further row.
+meant. `best_reading` tries rows and counts the observations that agree. A further mistake is a further row.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ __all__ = [
     "MIRRORED",
     "Reading",
     "are_mirrored",
+    "best_reading",
     "exchanged_in_ground",
     "exchanged_in_sky",
     "exchanged_strips",
-    "likeliest",
     "orders_of",
     "readings_of_dump",
     "reversed_strips",
@@ -91,7 +91,7 @@ class Reading(Generic[T]):
         )
 
 
-def likeliest(
+def best_reading(
     given: T, readings: Iterable[Reading[T]], agreeing: Callable[[T], int], fewest: int, enough: int
 ) -> tuple[Reading[T], int] | None:
     """The reading of an input by which most observations agree, at least `fewest`, and how many do; of equals
@@ -292,7 +292,7 @@ def _exchanged(
 ) -> Iterator[Finding]:
     """That files are exchanged, if of `n` observations, none of which is found as stated, half are."""
     enough = max(FEWEST, (n + 1) // 2)
-    if best := likeliest(given, [reading], agreeing, enough, enough):
+    if best := best_reading(given, [reading], agreeing, enough, enough):
         yield reading.finding(f"{reading.changed} {best[1]} of {n} {what} are found, as stated none")
 
 
@@ -414,7 +414,8 @@ def are_mirrored(tasks: Sequence[StarTask]) -> bool:
     """Whether stars of some exposures, not identified as stated, are in the mirror image of one."""
     images = (exposure_image(task.exposure, task.camera, task.bit_depth) for task in tasks)
     trials = (
-        likeliest(image, [MIRRORED], partial(is_identified, task), 1, 1) for task, image in zip(tasks, images)
+        best_reading(image, [MIRRORED], partial(is_identified, task), 1, 1)
+        for task, image in zip(tasks, images)
     )
     return any(trials)
 
@@ -430,7 +431,7 @@ def orders_of(strip: Strip) -> list[Reading[SkySide]]:
 
 def _order(dump: Dump, side: SkySide) -> Reading[SkySide] | None:
     """With which other order of its image the stars of a strip are named."""
-    best = likeliest(side, orders_of(side.tasks[0].strip), partial(names, dump), FEWEST, FEWEST)
+    best = best_reading(side, orders_of(side.tasks[0].strip), partial(names, dump), FEWEST, FEWEST)
     return best and best[0]
 
 

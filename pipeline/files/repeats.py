@@ -27,7 +27,13 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.ground_points import StripPoints
 from boresight.pipeline.files.images.rasters import grid_place
-from boresight.pipeline.files.same_content import equal_files, grouped, is_flat, same_exposure, same_ground
+from boresight.pipeline.files.same_content import (
+    equal_files,
+    grouped,
+    has_one_grey_value,
+    same_exposure,
+    same_ground,
+)
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids, StarImages
 
 if TYPE_CHECKING:
@@ -93,7 +99,7 @@ def _why(
 
 
 def _why_images(
-    images: Sequence[Image], same: Callable[[Image, Image], bool], is_flat: Callable[[Image], bool]
+    images: Sequence[Image], same: Callable[[Image, Image], bool], has_one_grey_value: Callable[[Image], bool]
 ) -> dict[int, Entry]:
     """Why images are not used: they have the time of another one of their sensor, or its content."""
 
@@ -117,7 +123,7 @@ def _why_images(
         files = {row: path for row in rows if isinstance(path := images[row].content, Path)}
         lists = {row: stars for row in rows if isinstance(stars := images[row].content, bytes)}
         groups = equal_files(files) + grouped(lists, lists.__getitem__)
-        return [group for group in groups if not is_flat(images[group[0]])]
+        return [group for group in groups if not has_one_grey_value(images[group[0]])]
 
     entries = [image.entry for image in images]
     return _why(entries, near(), repeats, equal, one_at_a_time=True)
@@ -145,7 +151,7 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
         return True
 
     def dead(of_ccd: Image) -> bool:
-        return is_flat(of_ccd.source, of_ccd.sensor[1], 0.5 * (of_ccd.begin_s + of_ccd.end_s))
+        return has_one_grey_value(of_ccd.source, of_ccd.sensor[1], 0.5 * (of_ccd.begin_s + of_ccd.end_s))
 
     order = sorted(strips, key=lambda strip: (-len(strip.ccd_lines), strip.t_first_row_s, strip.strip_id))
     images = [image(strip, ccd) for strip in order for ccd in strip.ccd_lines]
@@ -172,7 +178,7 @@ def heads_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], list[Entry]]:
             return same_exposure(a.source, a.exposure, b.exposure)
         return a.content == b.content or None in (a.content, b.content)
 
-    why = _why_images(images, same, is_flat=lambda image: False)
+    why = _why_images(images, same, has_one_grey_value=lambda image: False)
     kept, entries = [], list(why.values())
     for name, entry in ((entry.subject.head, entry) for entry in entries if entry.subject.head):
         expected = "a file of its own for each head"

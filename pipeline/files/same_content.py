@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from boresight.pipeline.files.star_side import Exposure, StarImages
     from boresight.pipeline.files.strip_table import Strip
 
-__all__ = ["equal_files", "grouped", "is_flat", "same_exposure", "same_ground"]
+__all__ = ["equal_files", "grouped", "has_one_grey_value", "same_exposure", "same_ground"]
 
 SAMPLE_BYTES = 4096  # at the beginning, in the middle and at the end of a file, compared before all bytes are
 WINDOW_PX, WINDOWS = 64, 5  # of two strips that are compared
@@ -74,7 +74,7 @@ def same_ground(a: Strip, b: Strip, ccd: int, span_s: tuple[float, float]) -> bo
     return not correlations or float(np.median(correlations)) >= SAME_GROUND
 
 
-def is_flat(strip: Strip, ccd: int, t_s: float) -> bool:
+def has_one_grey_value(strip: Strip, ccd: int, t_s: float) -> bool:
     """Whether the middle of an image, at an instant, has one grey value."""
     try:
         return bool(np.ptp(_window(strip, ccd, t_s, 0.5)) == 0.0)

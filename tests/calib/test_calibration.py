@@ -15,7 +15,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.ledger import Reason
+from boresight.geometry.ledger import Kind, Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -84,21 +84,23 @@ def test_gross_errors_are_left_out_and_said_so():
     assert isinstance(estimate, InstallationEstimate)
     error = theta_between(estimate.R_cs, BOLD)
     assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
-    out = {(r.strip_id, int(r.name.split("/")[1])) for r in estimate.rejected if r.kind == "target"}
+    of_kind = {kind: [r.subject for r in estimate.rejected if r.subject.kind is kind] for kind in Kind}
+    out = {(each.strip, int(each.id.split("/")[1])) for each in of_kind[Kind.TARGET]}
     assert len(truth.wrong_targets) > 10
     assert truth.wrong_targets <= out
-    stars = {(r.strip_id, r.exposure_id, int(r.name) - 1) for r in estimate.rejected if r.kind == "star"}
+    strip_of = {exposure.exposure_id: strip.strip_id for strip in strips for exposure in strip.exposures}
+    stars = {(strip_of[each.exposure], each.exposure, int(each.id) - 1) for each in of_kind[Kind.STAR]}
     assert len(truth.wrong_stars - stars) <= 0.002 * len(
         truth.wrong_stars
     )  # one may fall near its true place
     assert len(stars - truth.wrong_stars) <= 0.004 * 8 * 10 * 40  # false alarms: 0.1 % asked for
     for r in estimate.rejected:
         assert r.reason in (Reason.STAR_RESIDUAL, Reason.TARGET_RESIDUAL)
-        assert r.statistic > r.limit == estimate.rejection.limit
+        assert r.value > r.limit == estimate.rejection.limit
 
 
 def names_of(estimate):
-    return [(r.strip_id, r.exposure_id, r.name, r.why, r.statistic) for r in estimate.rejected]
+    return [(r.subject, r.reason, r.value) for r in estimate.rejected]
 
 
 def test_order_of_strips_is_of_no_consequence_to_the_last_bit():
@@ -179,8 +181,8 @@ def test_no_usable_strip_is_a_result_and_not_a_crash():
     result = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert isinstance(result, NotObservable)
     assert len(result.directions_c) == 3
-    assert sum(r.kind == "exposure" for r in result.rejected) == 20
-    assert sum(r.kind == "strip" for r in result.rejected) == 2
+    assert sum(r.subject.kind == "exposure" for r in result.rejected) == 20
+    assert sum(r.subject.kind == "strip" for r in result.rejected) == 2
     assert isinstance(calibrate_strips([], R_CS0, CalibrationSettings()), NotObservable)
 
 

@@ -22,7 +22,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Reason
+from boresight.geometry.ledger import Kind, Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -148,8 +148,12 @@ def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named():
         axis = PIXEL_RAD * np.array([np.cos(angle), np.sin(angle)])
         culprit = (strips[s].strip_id, str(strips[s].ground.target_id[j]))
         estimate = calibrate_strips(shifted(strips, s, j, 4.0 * axis), BOLD, SETTINGS)
-        instead = [one for one in estimate.rejected if one.kind == "target" and one.name != culprit[1]]
-        assert all("/".join(culprit) in one.rivals for one in instead)
+        instead = [
+            entry
+            for entry in estimate.rejected
+            if entry.subject.kind is Kind.TARGET and entry.subject.id != culprit[1]
+        ]
+        assert all(culprit in [(each.strip, each.id) for each in entry.rivals] for entry in instead)
         assert all(
             culprit in [(each.strip, each.id) for each in group] for group in estimate.targets.doubtful
         )

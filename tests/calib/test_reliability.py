@@ -152,7 +152,7 @@ def test_a_strip_that_was_rejected_whole_still_names_its_clock():
     found = examine(estimate, spoilt, settings, pixel_rad=CAMERAS.pixel_rad)
     named = found.findings[0]
     assert (named.cause, named.item, named.unit) == (late.cause, late.item, "ms")
-    assert named.value == pytest.approx(20.0, abs=5.0 * named.sigma) and len(named.targets) == 12
+    assert named.value == pytest.approx(20.0, abs=5.0 * named.sigma) and len(named.explains) == 12
 
 
 def test_what_a_large_error_leaves_names_neither_a_further_cause_nor_single_targets():

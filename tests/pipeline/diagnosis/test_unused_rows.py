@@ -66,12 +66,12 @@ def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
     dump = with_targets(finished[0], tmp_path / "dump", more)
     clean, tasks, matched = open_dump(finished[0]), calibration.tasks, calibration.matched
     assert unseen_targets(clean, tasks, matched) == []
-    found = {one.name: one for one in unseen_targets(dump, tasks, matched)}
+    found = {one.subject.name: one for one in unseen_targets(dump, tasks, matched)}
     assert set(found) == set(more)
     for name, (_, _, _, text) in SLIPPED.items():
         assert text in found[name].text and found[name].reason is Reason.OUTSIDE_CHIP, found[name]
-    assert found["exchanged"].reason.startswith("it lies in a gap between the CCDs of strip s01; ")
-    assert 7950 < float(found["south"].reason.split()[2]) < 8050  # km: twice 36 degrees of latitude
+    assert found["exchanged"].text.startswith("it lies in a gap between the CCDs of strip s01; ")
+    assert 7950 < float(found["south"].text.split()[2]) < 8050  # km: twice 36 degrees of latitude
     for finding in outside_chips(list(found.values())):
         assert len(f"{finding.cause} {finding.item} {finding.text}".split()) <= MOST_WORDS
         assert finding.is_fault and finding.file == "targets.csv"
@@ -145,10 +145,10 @@ def test_a_ccd_without_a_measurement_has_its_reason(calibration: DumpCalibration
     assert without_measurement([task.strip], [matched]) == []
     elsewhere = replace(matched, ccd=np.where(matched.ccd == 2, 1, matched.ccd))
     (empty,) = without_measurement([task.strip], [elsewhere])
-    assert (empty.name, empty.reason) == ("s01/2", "no target lies in it")
+    assert (empty.subject.name, empty.text) == ("s01/2", "no target lies in it")
     lost = tuple(
         Entry(Subject(Kind.TARGET, strip="s01", ccd=2, id=f"t{n}"), Reason.LOW_CORRELATION, "cloud")
         for n in range(3)
     )
     (cloudy,) = without_measurement([task.strip], [replace(elsewhere, omissions=lost)])
-    assert cloudy.reason == "none of its 3 targets was matched"
+    assert cloudy.text == "none of its 3 targets was matched"

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.causes import _agreeing_strips
-from boresight.pipeline.diagnosis.readings import Reading, likeliest, readings_of_dump
+from boresight.pipeline.diagnosis.readings import Reading, best_reading, readings_of_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -191,7 +191,7 @@ def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narro
     assert _agreeing_strips(narrow, dump) == 2
     for reading in readings_of_dump(dump):
         wrong = misread(reading, dump)
-        named, strips = likeliest(
+        named, strips = best_reading(
             wrong, readings_of_dump(wrong), lambda read: int(alike(read, dump)), fewest=1, enough=1
         )
         assert (named.cause, named.changed) == (reading.cause, reading.changed)

@@ -1,5 +1,5 @@
 """The whole path on a camera of 12 CCDs and a campaign of 12 strips, whose ids begin alike: each of two
-errors at once is told by console and page, though the name of one is the beginning of the other's.
+errors at once is named by console and page, though the name of one is the beginning of the other's.
 """
 
 from __future__ import annotations

@@ -120,7 +120,12 @@ def test_predictions_of_far_dates_average_and_those_of_one_date_do_not(calibrati
     names = ("59000/59010", "81000/81010")
     twice = [
         [
-            replace(strip, strip_id=f"S{n}", earth=name, ground=replace(ground, target_id=ids))
+            replace(
+                later(strip, 1e5 * n),
+                strip_id=f"S{n}",
+                earth=name,
+                ground=replace(ground, target_id=ids, t_s=ground.t_s + 1e5 * n),
+            )
             for n, (name, ids) in enumerate(
                 zip(which, (ground.target_id, np.char.add(ground.target_id, "b")))
             )
@@ -129,11 +134,20 @@ def test_predictions_of_far_dates_average_and_those_of_one_date_do_not(calibrati
     ]
     settings = replace(calibration.settings, robust=False, sigma_distortion_rad=0.0)
     free = replace(ground, earth_i=np.zeros_like(ground.earth_i))
-    without = [replace(one, ground=replace(free, target_id=one.ground.target_id)) for one in twice[0]]
+    without = [
+        replace(one, ground=replace(free, target_id=one.ground.target_id, t_s=one.ground.t_s))
+        for one in twice[0]
+    ]
     of_all = [calibrate_strips(these, calibration.estimate.R_cs0, settings) for these in (without, *twice)]
     none, same, apart = (np.trace(one.cov_theta) for one in of_all if isinstance(one, InstallationEstimate))
     # 3 %: correlation of 1e-2 is left, and the estimate weighs the targets anew
     assert apart - none == pytest.approx(0.5 * (same - none), rel=0.03)
+
+
+def later(strip: StripSightings, seconds: float) -> StripSightings:
+    """The strip with its exposures dated later; strips of one time would be one pass."""
+    exposures = tuple(replace(one, t_s=one.t_s + seconds) for one in strip.exposures)
+    return replace(strip, exposures=exposures)
 
 
 def of_ut1(task: StripTask, sigma_rad: float) -> StripTask:
