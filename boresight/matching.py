@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,8 +14,8 @@ from boresight.display import SuccessfulResult, axes_or_new
 from boresight.gct_match.locate import locate_template as match_arrays
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.ledger import Entry as NotMatched
-from boresight.geometry.record import Floats, record
+from boresight.geometry.ledger import Entry, Reason
+from boresight.geometry.record import Floats, record, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,6 +25,25 @@ __all__ = ["Match", "NotMatched", "match_template"]
 # Radius of the search, px, and the largest start of a template, px: slips are beyond (set by hand).
 LEAST_RADIUS_PX, MOST_RADIUS_PX, MOST_PX = 4, 1000, 1e6
 LARGEST_VALUE = 1e15  # of a grey value: squares and sums of it stay finite
+
+
+@record
+class NotMatched:
+    """A template that was not found in a picture; false in a condition."""
+
+    reason: Reason = scalar("which test failed")
+    value: float = scalar("value that failed the test; NaN if the test has none")
+    limit: float = scalar("its limit in the unit of `value`; NaN if none")
+    sentence: str = scalar("what was measured and what is needed")
+
+    def __bool__(self) -> Literal[False]:
+        return False
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    def __repr__(self) -> str:
+        return f"not matched: {self.sentence}"
 
 
 @record(kw_only=True)
@@ -121,8 +140,8 @@ def match_template(
     if not (np.abs(start) <= MOST_PX).all():
         raise wrong("start_px", start.tolist(), f"pixels up to {MOST_PX:g}")
     found = match_arrays(small, large, (float(start[0]), float(start[1])), radius, settings=chosen)
-    if isinstance(found, NotMatched):
-        return found
+    if isinstance(found, Entry):
+        return NotMatched(found.reason, found.value, found.limit, found.text)
     return Match(**{field.name: getattr(found, field.name) for field in fields(found)})
 
 

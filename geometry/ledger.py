@@ -12,10 +12,12 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
-import numpy as np
+from boresight.geometry.record import array, record, scalar
 
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+if TYPE_CHECKING:  # messages and errors are there before NumPy is
+    from boresight.geometry.record import Bools, Floats, Ints, Texts
 
 __all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "either_of"]
 
@@ -330,6 +332,8 @@ class Ledger:
     @classmethod
     def without_rows(cls, kind: Kind, strips: tuple[str, ...]) -> Ledger:
         """Of strips that must show nothing."""
+        import numpy as np
+
         whole, number, text = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=str)
         return cls(
             kind=kind,
