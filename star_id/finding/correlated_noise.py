@@ -4,7 +4,8 @@ Means of pixels, as in a matched filter, then scatter more than the scatter of s
 the factor 1.3 in a JPEG image of quality 90, by 10 at quality 40, where most blocks of 8 x 8 pixels are flat.
 Where adjacent pixels are more alike than pixels some distance apart, this scatter is measured in the filtered
 image itself: how far it reaches below the sky, which no star does. The noise that the image is then treated
-with is that of independent pixels which would disturb a star as much.
+with is that of independent pixels which would disturb a star as much. A block that was rounded until it is
+flat holds no star; its level, rounded as well, would look like one where it is a step above the others.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from boresight.star_id.finding.background import Background, background_image
 
-__all__ = ["as_independent_noise"]
+__all__ = ["as_independent_noise", "without_block_levels"]
 
 # Rows, in which neighbouring pixels are compared (set by hand: the ratio is then known to 1 %).
 _LINES = 16
@@ -36,8 +37,28 @@ _BELOW, _BELOW_SIGMA = 0.00135, 3.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
+# Side of the blocks of JPEG, px (ITU-T T.81), share of them that is flat in an image of few other blocks, and
+# blocks along each side whose median is the level of the sky (set by hand).
+_BLOCK_PX, _MANY_FLAT, _AROUND = 8, 0.3, 5
 # Factor from which it is applied: beyond what its own error makes of 1 (0.05).
 _LEAST_FACTOR = 1.15
+
+
+def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
+    """The image (H, W) with flat blocks of JPEG at the level of those around them; itself where few are flat."""
+    rows, columns = (side // _BLOCK_PX for side in image.shape)
+    whole = (slice(rows * _BLOCK_PX), slice(columns * _BLOCK_PX))
+    blocks = image[whole].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
+    least = blocks.min(axis=(1, 3))
+    flat = least == blocks.max(axis=(1, 3))
+    if np.mean(flat) < _MANY_FLAT:
+        return image
+    level = cv2.medianBlur(least.astype(np.float32), _AROUND).astype(image.dtype)
+    clean = image.copy()
+    clean[whole] = np.where(flat[:, None, :, None], level[:, None, :, None], blocks).reshape(
+        clean[whole].shape
+    )
+    return clean
 
 
 def as_independent_noise(image: NDArray[Any], background: Background) -> Background:

@@ -18,13 +18,12 @@ from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_b
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
-from boresight.star_id.finding.correlated_noise import as_independent_noise
+from boresight.star_id.finding.correlated_noise import as_independent_noise, without_block_levels
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.rounded_blocks import places_in_rounded_blocks
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
 from boresight.star_id.settings import StarSettings
@@ -178,7 +177,7 @@ def list_stars(
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
     if not has_mosaic(image):
-        image, no_stars = without_lines(image, saturation)
+        image, no_stars = without_lines(without_block_levels(image), saturation)
         background = estimate_background(image).without(no_stars).without(unusable)
         return _list_stars(image, background, settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
@@ -216,23 +215,8 @@ def _list_stars(
     stars = _measured(image, found, background, settings, saturation)
     if settings.psf_sigma_px is None and settings.smear_px is None:
         comatic = _with_blur(find_coma, image, found, stars, settings)
-        stars = comatic or _trailed_or_shaped(image, found, stars, settings)
-    return stars if background.correlation <= 1.0 else _in_rounded_blocks(image, stars)
-
-
-def _in_rounded_blocks(image: NDArray[Any], stars: StarList) -> StarList:
-    """The stars with the places that rounded blocks of JPEG tell; as they are where blocks are not rounded by
-    more than the noise."""
-    level_dn, _ = stars.background.at(stars.xy_px)
-    answer = places_in_rounded_blocks(
-        image, stars.xy_px, stars.flux_dn, level_dn, stars.psf, stars.gain_e_per_dn
-    )
-    if answer is None:
-        return stars
-    xy, cov, found = answer
-    found &= ~stars.saturated & ~stars.blended
-    xy_px = np.where(found[:, None], xy, stars.xy_px)
-    return replace(stars, xy_px=xy_px, cov_px=np.where(found[:, None, None], cov, stars.cov_px))
+        return comatic or _trailed_or_shaped(image, found, stars, settings)
+    return stars
 
 
 def _trailed_or_shaped(
