@@ -63,9 +63,13 @@ def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
 
 def as_independent_noise(image: NDArray[Any], background: Background) -> Background:
     """The background of an image (H, W) with its noise increased to that of independent pixels that disturb a
-    star as much; itself where the noise is not correlated, or where the sky is cut off."""
-    if background.above_cut is not None or not _is_correlated(image, background):
+    star as much; itself where the noise is not correlated.
+
+    Means of correlated pixels of a sky that is cut off are scattered upwards alone: there the noise is
+    measured above the sky, from the median of the means, and the sky is taken as whole."""
+    if not _is_correlated(image, background):
         return background
+    is_cut = background.above_cut is not None
     flat: NDArray[np.float32] = image.astype(np.float32)
     flat -= background_image(background.level_dn, image.shape)
     flat /= background_image(background.noise_dn, image.shape)
@@ -73,11 +77,16 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     taps = taps / np.linalg.norm(taps)
     height = np.asarray(cv2.sepFilter2D(flat, cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
-    below = [-float(np.quantile(tile, _BELOW)) for tile in tiles]
-    factor = float(np.quantile(below, _COUNTED)) / _BELOW_SIGMA
+    middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _BELOW if is_cut else _BELOW]) for tile in tiles]).T
+    reach = far - middle if is_cut else -far
+    factor = float(np.quantile(reach, _COUNTED)) / _BELOW_SIGMA
     if factor < _LEAST_FACTOR:
         return background
-    return replace(background, noise_dn=factor * background.noise_dn, correlation=factor)
+    noise = factor * background.noise_dn
+    if is_cut:
+        level = background.level_dn + background.noise_dn * float(np.median(middle)) / taps.sum() ** 2
+        return replace(background, level_dn=level, noise_dn=noise, above_cut=None, correlation=factor)
+    return replace(background, noise_dn=noise, correlation=factor)
 
 
 def _is_correlated(image: NDArray[Any], background: Background) -> bool:

@@ -58,6 +58,8 @@ def has_mosaic(image: NDArray[Any]) -> bool:
     quarter = _TILE_PX**2 // 16
     ends = (quarter, _TILE_PX**2 // 4 - quarter)
     cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
+    if np.median(cells[:, :, ends[0]]) <= cells.min():  # of a sky that is cut off levels follow the noise
+        return False
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
     noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
     spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
