@@ -45,7 +45,7 @@ _LEAST_FACTOR = 1.15
 
 
 def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
-    """The image (H, W) with flat blocks of JPEG at the level of those around them; itself where few are flat."""
+    """The image (H, W) with flat blocks of JPEG at the level of those around them; itself if few are flat."""
     rows, columns = (side // _BLOCK_PX for side in image.shape)
     whole = (slice(rows * _BLOCK_PX), slice(columns * _BLOCK_PX))
     blocks = image[whole].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)

@@ -23,6 +23,7 @@ from boresight.star_id.finding.detect import Detections, detect, detection_thres
 from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
+from boresight.star_id.finding.own_scale import in_own_counts
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
@@ -118,6 +119,18 @@ class StarList:
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
+    def in_units(self, unit: float, zero: float) -> StarList:
+        """The list of the image whose values are `zero` and so many units more."""
+        sky = self.background
+        sky = replace(sky, level_dn=zero + unit * sky.level_dn, noise_dn=unit * sky.noise_dn)
+        return replace(
+            self,
+            flux_dn=unit * self.flux_dn,
+            background=sky,
+            gain_e_per_dn=self.gain_e_per_dn / unit,
+            saturation_dn=zero + unit * self.saturation_dn,
+        )
+
     def mirrored(self, width_px: int) -> StarList:
         """The list of the image of `width_px` columns with their order reversed."""
         (xy, other), cov = (self.xy_px.copy(), self.misshapen_px.copy()), self.cov_px.copy()
@@ -176,6 +189,17 @@ def list_stars(
     saturation = settings.saturation_dn or _saturation_level(image)
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
+        return _stars_of_counts(image, settings, saturation, unusable)
+    own, gain = in_own_counts(image), settings.gain_e_per_dn
+    of_counts = replace(settings, gain_e_per_dn=None if gain is None else gain * own.unit)
+    stars = _stars_of_counts(own.counts, of_counts, (saturation - own.zero) / own.unit, unusable)
+    return stars if own.unit == 1.0 and own.zero == 0.0 else stars.in_units(own.unit, own.zero)
+
+
+def _stars_of_counts(
+    image: NDArray[Any], settings: StarSettings, saturation: float, unusable: Bools | None
+) -> StarList:
+    """Stars of an image (H, W) of counts, its dark frame subtracted."""
     if not has_mosaic(image):
         image, no_stars = without_lines(without_block_levels(image), saturation)
         background = estimate_background(image).without(no_stars).without(unusable)
