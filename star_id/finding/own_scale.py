@@ -39,25 +39,32 @@ class OwnScale:
 
 def in_own_counts(image: NDArray[Any]) -> OwnScale:
     """An image (H, W) in counts; itself if its steps are one."""
-    if not np.issubdtype(image.dtype, np.floating):
-        step = int(np.gcd.reduce(image.ravel()[:: max(1, image.size // _SAMPLE_OF_STEPS)]))
-        whole = step > 1 and not (image % step).any()
-        return OwnScale(image // image.dtype.type(step), step) if whole else OwnScale(image)
-    least, largest = float(image.min()), float(image.max())
-    if not 0.0 < largest - least < np.inf:
-        return OwnScale(np.zeros(image.shape, dtype=np.uint8), zero=least)
-    few = image.ravel()[:: max(1, image.size // _SAMPLE)].astype(np.float64)
-    values = np.unique(np.append(few, [least, largest]))
-    step = float(np.diff(values).min())
-    if largest - least <= _MOST_STEPS * step:
-        step = (largest - least) / np.rint((largest - least) / step)  # to the last digits
+    least, largest, floating = image.min(), image.max(), np.issubdtype(image.dtype, np.floating)
+    if not 0.0 < float(largest) - float(least) < np.inf:
+        return (
+            OwnScale(np.zeros(image.shape, dtype=np.uint8), zero=float(least))
+            if floating
+            else OwnScale(image)
+        )
+    few = image.ravel()[:: max(1, image.size // (_SAMPLE if floating else _SAMPLE_OF_STEPS))].astype(
+        np.float64
+    )
+    values = np.unique(np.append(few[few < largest], least))  # the largest may be a limit between two steps
+    step = float(np.diff(values).min(initial=float(largest) - float(least)))
+    if not floating and step <= 1.0:
+        return OwnScale(image)
+    if float(largest) - float(least) <= _MOST_STEPS * step:
+        reach = values[-1] - values[0]
+        step = float(reach / np.rint(reach / step)) if reach > 0.0 else step  # to the last digits
         steps = (image - np.float64(least)) / step
         whole = np.rint(steps)
-        if np.abs(steps - whole).max() < _ROUNDED:
+        if np.abs(steps - whole).max(where=image < largest, initial=0.0) < _ROUNDED:
             bits = np.uint8 if whole.max() <= np.iinfo(np.uint8).max else np.uint16
-            return OwnScale(whole.astype(bits), step, least)
+            return OwnScale(whole.astype(bits), step, float(least))
+    if not floating:
+        return OwnScale(image)
     middle = float(np.median(few))
     far = image[:, _NEAR_PX:].astype(np.float64) - image[:, :-_NEAR_PX]
     off = np.quantile(np.abs(far.ravel()[:: max(1, far.size // _SAMPLE)]), _SHARES)
-    unit = float((off[off > 0.0] if off.any() else np.array([largest - least]))[0]) / _NOISE
+    unit = float((off[off > 0.0] if off.any() else np.array([float(largest) - float(least)]))[0]) / _NOISE
     return OwnScale(((image - np.float64(middle)) / unit).astype(np.float32), unit, middle)
