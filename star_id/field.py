@@ -276,7 +276,7 @@ def solve_list(
     if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
         return _of_fisheye(stars, size, index, settings, fov_x_rad, observer)
     tried, reasons, best = 0, [], None
-    likeliest_first = np.argsort(-stars.snr, kind="stable")  # leaves and roofs are bright, and noisy
+    likeliest_first = _likeliest_first(stars)
     for mirrored, passes, projection in attempts:
         if best is not None and projection == "tangent":
             continue
@@ -309,6 +309,14 @@ def solve_list(
         seen = stars.mirrored(size[0]) if best.mirrored else stars
         return _of_likelier_projection(best, named, seen, index, settings, observer)
     return best
+
+
+def _likeliest_first(stars: StarList) -> Ints:
+    """Rows of the stars by the better of their ranks by flux and by signal-to-noise ratio: leaves and roofs are
+    bright and noisy, nebulae hide what is bright."""
+    by_snr = np.empty(len(stars.snr), dtype=np.int64)
+    by_snr[np.argsort(-stars.snr, kind="stable")] = np.arange(len(stars.snr))
+    return np.argsort(np.minimum(by_snr, np.arange(len(by_snr))), kind="stable")
 
 
 def _of_likelier_projection(

@@ -34,6 +34,8 @@ _LARGEST_SIGMA, _LARGEST_DN = 4.0, 2.0
 _WIDTH_PX, _KERNEL_PX = 1.2, 9
 # Share of a normal distribution three sigmas below its mean: there the noise is measured.
 _BELOW, _BELOW_SIGMA = 0.00135, 3.0
+# The same two sigmas above its mean, where it is measured in a sky that is cut off: stars cover less.
+_ABOVE, _ABOVE_SIGMA = 0.02275, 2.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
@@ -77,9 +79,9 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     taps = taps / np.linalg.norm(taps)
     height = np.asarray(cv2.sepFilter2D(flat, cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
-    middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _BELOW if is_cut else _BELOW]) for tile in tiles]).T
-    reach = far - middle if is_cut else -far
-    factor = float(np.quantile(reach, _COUNTED)) / _BELOW_SIGMA
+    middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _ABOVE if is_cut else _BELOW]) for tile in tiles]).T
+    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / _BELOW_SIGMA
+    factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background
     noise = factor * background.noise_dn
