@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.cut_sky import UNCUT
 
 __all__ = ["as_independent_noise", "without_block_levels"]
 
@@ -65,13 +66,14 @@ def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
 
 def as_independent_noise(image: NDArray[Any], background: Background) -> Background:
     """The background of an image (H, W) with its noise increased to that of independent pixels that disturb a
-    star as much; itself where the noise is not correlated.
+    star as much; itself where the noise is not correlated, or where few grey levels do not show it.
 
     Means of correlated pixels of a sky that is cut off are scattered upwards alone: there the noise is
     measured above the sky, from the median of the means, and the sky is taken as whole."""
-    if not _is_correlated(image, background):
-        return background
     is_cut = background.above_cut is not None
+    few_levels = background.above_cut is not None and np.median(background.above_cut) >= UNCUT
+    if few_levels or not _is_correlated(image, background):
+        return background
     flat: NDArray[np.float32] = image.astype(np.float32)
     flat -= background_image(background.level_dn, image.shape)
     flat /= background_image(background.noise_dn, image.shape)
