@@ -312,8 +312,8 @@ def solve_list(
 
 
 def _likeliest_first(stars: StarList) -> Ints:
-    """Rows of the stars by the better of their ranks by flux and by signal-to-noise ratio: leaves and roofs are
-    bright and noisy, nebulae hide what is bright."""
+    """Rows of the stars by the better of their ranks by flux and by signal-to-noise ratio: leaves and roofs
+    are bright and noisy, nebulae hide what is bright."""
     by_snr = np.empty(len(stars.snr), dtype=np.int64)
     by_snr[np.argsort(-stars.snr, kind="stable")] = np.arange(len(stars.snr))
     return np.argsort(np.minimum(by_snr, np.arange(len(by_snr))), kind="stable")
