@@ -276,6 +276,7 @@ def solve_list(
     if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
         return _of_fisheye(stars, size, index, settings, fov_x_rad, observer)
     tried, reasons, best = 0, [], None
+    likeliest_first = _likeliest_first(stars)
     for mirrored, passes, projection in attempts:
         if best is not None and projection == "tangent":
             continue
@@ -283,7 +284,7 @@ def solve_list(
             reversed_stars = stars.mirrored(size[0])
         seen = reversed_stars if mirrored and reversed_stars is not None else stars
         answer = _identified(
-            seen.xy_px,
+            seen.xy_px[likeliest_first],
             size,
             index,
             settings,
@@ -296,16 +297,26 @@ def solve_list(
         if isinstance(answer, NotIdentified):
             tried = answer.proposals
             reasons.append(answer)
-        elif (solution := _weighted(seen, *answer, index, settings, camera, observer)) is None:
-            reasons.append(_without_lens(answer[0]))
+            continue
+        found = replace(answer[0], detections=likeliest_first[answer[0].detections])
+        if (solution := _weighted(seen, found, answer[1], index, settings, camera, observer)) is None:
+            reasons.append(_without_lens(found))
         elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
-            best, named = replace(solution, mirrored=True) if mirrored else solution, answer[0]
+            best, named = replace(solution, mirrored=True) if mirrored else solution, found
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
     if camera is None and best.fov_x_rad > _WIDE_RAD:
         seen = stars.mirrored(size[0]) if best.mirrored else stars
         return _of_likelier_projection(best, named, seen, index, settings, observer)
     return best
+
+
+def _likeliest_first(stars: StarList) -> Ints:
+    """Rows of the stars by the better of their ranks by flux and by signal-to-noise ratio: leaves and roofs
+    are bright and noisy, nebulae hide what is bright."""
+    by_snr = np.empty(len(stars.snr), dtype=np.int64)
+    by_snr[np.argsort(-stars.snr, kind="stable")] = np.arange(len(stars.snr))
+    return np.argsort(np.minimum(by_snr, np.arange(len(by_snr))), kind="stable")
 
 
 def _of_likelier_projection(

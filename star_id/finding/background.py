@@ -7,6 +7,7 @@ the outermost ones extrapolated, so gradients of stray light and vignetting leav
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.star_id.finding.cut_sky import UNCUT, cut_moments, limit_after_cut
 
-__all__ = ["Background", "background_image", "estimate_background"]
+__all__ = ["Background", "background_image", "estimate_background", "estimate_backgrounds"]
 
 
 # Pixels sampled along each side of a block: of 64 x 64 values the median is known to 1/50 of the noise,
@@ -131,13 +132,24 @@ def _median(values: Floats) -> float:
 
 def estimate_background(image: NDArray[Any]) -> Background:
     """Background of a raw image (H, W), integer or floating; stars may cover a third of a block."""
-    height, width = image.shape
-    side = float(np.clip(min(height, width) / 7.0, 48.0, 512.0))
-    coarse = _by_blocks(image, side)
-    between = _noise_between_neighbours(image)
-    upper_quartile = np.sort(coarse.noise_dn, axis=None)[int(0.75 * coarse.noise_dn.size)]
-    if side <= _SMALL_BLOCK_PX or upper_quartile < _UNEVEN * between:
+    return estimate_backgrounds([image])[0]
+
+
+def estimate_backgrounds(images: Sequence[NDArray[Any]]) -> list[Background]:
+    """Backgrounds of raw images (H, W) of one size, all on one grid."""
+    side = float(np.clip(min(images[0].shape) / 7.0, 48.0, 512.0))
+    coarse = [_by_blocks(image, side) for image in images]
+    between = [_noise_between_neighbours(image) for image in images]
+    if all(
+        np.sort(sky.noise_dn, axis=None)[int(0.75 * sky.noise_dn.size)] < _UNEVEN * noise
+        for sky, noise in zip(coarse, between)
+    ):
         return coarse
+    return [_in_small_blocks(image, noise) for image, noise in zip(images, between)]
+
+
+def _in_small_blocks(image: NDArray[Any], between: float) -> Background:
+    """Background where the sky is uneven; `between` is the noise between neighbouring pixels, DN."""
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
     most = np.maximum(_UNEVEN * between, _noise_in_blocks(image, fine.level_dn.shape))
     return replace(fine, noise_dn=np.minimum(fine.noise_dn, most))

@@ -4,7 +4,8 @@ Means of pixels, as in a matched filter, then scatter more than the scatter of s
 the factor 1.3 in a JPEG image of quality 90, by 10 at quality 40, where most blocks of 8 x 8 pixels are flat.
 Where adjacent pixels are more alike than pixels some distance apart, this scatter is measured in the filtered
 image itself: how far it reaches below the sky, which no star does. The noise that the image is then treated
-with is that of independent pixels which would disturb a star as much.
+with is that of independent pixels which would disturb a star as much. A block that was rounded until it is
+flat holds no star; its level, rounded as well, would look like one where it is a step above the others.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.cut_sky import UNCUT
 
-__all__ = ["as_independent_noise"]
+__all__ = ["as_independent_noise", "without_block_levels"]
 
 # Rows, in which neighbouring pixels are compared (set by hand: the ratio is then known to 1 %).
 _LINES = 16
@@ -33,17 +35,44 @@ _LARGEST_SIGMA, _LARGEST_DN = 4.0, 2.0
 _WIDTH_PX, _KERNEL_PX = 1.2, 9
 # Share of a normal distribution three sigmas below its mean: there the noise is measured.
 _BELOW, _BELOW_SIGMA = 0.00135, 3.0
+# The same two sigmas above its mean, where it is measured in a sky that is cut off: stars cover less.
+_ABOVE, _ABOVE_SIGMA = 0.02275, 2.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
+# Side of the blocks of JPEG, px (ITU-T T.81), share of them that is flat in an image of few other blocks, and
+# blocks along each side whose median is the level of the sky (set by hand).
+_BLOCK_PX, _MANY_FLAT, _AROUND = 8, 0.3, 5
 # Factor from which it is applied: beyond what its own error makes of 1 (0.05).
 _LEAST_FACTOR = 1.15
 
 
+def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
+    """The image (H, W) with flat blocks of JPEG at the level of those around them; itself if few are flat."""
+    rows, columns = (side // _BLOCK_PX for side in image.shape)
+    whole = (slice(rows * _BLOCK_PX), slice(columns * _BLOCK_PX))
+    blocks = image[whole].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
+    least = blocks.min(axis=(1, 3))
+    flat = least == blocks.max(axis=(1, 3))
+    if np.mean(flat) < _MANY_FLAT:
+        return image
+    level = cv2.medianBlur(least.astype(np.float32), _AROUND).astype(image.dtype)
+    clean = image.copy()
+    clean[whole] = np.where(flat[:, None, :, None], level[:, None, :, None], blocks).reshape(
+        clean[whole].shape
+    )
+    return clean
+
+
 def as_independent_noise(image: NDArray[Any], background: Background) -> Background:
     """The background of an image (H, W) with its noise increased to that of independent pixels that disturb a
-    star as much; itself where the noise is not correlated, or where the sky is cut off."""
-    if background.above_cut is not None or not _is_correlated(image, background):
+    star as much; itself where the noise is not correlated, or where few grey levels do not show it.
+
+    Means of correlated pixels of a sky that is cut off are scattered upwards alone: there the noise is
+    measured above the sky, from the median of the means, and the sky is taken as whole."""
+    is_cut = background.above_cut is not None
+    few_levels = background.above_cut is not None and np.median(background.above_cut) >= UNCUT
+    if few_levels or not _is_correlated(image, background):
         return background
     flat: NDArray[np.float32] = image.astype(np.float32)
     flat -= background_image(background.level_dn, image.shape)
@@ -52,11 +81,16 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     taps = taps / np.linalg.norm(taps)
     height = np.asarray(cv2.sepFilter2D(flat, cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
-    below = [-float(np.quantile(tile, _BELOW)) for tile in tiles]
-    factor = float(np.quantile(below, _COUNTED)) / _BELOW_SIGMA
+    middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _ABOVE if is_cut else _BELOW]) for tile in tiles]).T
+    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / _BELOW_SIGMA
+    factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background
-    return replace(background, noise_dn=factor * background.noise_dn, correlation=factor)
+    noise = factor * background.noise_dn
+    if is_cut:
+        level = background.level_dn + background.noise_dn * float(np.median(middle)) / taps.sum() ** 2
+        return replace(background, level_dn=level, noise_dn=noise, above_cut=None, correlation=factor)
+    return replace(background, noise_dn=noise, correlation=factor)
 
 
 def _is_correlated(image: NDArray[Any], background: Background) -> bool:

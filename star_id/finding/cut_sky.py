@@ -23,7 +23,7 @@ UNCUT = 5.0
 # Lowest such height that is used, sigmas: 2 % of the pixels are above the cut there.
 _DARKEST = -2.0
 # Fewest grey levels a sigma: with coarser steps the quantiles of what is left give no noise (set by hand).
-_LEAST_NOISE = 2.0
+_LEAST_NOISE = 1.5
 # Largest share of a block's pixels at the cut for which quantiles of the rest are taken.
 _MOST_CUT = 0.95
 # Distance, sigmas, of the two quantiles whose difference gives the noise (set by hand).

@@ -186,7 +186,7 @@ def _hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> tuple[Bools, Int
 
 def _ring_dn(image: NDArray[Any], xy: Ints, sigma: float) -> Floats:
     """(N,) median of a square ring of pixels around each pixel: the level that a star stands on."""
-    radius = int(np.ceil(_RING_SIGMA * sigma))
+    radius = min(int(np.ceil(_RING_SIGMA * sigma)), (min(image.shape) - 1) // 2)
     side = 2 * radius + 1
     cut = windows_at(image, np.clip(xy - radius, 0, np.array(image.shape[::-1]) - side), side)
     ring = np.concatenate([cut[:, 0], cut[:, -1], cut[:, 1:-1, 0], cut[:, 1:-1, -1]], axis=1)

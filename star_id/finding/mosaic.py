@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
-from boresight.star_id.finding.background import Background, background_image, estimate_background
+from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
 from boresight.star_id.finding.lines import without_lines
 
 __all__ = ["cell_response", "even_image", "has_mosaic", "merged_cells"]
@@ -58,6 +58,8 @@ def has_mosaic(image: NDArray[Any]) -> bool:
     quarter = _TILE_PX**2 // 16
     ends = (quarter, _TILE_PX**2 // 4 - quarter)
     cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
+    if np.median(cells[:, :, ends[0]]) <= cells.min():  # of a sky that is cut off levels follow the noise
+        return False
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
     noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
     spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
@@ -105,18 +107,18 @@ def even_image(
     `response` (2, 2) is that to starlight, of mean one. The background holds the pixels' weights."""
     height, width = (size // 2 * 2 for size in image.shape)
     even = np.zeros(image.shape, dtype=np.float32)
-    level, noise2, unusable = [], [], np.zeros(image.shape, dtype=bool)
-    for row in (0, 1):
-        for column in (0, 1):
-            cut = (slice(row, height, 2), slice(column, width, 2))
-            part, no_stars = without_lines(np.ascontiguousarray(image[cut]), saturation_dn)
-            if no_stars is not None:
-                unusable[cut] = no_stars
-            sky = estimate_background(part)
-            part = (part - background_image(sky.level_dn, part.shape)) / np.float32(response[row, column])
-            even[cut] = part
-            level.append(sky.level_dn)
-            noise2.append((sky.noise_dn / response[row, column]) ** 2)
+    unusable, parts = np.zeros(image.shape, dtype=bool), []
+    cuts = [(slice(row, height, 2), slice(column, width, 2)) for row in (0, 1) for column in (0, 1)]
+    for cut in cuts:
+        part, no_stars = without_lines(np.ascontiguousarray(image[cut]), saturation_dn)
+        parts.append(part)
+        if no_stars is not None:
+            unusable[cut] = no_stars
+    skies = estimate_backgrounds(parts)
+    for cut, part, sky, of_light in zip(cuts, parts, skies, response.ravel().tolist()):
+        even[cut] = (part - background_image(sky.level_dn, part.shape)) / np.float32(of_light)
+    level = [sky.level_dn for sky in skies]
+    noise2 = [(sky.noise_dn / of_light) ** 2 for sky, of_light in zip(skies, response.ravel())]
     even += background_image(np.mean(level, axis=0), image.shape)
     top = float(saturation_dn / response.min())
     if np.isfinite(saturation_dn):

@@ -18,13 +18,13 @@ from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_b
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
-from boresight.star_id.finding.correlated_noise import as_independent_noise
+from boresight.star_id.finding.correlated_noise import as_independent_noise, without_block_levels
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
+from boresight.star_id.finding.own_scale import in_own_counts
 from boresight.star_id.finding.psf import Psf
-from boresight.star_id.finding.rounded_blocks import places_in_rounded_blocks
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
 from boresight.star_id.settings import StarSettings
@@ -119,6 +119,18 @@ class StarList:
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
 
+    def in_units(self, unit: float, zero: float) -> StarList:
+        """The list of the image whose values are `zero` and so many units more."""
+        sky = self.background
+        sky = replace(sky, level_dn=zero + unit * sky.level_dn, noise_dn=unit * sky.noise_dn)
+        return replace(
+            self,
+            flux_dn=unit * self.flux_dn,
+            background=sky,
+            gain_e_per_dn=self.gain_e_per_dn / unit,
+            saturation_dn=zero + unit * self.saturation_dn,
+        )
+
     def mirrored(self, width_px: int) -> StarList:
         """The list of the image of `width_px` columns with their order reversed."""
         (xy, other), cov = (self.xy_px.copy(), self.misshapen_px.copy()), self.cov_px.copy()
@@ -177,8 +189,19 @@ def list_stars(
     saturation = settings.saturation_dn or _saturation_level(image)
     if dark is not None:
         image = _subtract_dark(image, dark, saturation)
+        return _stars_of_counts(image, settings, saturation, unusable)
+    own, gain = in_own_counts(image), settings.gain_e_per_dn
+    of_counts = replace(settings, gain_e_per_dn=None if gain is None else gain * own.unit)
+    stars = _stars_of_counts(own.counts, of_counts, (saturation - own.zero) / own.unit, unusable)
+    return stars if own.unit == 1.0 and own.zero == 0.0 else stars.in_units(own.unit, own.zero)
+
+
+def _stars_of_counts(
+    image: NDArray[Any], settings: StarSettings, saturation: float, unusable: Bools | None
+) -> StarList:
+    """Stars of an image (H, W) of counts, its dark frame subtracted."""
     if not has_mosaic(image):
-        image, no_stars = without_lines(image, saturation)
+        image, no_stars = without_lines(without_block_levels(image), saturation)
         background = estimate_background(image).without(no_stars).without(unusable)
         return _list_stars(image, background, settings, saturation)
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
@@ -216,23 +239,8 @@ def _list_stars(
     stars = _measured(image, found, background, settings, saturation)
     if settings.psf_sigma_px is None and settings.smear_px is None:
         comatic = _with_blur(find_coma, image, found, stars, settings)
-        stars = comatic or _trailed_or_shaped(image, found, stars, settings)
-    return stars if background.correlation <= 1.0 else _in_rounded_blocks(image, stars)
-
-
-def _in_rounded_blocks(image: NDArray[Any], stars: StarList) -> StarList:
-    """The stars with the places that rounded blocks of JPEG tell; as they are where blocks are not rounded by
-    more than the noise."""
-    level_dn, _ = stars.background.at(stars.xy_px)
-    answer = places_in_rounded_blocks(
-        image, stars.xy_px, stars.flux_dn, level_dn, stars.psf, stars.gain_e_per_dn
-    )
-    if answer is None:
-        return stars
-    xy, cov, found = answer
-    found &= ~stars.saturated & ~stars.blended
-    xy_px = np.where(found[:, None], xy, stars.xy_px)
-    return replace(stars, xy_px=xy_px, cov_px=np.where(found[:, None, None], cov, stars.cov_px))
+        return comatic or _trailed_or_shaped(image, found, stars, settings)
+    return stars
 
 
 def _trailed_or_shaped(

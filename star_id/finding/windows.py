@@ -58,8 +58,9 @@ def windows_at(image: NDArray[Any], corners: Ints, side: int) -> NDArray[Any]:
 def star_windows(
     image: NDArray[Any], pixels: Ints, background: Background, radius: int, saturation_dn: float
 ) -> StarWindows:
-    """Windows centred on `pixels` (N, 2), shifted inwards at the image's edges."""
+    """Windows centred on `pixels` (N, 2), shifted inwards at the image's edges, no larger than the image."""
     height, width = image.shape
+    radius = min(radius, (min(image.shape) - 1) // 2)
     side = 2 * radius + 1
     corner = np.clip(pixels - radius, 0, [width - side, height - side])
     raw = windows_at(image, corner, side)

@@ -125,9 +125,10 @@ def real(row):
 
 
 def real_rows():
-    """Rows of the real frames' manifest; none where the folder is missing."""
+    """Rows of the real frames' manifest that are images; none where the folder is missing."""
     file = REAL / "manifest.csv"
-    return list(csv.DictReader(file.open())) if file.exists() else []
+    rows = csv.DictReader(file.open()) if file.exists() else []
+    return [row for row in rows if cv2.haveImageReader(str(REAL / row["file"]))]
 
 
 def answered(name, image, index):

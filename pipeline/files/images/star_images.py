@@ -36,7 +36,7 @@ from boresight.pipeline.files.images.png import read_png
 __all__ = ["grey_image", "opened_fits", "read_exposure", "read_star_image"]
 
 _GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # of red, green, blue (ITU-R BT.601)
-_LARGEST = 1e15  # of a floating-point value: squares and sums of it stay within single precision
+_LARGEST = 1e20  # of a floating-point value: after a change of unit it stays within single precision
 _PACKINGS = ("RICE_1", "PLIO_1", "HCOMPRESS_1")  # of FITS tiles, whose size the header bounds
 # Longest header of a FITS image, in blocks of 2880 bytes: 3600 keywords.
 MAX_FITS_HEADER_BYTES = 100 * 2880
@@ -106,7 +106,7 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
         return planes
     with np.errstate(over="ignore"):  # what becomes infinite is no number
-        values = planes.astype(np.float32)
+        values: NDArray[Any] = planes.astype(np.float64 if planes.dtype == np.float64 else np.float32)
     grey = values if values.ndim == 2 else np.tensordot(_GREY, values[:3], axes=1)
     if planes.dtype in (np.uint8, np.uint16):
         return np.rint(grey).astype(planes.dtype)
