@@ -128,7 +128,7 @@ def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     motion = strip_motion(task, task.R_cs0)
     if reason := _impossible(task, motion):
         return task.item.because(Reason.NOT_A_SKY_STRIP, reason)
-    if too_long := _too_long(task, motion.usual):
+    if (too_long := _too_long(task, motion.usual)) is not None:
         return too_long
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
     try:

@@ -224,9 +224,9 @@ def test_fault_in_one_exposure_is_that_exposures_own(
     monkeypatch.setattr(boresight.pipeline.stages.exposure, "sight_stars", fragile)
     found = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
     (left_out,) = [o for o in found.omissions if o.subject.kind == "exposure"]
-    assert left_out.name.endswith("5")
+    assert left_out.subject.exposure.endswith("5")
     assert (
-        "internal error in sight_exposure: ValueError: an unforeseen matrix; please report" in left_out.reason
+        "internal error in sight_exposure: ValueError: an unforeseen matrix; please report" in left_out.text
     )
 
 
