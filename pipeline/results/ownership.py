@@ -46,7 +46,7 @@ OWN_FILES = (
     + "validation.json report.html report.pdf".split()
     + [f"interior/{n}" for n in "interior.json interior.png remote_camera.toml".split()]
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
-    + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes omissions".split()]
+    + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes ledger omissions".split()]
     + ["sightings/reliability.parquet"]
     + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
     + [

@@ -183,7 +183,8 @@ def test_names_in_a_result_of_others_never_reach_the_terminal(
     shutil.copytree(finished[1], result)
     path = result / "sightings" / "ledger.parquet"
     table = pq.read_table(path)
-    row = {name: "\x1b]0;title\x07 \u202e \x1b[2J" for name in table.schema.names}
+    hostile = "\x1b]0;title\x07 \u202e \x1b[2J"
+    row = {field.name: hostile if pa.types.is_string(field.type) else 0 for field in table.schema}
     pq.write_table(pa.Table.from_pylist([row], table.schema).replace_schema_metadata(), path)
     verdict = {"outcome": "\x1b[31mconsistent", "checks": []}
     installation = json.loads((result / "installation.json").read_text())
