@@ -17,7 +17,6 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.passes import Pass
 from boresight.pipeline.diagnosis.causes import examined, wrong_convention
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
-from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
 from boresight.pipeline.diagnosis.left_out import searched_alone, with_left_out
 from boresight.pipeline.diagnosis.losses import (
@@ -31,6 +30,7 @@ from boresight.pipeline.diagnosis.losses import (
 )
 from boresight.pipeline.diagnosis.missing import targets_out_of_view
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
+from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.diagnosis.readings import (
     exchanged_in_ground,
     exchanged_in_sky,
@@ -69,7 +69,9 @@ def assessed(
     sighted = _sighted(basis, first, last, targets, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
+    of_attitudes = against_own_motion(basis.heads)
     of_inputs = [
+        *of_attitudes,
         *targets_out_of_view(dump, last.tasks, last.matched),
         *input_findings(dump, last.tasks, omissions),
     ]
@@ -83,9 +85,11 @@ def assessed(
         reliability=reliability,
         target_files=dump.target_files,
     )
+    if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
+        verdict = replace(verdict, findings=())
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
-        *_explanations(basis, last, found, verdict, reliability, (targets, stars)),
+        *(() if of_attitudes else _explanations(basis, last, found, verdict, reliability, (targets, stars))),
         *of_inputs,
         *assumed_motion(last.strips, basis.errors),
         *earth_findings(earth, dump.earth_file),
@@ -132,15 +136,12 @@ def _explanations(
     reliability: Reliability,
     ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
-    """Exposures that are exchanged and a convention that is wrong; without either, what `_target_findings`
-    says.
-    """
-    exchanged = exchanged_exposures(basis.dump, basis.heads)
+    """A convention that is wrong; without one, what `_target_findings` says."""
     convention = None
     if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
         convention = wrong_convention(basis)
-    if convention or exchanged:
-        return [*exchanged, *([convention] if convention else [])]
+    if convention:
+        return [convention]
     return _target_findings(basis, last, estimate, reliability, verdict.findings, ledgers)
 
 

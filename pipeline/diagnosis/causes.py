@@ -19,9 +19,9 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.diagnosis.exchanged_exposures import exchanged_exposures
 from boresight.pipeline.diagnosis.missing import misses
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
+from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.diagnosis.readings import best_reading, readings_of_dump, reversed_strips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -44,8 +44,8 @@ def cause_of_no_result(
     """Why strips do not determine a matrix: a convention, or what the hypotheses tell of all observations
     together, none rejected.
     """
-    if exchanged := exchanged_exposures(basis.dump, basis.heads):
-        return exchanged[0]
+    if of_attitudes := against_own_motion(basis.heads):
+        return of_attitudes[0]
     if reversed_strip := next(reversed_strips(basis.dump, sky), None):
         return reversed_strip
     if finding := wrong_convention(basis):
@@ -112,7 +112,7 @@ def _agreeing_strips(basis: Basis, dump: Dump) -> int:
         for head, before in zip(dump.heads, basis.heads)
     ]
     start = dump.R_cs0, dump.sigma_installation_rad
-    tasks, _ = strip_tasks(dump, heads, *start, stated_mountings(heads), settings)
+    tasks, _ = strip_tasks(dump, heads, *start, stated_mountings(heads), settings, with_slips=False)
     named = name_in_sky_strips(dump, find_in_sky_strips(dump, heads, settings, runner), *start, known=False)
     return sum(_sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
 

@@ -50,8 +50,11 @@ def strip_tasks(
     sigma_rad: Array,
     mountings: Mapping[str, Rotation],
     settings: Settings,
+    *,
+    with_slips: bool = True,
 ) -> tuple[list[StripTask], list[Entry]]:
-    """A task for each strip that orbit and star exposures cover, and an omission for each other one.
+    """A task for each strip that orbit and star exposures cover, and an omission for each other one, and for
+    each hidden point, `with_slips` that would explain where it lies.
 
     `R_cs` with 1-sigma (3,) predicts where targets lie. Where another head carries the strip, its attitudes
     are turned to frame s by `mountings`.
@@ -81,7 +84,7 @@ def strip_tasks(
             interpolation=head.head.interpolation,
             carrier=head.head.name,
         )
-        task, hidden = _without_hidden_points(task)
+        task, hidden = _without_hidden_points(task, with_slips)
         omitted += hidden
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
@@ -144,7 +147,7 @@ def _before_launch(
     return heads, *strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)
 
 
-def _without_hidden_points(task: StripTask) -> tuple[StripTask, list[Entry]]:
+def _without_hidden_points(task: StripTask, with_slips: bool) -> tuple[StripTask, list[Entry]]:
     """The task without measured points that lie beyond the satellite's horizon, or so near to it that their
     refraction is not defined, and an omission for each.
     """
@@ -163,7 +166,7 @@ def _without_hidden_points(task: StripTask) -> tuple[StripTask, list[Entry]]:
     found = []
     for n in np.flatnonzero(hidden).tolist():
         target = points.targets[n]
-        slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n])
+        slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n]) if with_slips else ""
         where = (
             "beyond the horizon" if beyond[n] else "so low that its refraction is not known, near the horizon"
         )

@@ -280,6 +280,27 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for times, ms in _sized(2.0, rng):
             make = partial(head_late, 1e-3 * ms)
             yield Fault("head clock", head, ms, "ms", times, make, (head, LATE), LATE, (head,))
+        yield from _rows_dated_wrong(f"{head}.csv", "utc", head, rng)
+
+
+def _rows_dated_wrong(file: str, column: str, head: str, rng: np.random.Generator) -> Iterator[Fault]:
+    """Every second row, or rows at random, dated otherwise than the others."""
+
+    def dated(chosen: Callable[[int], bool], seconds: float, dump: Path) -> None:
+        header, *rows = table(dump / file)
+        at = header.index(column)
+        for k, row in enumerate(rows):
+            if chosen(k):
+                row[at] = later(row[at], seconds)
+        write(dump / file, [header, *rows])
+
+    drawn = rng.random(10_000) < 0.5
+    for name, chosen in (("every second", lambda k: k % 2 == 1), ("at random", lambda k: bool(drawn[k]))):
+        for times, ms in _sized(5.0, rng):
+            make, words = partial(dated, chosen, 1e-3 * ms), (head.lower() or "exposure", "time")
+            yield Fault(
+                "rows dated wrong", f"{head} {name}".strip(), ms, "ms", times, make, words, "", (head,)
+            )
 
 
 def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
@@ -289,6 +310,7 @@ def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
     for times, ms in _sized(2.0, rng):
         make = partial(exposures_late, 1e-3 * ms)
         yield Fault("exposures' clock", "", ms, "ms", times, make, ("exposure|star|all", LATE), LATE)
+    yield from _rows_dated_wrong("exposures.csv", "utc_mid", "", rng)
 
     def exchanged(first: int, second: int, dump: Path) -> None:
         header, *rows = table(dump / "exposures.csv")

@@ -197,6 +197,23 @@ def test_an_error_that_leaves_no_residual_moves_the_matrix_as_its_blind_spot_say
     assert np.max(np.abs(moved) / right.estimate.sigma_theta) > 4.0
 
 
+def test_every_second_attitude_dated_early_is_told_before_anything_that_follows_from_it(told):
+    def early(dump: Path) -> None:
+        header, *rows = faults.table(dump / "STR1.csv")
+        at = header.index("utc")
+        for row in rows[1::2]:
+            row[at] = later(row[at], -0.05)
+        faults.write(dump / "STR1.csv", [header, *rows])
+
+    (first, *others) = [one for one in told(early).verdict.findings if one.is_fault]
+    assert first.refutes and (first.cause, first.item, first.file) == (
+        "times of attitudes",
+        "head STR1",
+        "STR1.csv",
+    )
+    assert others == [] and len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
+
+
 def exchanged_heads(dump: Path) -> None:
     one, other = dump / "STR1.csv", dump / "STR2.csv"
     one.rename(dump / "kept")

@@ -1,0 +1,136 @@
+"""Attitudes of one star camera as motion of a satellite and errors of the rows: how likely are these?
+
+Over a stretch of rows without a gap the attitude is a constant rotation, a rate and an acceleration, all of
+them free, and a Gaussian process of free size: either smooth over two steps or more, or with a rate that is a
+random walk, as where a manoeuvre begins. What changes faster than the rows follow one another is error. About
+each axis of the errors the rows' turns y have the covariance
+
+    s² N + a² S,
+
+N as stated, S the shape of the motion, its size a chosen by likelihood. The likelihood is that of what the
+free terms leave. With s = 1 the errors are as stated; larger factors s, in one proportion from axis to axis
+or another, tell what is wrong: all errors larger, errors of the instants (along the rate), scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import ConstantRate
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.record import Floats, Ints, array, record
+
+__all__ = ["FACTORS", "Stretch", "motion_modes", "stretches"]
+
+GAP = 3.0  # median steps: a longer one ends a stretch
+FEWEST_ROWS, MOST_ROWS = 5, 64  # of a stretch; longer ones are cut, since the work grows with the cube
+SMOOTH_STEPS = (2.0, 3.0, 5.0, 9.0)  # over which a motion is smooth
+SIZES = np.exp(np.linspace(-3.0, 10.0, 27))  # a, in units of the stated error
+FACTORS = np.exp(np.linspace(0.0, 10.0, 41))  # s of the errors, from as stated to four decades more
+WILD = 1e3  # 1-sigma of a row that says nothing, in units of the stated error
+
+
+def motion_modes(turns: Floats, noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
+    """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
+    (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
+    modes (S, M, K) of unit variance by noise, M = K - D.
+    """
+    rest = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :].T
+    white = np.linalg.solve(np.linalg.cholesky(rest @ noise @ rest.T), rest)
+    variance, vectors = np.linalg.eigh(white @ shapes @ white.T)
+    return np.maximum(variance, 0.0), np.swapaxes(vectors, 1, 2) @ white
+
+
+@record(kw_only=True)
+class Stretch:
+    """Rows of a record without a gap, about the three axes of their errors."""
+
+    rows: Ints = array("K", "rows of the record")
+    turns: Floats = array("K, 3", "attitudes less a rotation at constant rate, rad")
+    noise: Floats = array("3, K, K", "stated covariance of the errors, rad²")
+    rate: Floats = array("3", "by which attitudes of a later instant are turned, rad/s")
+    t_s: Floats = array("K", "instants, TAI seconds since the epoch")
+    own: Floats = array("3", "1-sigma of the error of a row by itself, rad")
+
+    def _modes(self) -> Iterator[tuple[Floats, Floats]]:
+        """Of each axis (`motion_modes`)."""
+        t = (self.t_s - self.t_s.mean()) / float(np.median(np.diff(self.t_s)))
+        lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
+        shapes = [np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS]
+        shapes.append(ahead**2 * (ahead / 3.0 + lag / 2.0))
+        for y, noise, own in zip(self.turns.T, self.noise, self.own):
+            yield motion_modes(y, noise, own**2 * np.array(shapes), np.vander(t, 3))
+
+    def log_likelihoods(self) -> Floats:
+        """(3, F) about each axis with errors larger by each of the `FACTORS`, the motion as fits best."""
+        every = []
+        for (variance, modes), y in zip(self._modes(), self.turns.T):
+            of_mode = FACTORS[:, None, None, None] ** 2 + SIZES[:, None, None] ** 2 * variance
+            fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
+            every.append(fit.max(axis=(1, 2)))
+        return np.array(every)
+
+    def gains_without(self) -> Floats:
+        """(K,) by how much the attitudes are likelier, as a logarithm, if one row says nothing."""
+        gains = np.zeros(len(self.t_s))
+        for (variance, modes), y, own in zip(self._modes(), self.turns.T, self.own):
+            of_mode = 1.0 + SIZES[:, None, None] ** 2 * variance  # (A, S, M)
+            z = modes @ y
+            fit = -0.5 * (np.log(of_mode) + z**2 / of_mode).sum(axis=2)
+            by_row = np.einsum("smk,sm,asm->ask", modes, z, 1.0 / of_mode)
+            weight = np.einsum("smk,asm->ask", modes**2, 1.0 / of_mode)
+            wild = (WILD * own) ** 2
+            gained = 0.5 * (by_row**2 / (1.0 / wild + weight) - np.log1p(wild * weight))
+            gains += (fit[:, :, None] + gained).max(axis=(0, 1)) - fit.max()
+        return gains
+
+    def instants(self, spread_s: float) -> tuple[Floats, Floats]:
+        """Information (K, K), 1/s², on by how much each row's instant is stated too early, and that times the
+        estimate (K,), 1/s; the motion is that of errors of the instants of 1-sigma `spread_s`.
+        """
+        at, z = np.zeros(len(self.t_s)), np.zeros((len(self.t_s),) * 2)
+        for (variance, modes), y, own, rate in zip(self._modes(), self.turns.T, self.own, self.rate):
+            factor = 1.0 + (spread_s * rate / own) ** 2
+            of_mode = factor + SIZES[:, None, None] ** 2 * variance
+            fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=2)
+            size, shape = np.unravel_index(np.argmax(fit), fit.shape)
+            weighted = modes[shape].T / (of_mode[size, shape] - factor + 1.0)
+            at += rate * (weighted @ (modes[shape] @ y))
+            z += rate**2 * (weighted @ modes[shape])
+        return z, at
+
+
+def stretches(
+    t_s: Floats, R_si: Rotation, covariance_s: Floats, noise: AttitudeNoise | None, rows: Ints
+) -> Iterator[Stretch]:
+    """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
+    what the noise of the head has in common from row to row.
+    """
+    step = np.diff(t_s[rows])
+    parts = np.split(rows, np.flatnonzero(step > GAP * np.median(step)) + 1) if len(step) else []
+    for part in parts:
+        for here in np.array_split(part, -(-len(part) // MOST_ROWS)):
+            if len(here) >= FEWEST_ROWS:
+                yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise)
+
+
+def _stretch(
+    rows: Ints, t_s: Floats, R_si: Rotation, covariance_s: Floats, noise: AttitudeNoise | None
+) -> Stretch:
+    motion = ConstantRate.fitted(t_s, R_si)
+    D = R_si * motion.R_oi(t_s).inv()
+    variance, axes = np.linalg.eigh(covariance_s.mean(axis=0))
+    full = noise.coloured_covariance_s(t_s) if noise else np.zeros((len(rows), 3, len(rows), 3))
+    each = np.arange(len(rows))
+    full[each, :, each, :] += covariance_s
+    return Stretch(
+        rows=rows,
+        turns=(D * D[len(D) // 2].inv()).as_rotvec() @ axes,
+        noise=np.einsum("ax,kalb,bx->xkl", axes, full, axes),
+        rate=-motion.omega_o @ axes,
+        t_s=t_s,
+        own=np.sqrt(variance),
+    )

@@ -1,0 +1,368 @@
+"""Attitudes against their own motion: rows that are no attitude of a satellite that moves as the others tell.
+
+Before anything else is looked at, the attitudes of every head are held against a motion that a satellite can
+make (`geometry.attitude_motion`). Where they are likelier with larger errors than stated, the proportion of
+these from axis to axis tells the cause: errors of the instants, errors of all axes alike, or the stated ones
+several times. Single rows that do not fit are reported singly, and as exchanged where two of them fit in each
+other's place. A slow error, or a lag of all rows, is motion too: others tell of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.finding import Finding
+from boresight.geometry.attitude_motion import FACTORS, Stretch, stretches
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Kind, Subject
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.stages.head import HeadSightings
+
+__all__ = ["against_own_motion"]
+
+CERTAIN = 12.0  # logarithm of a likelihood ratio: one of 100,000 sound heads
+LEAST_EXCESS = 1.3  # times the stated error, from which larger errors are reported
+REFUTES = 2.0  # times the stated error, from which the covariance of the matrix no longer holds
+FEWEST_FAST = 8  # rows of a stretch; in shorter ones a motion may be as fast as rows follow one another
+MOSTLY = 0.8  # of the rows that are every second one
+MOST_ALONE, MOST_NAMED = 12, 4  # rows that may be wrong alone; names in one finding
+ALIKE = 3.0  # of that logarithm, within which another kind of error explains as much
+FAR_SIGMAS, FAR_RAD = 5.0, np.radians(0.1)  # between two heads: of their mountings, and by wrong times beside
+APART = 4.0  # times the scatter about them, by which instants are in two groups
+TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
+
+
+@dataclass(frozen=True)
+class Excess:
+    """A kind of error beyond the stated one."""
+
+    cause: str  # "{}" is what has it
+    text: str  # "{}" is its size
+    unit: str
+    si: float  # of one unit
+    by_axis: Callable[[Stretch], Floats]  # (3,) 1-sigma about each axis by one SI unit, in stated ones
+    as_motion: bool = False  # a motion that is faster than the rows may look like it
+
+
+EXCESSES = (
+    Excess(
+        "times of {}",
+        "as they turn, their instants scatter by {:.3g} ms",
+        "ms",
+        1e-3,
+        lambda part: np.abs(part.rate) / part.own,
+    ),
+    Excess(
+        "errors of {}",
+        "attitudes jump from one to the next, by {:.3g}″, more than stated",
+        "″",
+        ARCSEC,
+        lambda part: 1.0 / part.own,
+        as_motion=True,
+    ),
+    Excess(
+        "errors of {}",
+        "attitudes scatter by {:.2g} times the stated errors more",
+        "times",
+        1.0,
+        lambda part: np.ones(3),
+        as_motion=True,
+    ),
+)
+
+
+@record(kw_only=True)
+class Attitudes:
+    """The usable attitudes of one head, in order of time."""
+
+    head: HeadSightings = scalar("the head")
+    names: tuple[str, ...] = array("K", "exposures")
+    t_s: Floats = array("K", "instants, TAI seconds since the epoch")
+    R_si: Rotation = array("K", "GCRS to the head")
+    covariance_s: Floats = array("K, 3, 3", "of each by itself, rad²")
+
+    @classmethod
+    def of(cls, head: HeadSightings) -> Attitudes:
+        """Those of a head."""
+        usable = np.flatnonzero(head.attitudes.usable)
+        return cls(
+            head=head,
+            names=tuple(head.stars[k].exposure_id for k in usable.tolist()),
+            t_s=np.array([head.stars[k].t_s for k in usable]),
+            R_si=Rotation.from_matrix(head.attitudes.R_si[usable].reshape(-1, 3, 3)),
+            covariance_s=head.attitudes.covariance_s[usable],
+        )
+
+    def stretches(self, rows: Ints) -> list[Stretch]:
+        """Stretches of some rows (K,)."""
+        noise = self.head.head.noise if self.is_solved else None
+        return list(stretches(self.t_s, self.R_si, self.covariance_s, noise, rows))
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the head solved them itself."""
+        return isinstance(self.head.head.source, SolvedAttitudes)
+
+
+def against_own_motion(heads: Sequence[HeadSightings]) -> list[Finding]:
+    """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite."""
+    every = [Attitudes.of(head) for head in heads]
+    if any(_are_apart(every[0], other) for other in every[1:]):
+        return []  # a file or a convention is wrong, and errors are about other axes than stated
+    return [finding for of_head in every for finding in _of_head(of_head)]
+
+
+def _are_apart(one: Attitudes, other: Attitudes) -> bool:
+    """Whether attitudes of two heads at the nearest instants differ by more than their mountings may."""
+    if not len(one.t_s) or not len(other.t_s):
+        return False
+    a, b = one.head.head, other.head.head
+    nearest = np.abs(one.t_s[:, None] - other.t_s).argmin(axis=1)
+    apart = (a.R_cs0 * one.R_si * (b.R_cs0 * other.R_si[nearest]).inv()).magnitude()
+    sigma = np.linalg.norm([a.sigma_installation_rad, b.sigma_installation_rad])
+    return bool(np.median(apart) > FAR_RAD + FAR_SIGMAS * sigma)
+
+
+def _of_head(of_head: Attitudes) -> list[Finding]:
+    every = np.arange(len(of_head.t_s))
+    told = _excess(of_head, every)
+    if told is None and max(_gains(of_head, every).values(), default=-1.0) < 0.0:
+        return []  # no row whose absence would gain; of two that are wrong one hides the other in part
+    groups, in_order, gained = _exchanged(of_head)
+    alone, gain = _alone(in_order)
+    more = _excess(in_order, np.setdiff1d(every, alone))
+    if groups and (more or gained + gain < _alone(of_head)[1] + CERTAIN):  # another order explains no more
+        groups, in_order, gained, (alone, gain) = [], of_head, 0.0, _alone(of_head)
+        more = _excess(of_head, np.setdiff1d(every, alone))
+    price = 2.0 * CERTAIN * sum(len(group) - 1 for group in groups)  # some pair nearly fits by chance
+    if told and told[1] > gained + gain - price:
+        return [told[0]]
+    rest = np.setdiff1d(every, alone)
+    found = [
+        _finding(of_head, group, rest, "exchanged they fit, as stated they miss it by") for group in groups
+    ]
+    if alone:
+        found.append(_finding(of_head, alone, rest, "off the motion of the others, by up to"))
+    return [*found, *([more[0]] if more else [])]
+
+
+# --- Single rows
+
+
+def _gains(of_head: Attitudes, rows: Ints) -> dict[int, float]:
+    """By how much the attitudes of some rows are likelier if one of them says nothing, by row."""
+    return {
+        row: gain
+        for part in of_head.stretches(rows)
+        for row, gain in zip(part.rows.tolist(), part.gains_without().tolist())
+    }
+
+
+def _limit(of_head: Attitudes) -> float:
+    """Of such a gain, with which a row does not fit."""
+    return CERTAIN + float(np.log(max(len(of_head.t_s), 1)))
+
+
+def _one_by_one(of_head: Attitudes) -> list[tuple[int, float]]:
+    """Rows left out one after another, those first without which the others are likeliest, and the gains."""
+    left, taken = np.arange(len(of_head.t_s)), list[tuple[int, float]]()
+    while len(taken) < MOST_ALONE and (gains := _gains(of_head, left)):
+        row = max(gains, key=lambda row: gains[row])
+        taken.append((row, gains[row]))
+        left = np.setdiff1d(left, [row])
+    return taken
+
+
+def _alone(of_head: Attitudes) -> tuple[list[int], float]:
+    """Rows that do not fit, and by how much the others are likelier without them. One hides another: rows
+    are left out as long as that gains in all, and put back where they fit after all.
+    """
+    taken, every = _one_by_one(of_head), np.arange(len(of_head.t_s))
+    price = _limit(of_head) - CERTAIN
+    gained = np.cumsum([0.0, *(gain - price for _, gain in taken)])
+    n = int(np.argmax(gained))
+    if gained[n] < CERTAIN:
+        return [], 0.0
+    alone = [row for row, _ in taken[:n]]
+    for row in tuple(alone):
+        without = [one for one in alone if one != row]
+        if _gains(of_head, np.setdiff1d(every, without)).get(row, np.inf) < _limit(of_head):
+            alone = without
+    return sorted(alone), float(gained[n])
+
+
+def _exchanged(of_head: Attitudes) -> tuple[list[list[int]], Attitudes, float]:
+    """Groups of rows that fit in each other's place, the attitudes with these put right, and by how much they
+    are likelier; of the pairs that do not fit, the best is exchanged, again and again.
+    """
+    order: Ints = np.arange(len(of_head.t_s))
+    gained = 0.0
+    gains = {} if of_head.is_solved else _gains(of_head, order)
+    doubtful = sorted(sorted(gains, key=lambda row: -gains[row])[:MOST_ALONE])
+    now = _likelihood(of_head, order)
+    while True:
+        orders = [_exchange(order, pair) for pair in combinations(doubtful, 2)]
+        fits = [_likelihood(_in_order(of_head, one), np.arange(len(one))) for one in orders]
+        best = max(range(len(fits)), key=lambda n: fits[n], default=-1)
+        if best < 0 or fits[best] - now < _limit(of_head):
+            return _cycles(order), _in_order(of_head, order), gained
+        gained, now, order = gained + fits[best] - now, fits[best], orders[best]
+
+
+def _exchange(order: Ints, pair: tuple[int, int]) -> Ints:
+    changed = order.copy()
+    changed[list(pair)] = order[list(pair[::-1])]
+    return changed
+
+
+def _in_order(of_head: Attitudes, order: Ints) -> Attitudes:
+    return replace(of_head, R_si=of_head.R_si[order], covariance_s=of_head.covariance_s[order])
+
+
+def _cycles(order: Ints) -> list[list[int]]:
+    """Rows that an order puts in one another's place, group by group."""
+    groups = {frozenset(_cycle(order, row)) for row in np.flatnonzero(order != np.arange(len(order)))}
+    return sorted(map(sorted, groups))
+
+
+def _cycle(order: Ints, row: int) -> list[int]:
+    rows = [int(row)]
+    while (following := int(order[rows[-1]])) != rows[0]:
+        rows.append(following)
+    return rows
+
+
+def _likelihood(of_head: Attitudes, rows: Ints) -> float:
+    """Logarithm, of some rows with errors as stated."""
+    return float(sum(part.log_likelihoods()[:, 0].sum() for part in of_head.stretches(rows)))
+
+
+def _off(of_head: Attitudes, row: int, rows: Ints) -> float:
+    """How far a row lies from the straight way between the nearest of the `rows` around it, rad."""
+    others = rows[rows != row]
+    k = int(np.clip(np.searchsorted(others, row), 1, len(others) - 1))
+    a, b = others[k - 1], others[k]
+    part = (of_head.t_s[row] - of_head.t_s[a]) / (of_head.t_s[b] - of_head.t_s[a])
+    way = (of_head.R_si[b] * of_head.R_si[a].inv()).as_rotvec()
+    return float((of_head.R_si[row] * (Rotation.from_rotvec(part * way) * of_head.R_si[a]).inv()).magnitude())
+
+
+# --- All rows
+
+
+def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
+    """The finding about errors beyond the stated ones, and by how much attitudes are likelier with them."""
+    parts = of_head.stretches(rows)
+    if not parts:
+        return None
+    likelihoods = [part.log_likelihoods() for part in parts]
+    gains, sizes, largest = [], [], []
+    for kind in EXCESSES:
+        by_axis = [kind.by_axis(part) for part in parts]
+        sizes_si = TRIED / float(np.median([one.max() for one in by_axis]))
+        factors = [np.hypot(1.0, sizes_si[:, None] * one) for one in by_axis]
+        total = np.sum(
+            [
+                np.interp(np.log(factor), np.log(FACTORS), fit) - fit[0]
+                for of_part, fits in zip(factors, likelihoods)
+                for factor, fit in zip(of_part.T, fits)
+            ],
+            axis=0,
+        )
+        best = int(np.argmax(total))
+        gains.append(float(total[best]))
+        sizes.append(float(sizes_si[best]))
+        largest.append(float(max(of_part[best].max() for of_part in factors)))
+    if np.median([len(part.rows) for part in parts]) < FEWEST_FAST:
+        fast = max(gain for kind, gain in zip(EXCESSES, gains) if kind.as_motion)
+        gains = [0.0 if kind.as_motion else gain - fast for kind, gain in zip(EXCESSES, gains)]
+    best = int(np.argmax(gains))
+    if gains[best] < CERTAIN or largest[best] < LEAST_EXCESS:
+        return None
+    alike = [EXCESSES[n] for n, gain in enumerate(gains) if n != best and gain > gains[best] - ALIKE]
+    told = _told_of_all(of_head, parts, EXCESSES[best], sizes[best], largest[best])
+    others = dict.fromkeys(kind.cause.format(_what(of_head)) for kind in alike)
+    rivals = [cause for cause in others if cause != told.cause]
+    text = f"{told.text[:-1]}; or {' or '.join(rivals)}." if rivals else told.text
+    return replace(told, text=text, rivals=tuple(f"{cause}, {told.item}" for cause in rivals)), gains[best]
+
+
+def _what(of_head: Attitudes) -> str:
+    return "attitudes" if of_head.is_solved else "exposures"
+
+
+def _told_of_all(
+    of_head: Attitudes, parts: Sequence[Stretch], kind: Excess, size_si: float, largest: float
+) -> Finding:
+    source, text, sigma = of_head.head.head.source, kind.text.format(size_si / kind.si), np.nan
+    solved = source if isinstance(source, SolvedAttitudes) else None
+    if kind is EXCESSES[0] and (groups := _two_groups(parts, size_si)):
+        early, size_si, sigma = groups
+        which = f"{len(early)} of {sum(len(part.rows) for part in parts)} are"
+        alternate = len(early) > 2 and float(np.mean(np.diff(early) == 2)) > MOSTLY
+        which = "every second one is" if alternate else which
+        text = f"{which} dated {1e3 * size_si:.3g} ms earlier than the others"
+    is_weak = kind.as_motion and of_head.head.head.noise_is_assumed
+    file, field = (solved.file, "utc") if solved else ("exposures.csv", "utc_mid")
+    look_at = f"{field} in {file}"
+    if kind is not EXCESSES[0]:
+        look_at += ", and its stated noise" if solved else ", its images and the star camera"
+    return Finding(
+        cause=kind.cause.format(_what(of_head)),
+        item=of_head.head.head.subject.words if solved else "all exposures",
+        subjects=(of_head.head.head.subject,) if solved else (),
+        text=f"{text}: check {look_at}.",
+        value=size_si / kind.si,
+        sigma=sigma / kind.si,
+        unit=kind.unit,
+        file=file,
+        field=field,
+        refutes=largest >= REFUTES and not is_weak,
+        is_fault=not is_weak,
+    )
+
+
+def _two_groups(parts: Sequence[Stretch], spread_s: float) -> tuple[Ints, float, float] | None:
+    """Rows that are dated early, by how much against the others, and its 1-sigma, s; none where instants are
+    not in two groups.
+    """
+    known = [part.instants(spread_s) for part in parts]
+    early_s = np.concatenate([np.linalg.solve(F + np.eye(len(x)) / spread_s**2, x) for F, x in known])
+    order = np.sort(early_s)
+    cut = order[int(np.argmax(np.diff(order)))]
+    few = early_s <= cut
+    within = np.hypot(
+        *(np.std(part) * np.sqrt(part.size / few.size) for part in (early_s[few], early_s[~few]))
+    )
+    if float(early_s[~few].mean() - early_s[few].mean()) < APART * within:
+        return None
+    ends = np.cumsum([0, *(len(part.rows) for part in parts)])
+    late = [(~few[a:b]).astype(float) for a, b in pairwise(ends.tolist())]
+    information = float(sum(one @ F @ one for one, (F, _) in zip(late, known)))
+    size_s = float(sum(one @ x for one, (_, x) in zip(late, known))) / information
+    return np.concatenate([part.rows for part in parts])[~few], size_s, 1.0 / np.sqrt(information)
+
+
+def _finding(of_head: Attitudes, rows: Sequence[int], others: Ints, what: str) -> Finding:
+    """About single rows, which do not fit `others`."""
+    off_rad = max(_off(of_head, row, others) for row in rows)
+    names, source = [of_head.names[row] for row in rows], of_head.head.head.source
+    some = names if len(names) <= MOST_NAMED else names[: MOST_NAMED - 1]
+    some = [*some, f"{len(names) - len(some)} more"] if len(some) < len(names) else some
+    listed = " and ".join(part for part in (", ".join(some[:-1]), some[-1]) if part)
+    file, field = (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "file")
+    off = f"{off_rad / ARCSEC:.3g}″" if off_rad < 600.0 * ARCSEC else f"{np.degrees(off_rad):.2g}°"
+    return Finding(
+        cause="files or times of exposures",
+        item=f"exposure{'s' if len(names) > 1 else ''} {listed}",
+        subjects=tuple(Subject(Kind.EXPOSURE, exposure=name) for name in names),
+        text=f"{what} {off}: check {field} and {'utc_mid' if field == 'file' else 'quaternion'} in {file}.",
+        file=file,
+        field=field,
+    )

@@ -1,0 +1,207 @@
+"""Attitudes that contradict their own motion are named; sound ones and manoeuvres are left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Kind, Subject
+from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
+from boresight.pipeline.diagnosis.own_motion import against_own_motion
+from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.stages.head import HeadSightings
+
+N, STEP_S = 26, 2.4
+TIMES_S = 311.0 + STEP_S * np.arange(N)
+NAMES = [f"x{k:02d}" for k in range(N)]
+ORBIT = SimpleNamespace(R_oi=lambda t_s: Rotation.from_rotvec(np.outer(t_s, [2e-4, -1.0e-3, 3e-4])))
+HEAD = SimpleNamespace(source=None, noise=None, noise_is_assumed=False, R_cs0=Rotation.identity())
+MOUNTING = Rotation.from_euler("xyz", [-35.0, 70.0, 115.0], degrees=True)
+
+
+def attitudes(seed: int, sigma_arcsec: float = 4.0, turn_s: float | None = None) -> Rotation:
+    """R_si of a camera that turns at a steady rate in the orbital frame, or begins to turn at an instant."""
+    rng = np.random.default_rng(seed)
+    rate = np.array([4e-4, -7e-4, 2e-4])
+    turned = np.maximum(TIMES_S - turn_s, 0.0) if turn_s is not None else TIMES_S
+    noise = Rotation.from_rotvec(sigma_arcsec * ARCSEC * rng.normal(size=(N, 3)))
+    return noise * MOUNTING * Rotation.from_rotvec(np.outer(turned, rate)) * ORBIT.R_oi(TIMES_S)
+
+
+def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float = 4.0 * ARCSEC):
+    stars = tuple(exposure_without_stars(name, t) for name, t in zip(NAMES, TIMES_S.tolist()))
+    solved = solved_attitudes(R_si, np.tile(sigma_rad**2 * np.eye(3), (N, 1, 1)))
+    if usable is not None:
+        solved = replace(solved, usable=usable)
+    head = HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=(), computed=())
+    return against_own_motion([head])
+
+
+@pytest.mark.parametrize("pair", [(3, 8), (5, 6), (6, 11), (2, 4)])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_exposures_in_each_others_place_are_named(pair, seed):
+    order = np.arange(N)
+    order[list(pair)] = order[list(pair[::-1])]
+    (told,) = findings(attitudes(seed)[order])
+    assert told.item == f"exposures {NAMES[pair[0]]} and {NAMES[pair[1]]}"
+    assert (told.file, told.field) == ("exposures.csv", "file")
+
+
+def test_two_pairs_are_two_findings():
+    order = np.arange(N)
+    order[[2, 5, 18, 21]] = order[[5, 2, 21, 18]]
+    assert {one.item for one in findings(attitudes(7)[order])} == {
+        "exposures x02 and x05",
+        "exposures x18 and x21",
+    }
+
+
+def test_exposures_in_order_have_no_finding():
+    assert [findings(attitudes(seed)) for seed in range(200)] == [[]] * 200
+
+
+def test_a_manoeuvre_has_no_finding():
+    for seed in range(50):
+        assert findings(attitudes(seed, turn_s=TIMES_S[6] + 0.3)) == []
+
+
+@pytest.mark.parametrize("wrong", [0, 6, 24])
+def test_one_wrong_attitude_is_named_alone(wrong):
+    R_si = attitudes(1).as_matrix()
+    R_si[wrong] = R_si[wrong] @ Rotation.from_rotvec([0.01, 0.02, -0.01]).as_matrix()
+    (told,) = findings(Rotation.from_matrix(R_si))
+    assert told.item == f"exposure {NAMES[wrong]}"
+    assert told.text.startswith("off the motion")
+
+
+def test_three_exposures_in_a_circle_are_one_finding():
+    order = np.arange(N)
+    order[[3, 7, 20]] = order[[7, 20, 3]]
+    (told,) = findings(attitudes(5)[order])
+    assert told.item == "exposures x03, x07 and x20"
+
+
+def test_files_that_are_late_by_one_exposure_show_where_the_first_comes_from_elsewhere():
+    (told,) = findings(attitudes(9)[np.roll(np.arange(N), 1)])
+    assert told.item == "exposure x00"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_exposures_without_order_are_told_together(seed):
+    (told,) = findings(attitudes(seed)[np.random.default_rng(seed).permutation(N)])
+    assert (told.cause, told.item) == ("times of exposures", "all exposures")
+    assert told.refutes
+
+
+def test_an_attitude_of_few_stars_may_be_further_off():
+    R_si = attitudes(1).as_matrix()
+    R_si[6] = R_si[6] @ Rotation.from_rotvec([0.0, 120.0 * ARCSEC, 0.0]).as_matrix()
+    assert findings(Rotation.from_matrix(R_si))
+    assert findings(Rotation.from_matrix(R_si), sigma_rad=15.0 * ARCSEC) == []
+
+
+def test_exposures_without_attitude_are_passed_over():
+    order, usable = np.arange(N), np.ones(N, dtype=bool)
+    order[[3, 9]] = order[[9, 3]]
+    usable[5] = False
+    (told,) = findings(attitudes(2)[order], usable)
+    assert told.item == "exposures x03 and x09"
+
+
+# --- Attitudes that a head solved itself
+
+RATES_DEG_S = {"ground": 0.061, "scan": 0.38}
+NOISE = AttitudeNoise(
+    white_rad=np.array([1.0, 1.0, 8.0]) * ARCSEC,
+    correlated_rad=np.array([0.5, 0.7, 4.0]) * ARCSEC,
+    correlation_time_s=np.array([0.8, 0.8, 0.8]),
+    constant_rad=np.array([0.3, 0.3, 2.0]) * ARCSEC,
+    R_sn=Rotation.from_euler("zyx", [20.0, -130.0, 65.0], degrees=True),
+)
+ROWS = SolvedAttitudes(rows=None, file="STR7.csv", aberration_removed="none", line_of_sight_s=np.eye(3)[2])
+
+
+def record_of(seed, rate, *, strips=3, rows=14, late_s=0.0, scatter=1.0, step_s=0.2, wobble_arcsec=40.0):
+    """Attitudes of strips with errors of NOISE: a rotation about any axis 50 to 85 degrees from the line
+    of sight, about which a head is eight times worse, and a slow oscillation on top.
+    `late_s` (K,) is by how much later than stated each attitude was taken.
+    """
+    rng = np.random.default_rng(seed)
+    t_s = np.concatenate([40.0 * n + step_s * np.arange(rows) for n in range(strips)])
+    axis = NOISE.R_sn.apply(
+        Rotation.from_euler("zy", rng.uniform([0.0, 0.9], [6.2, 1.5])).apply([0.0, 0.0, 1.0])
+    )
+    at = t_s + np.broadcast_to(late_s, t_s.shape)
+    slow = wobble_arcsec * ARCSEC * np.outer(np.sin(at / 1.7 + rng.uniform(0.0, 6.0)), rng.normal(size=3))
+    R_si = Rotation.from_rotvec(slow) * Rotation.from_rotvec(np.outer(at, np.radians(rate) * axis)) * MOUNTING
+    full = NOISE.coloured_covariance_s(t_s)
+    full[np.arange(len(t_s)), :, np.arange(len(t_s)), :] += scatter**2 * NOISE.white_covariance_s
+    drawn = rng.multivariate_normal(np.zeros(3 * len(t_s)), full.reshape(3 * len(t_s), -1)).reshape(-1, 3)
+    stars = tuple(exposure_without_stars(f"STR7-{k:06d}", t) for k, t in enumerate(t_s.tolist()))
+    subject = Subject(Kind.HEAD, head="STR7")
+    return HeadSightings(
+        head=SimpleNamespace(source=ROWS, noise=NOISE, noise_is_assumed=False, subject=subject),
+        stars=stars,
+        attitudes=solved_attitudes(
+            Rotation.from_rotvec(drawn) * R_si, np.tile(NOISE.white_covariance_s, (len(t_s), 1, 1))
+        ),
+        omissions=(),
+        computed=(),
+    )
+
+
+@pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
+@pytest.mark.parametrize("seed", range(20))
+def test_every_second_row_that_is_dated_early_is_named_with_its_size(seed, rate):
+    (told,) = against_own_motion([record_of(seed, rate, late_s=0.05 * (np.arange(42) % 2))])
+    assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
+    assert told.refutes and told.text.startswith("every second one is dated")
+    assert told.value == pytest.approx(50.0, abs=4.0 * told.sigma) and told.sigma < 3.0
+
+
+def test_sound_attitudes_of_a_moving_satellite_have_no_finding():
+    """Of 120; one of 500 would be 0.2 %."""
+    told = [
+        against_own_motion([record_of(seed, rate, rows=rows, step_s=step_s)])
+        for seed in range(30)
+        for rate, rows, step_s in ((0.061, 14, 0.2), (0.38, 12, 0.4), (0.061, 40, 0.1), (0.0, 6, 0.5))
+    ]
+    assert told == [[]] * 120
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
+    (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, rows=20)])
+    assert "errors of attitudes" in (
+        told.cause,
+        *told.rivals,
+        *(one.partition(",")[0] for one in told.rivals),
+    )
+    assert told.refutes
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_instants_cut_to_a_coarse_unit_are_times(seed):
+    t_s = np.concatenate([40.0 * n + 0.2 * np.arange(20) for n in range(3)])
+    (told,) = against_own_motion([record_of(seed, 0.061, rows=20, late_s=t_s - np.floor(8.0 * t_s) / 8.0)])
+    assert told.cause == "times of attitudes" and told.refutes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_told_does_not_depend_on_axes_or_on_the_origin_of_time(seed):
+    record = record_of(seed, 0.061, late_s=0.03 * (np.arange(42) % 3 == 0))
+    turned = Rotation.random(random_state=seed)
+    moved = replace(
+        record,
+        stars=tuple(exposure_without_stars(one.exposure_id, one.t_s + 1234.5) for one in record.stars),
+        attitudes=replace(record.attitudes, R_si=record.attitudes.R_si @ turned.as_matrix()),
+    )
+    (told,), (again,) = against_own_motion([record]), against_own_motion([moved])
+    assert (told.cause, told.text) == (again.cause, again.text)
+    assert told.value == pytest.approx(again.value, rel=1e-6)  # of instants that are rounded to 1e-13 s
