@@ -25,6 +25,7 @@ from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
 from boresight.pipeline.stages.strip import StripTask, compass
 
 __all__ = [
+    "NOTHING",
     "assumed_motion",
     "contradicting_rows",
     "heights",
@@ -49,6 +50,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
     without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
         *contradicting_rows(omissions),
+        *_of_nothing(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
         *(() if shifted else outside_chips(omissions)),
         *_smeared(dump, omissions),
@@ -83,6 +85,24 @@ CONTRADICTIONS = {
     Reason.SAME_PIXELS: "one image under several times, so none is used; correct file in",
     Reason.SAME_TIME: "several images of one time, so none is used; correct utc_mid in",
 }
+
+
+# Why a strip, or a CCD of one, gives nothing, whatever it shows; what a strip that is read does not show is a
+# loss.
+NOTHING = (Reason.UNREADABLE, Reason.NOT_IDENTIFIED, Reason.NOT_A_SKY_STRIP, Reason.NOT_COVERED)
+
+
+def _of_nothing(entries: Sequence[Entry]) -> Iterator[Finding]:
+    """Strips and CCDs that give nothing, each with its reason."""
+    for entry in entries:
+        if entry.subject.kind in (Kind.STRIP, Kind.CCD) and entry.reason in NOTHING:
+            yield Finding(
+                cause=f"images, {entry.reason.value}",
+                item=entry.subject.words,
+                subjects=(entry.subject,),
+                text=f"it gives nothing: {entry.text}.",
+                file=entry.file or "strips.csv",
+            )
 
 
 def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:

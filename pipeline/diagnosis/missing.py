@@ -13,6 +13,7 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.record import Bools, Floats
+from boresight.pipeline.diagnosis.input_findings import NOTHING
 from boresight.pipeline.diagnosis.readings import MIRRORED, are_mirrored
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import StarCentroids
@@ -53,6 +54,10 @@ def what_is_missing(
         and not any(entry.subject.kind is Kind.TARGET for entry in every)
     ):
         return f"{_no_target(dump, tasks)}; {counts}"
+    of_strips = [one for one in omissions if one.subject.kind is Kind.STRIP and one.reason in NOTHING]
+    if of_strips and len({entry.subject for entry in of_strips}) == len(dump.strips) + len(dump.sky_strips):
+        more = f" and {len(of_strips) - 1} more" if len(of_strips) > 1 else ""
+        return f"no strip can be used: {of_strips[0].line}{more}; {counts}"
     of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
     hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:

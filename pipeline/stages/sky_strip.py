@@ -136,13 +136,27 @@ def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     except RawDataError as error:
         return Entry(task.strip.subject, Reason.UNREADABLE, str(error), error.file)
     if not len(found.ccd):
-        pixels = sum(lines * samples for lines, samples in task.strip.images.shapes.values())
-        return task.item.because(Reason.NOT_IDENTIFIED, f"no star in its {pixels:.3g} pixels")
+        return task.item.because(Reason.NOT_IDENTIFIED, _without_stars(task, saturation))
     smear = float(motion.usual.smear_rows.max())
     if smear > _LEAST_SMEAR and found.gain_e_per_dn < 1.1 * LEAST_GAIN:
         reason = f"{task.stages} stages would smear its stars over {smear:.0f} rows; they are not"
         return task.item.because(Reason.OTHER_SMEAR, f"{reason}: {_OF_STAGES}")
     return found
+
+
+def _without_stars(task: SkyTask, saturation_dn: float) -> str:
+    """That a strip has no star, and the grey level of its middle where that is the same in every CCD."""
+    images = task.strip.images
+    pixels = sum(lines * samples for lines, samples in images.shapes.values())
+    middles = [
+        images.read(ccd, lines // 2, lines // 2 + 1, 0, samples)
+        for ccd, (lines, samples) in images.shapes.items()
+    ]
+    levels = {int(level) for middle in middles for level in (middle.min(), middle.max())}
+    if len(levels) > 1:
+        return f"no star in its {pixels:.3g} pixels"
+    (level,) = levels
+    return f"grey level {level} throughout{', saturated' if level >= saturation_dn else ''}: no star in it"
 
 
 def name_sky_stars(

@@ -395,6 +395,25 @@ def test_a_cause_on_the_ground_is_told_first_beside_strips_of_the_sky(broken, ma
     assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
 
 
+def painted(strip: str, level: int, dump: Path) -> None:
+    for image in (dump / "strips").glob(f"{strip}_*.tif"):
+        faults.repaint(image, lambda pixels: np.full_like(pixels, level))
+
+
+@pytest.mark.parametrize("level", [0, 17, 255], ids=["dead", "one grey value", "saturated"])
+@pytest.mark.parametrize(("name", "strip"), [("ground", "s02"), ("scans", "sky01"), ("scans", "sky02")])
+def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(broken, name, strip, level):
+    found = calibrate_dump(open_dump(broken(name, partial(painted, strip, level)))).verdict
+    (told,) = [one for one in found.findings if one.is_fault]
+    assert found.outcome is Outcome.FINDINGS and told.item == f"strip {strip}"
+    assert "grey" in told.text and (level < 255 or name == "ground" or "saturated" in told.text)
+
+
+def test_where_no_strip_gives_anything_the_reason_comes_first(broken):
+    with pytest.raises(DataNotSufficientError, match=r"^no strip can be used: strip sky01: grey level 255"):
+        calibrate_dump(open_dump(broken("sky", partial(painted, "sky01", 255))))
+
+
 def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(broken):
     def shifted(dump: Path) -> None:
         for chip in (dump / "chips").glob("*.tif"):
