@@ -39,7 +39,8 @@ __all__ = [
 ]
 
 GAP = 1.5  # steps: a longer one ends a piece of the record
-FEWEST_ROWS = 64  # of a piece whose spectrum is used
+FEWEST_ROWS = 32  # of a piece whose spectrum is used
+FEWEST_FREQUENCIES = 8  # above those of the motion, of all pieces
 ALIKE = 0.3  # scatter of log(w), log(a), log(τ) between heads, and between x and y
 
 
@@ -88,7 +89,8 @@ def pieces_of(t_s: Floats) -> tuple[float, tuple[slice, ...]]:
 
 
 def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
-    """Noise of H heads from their signal; `ValueError` for a record without a piece of 64 rows.
+    """Noise of H heads from their signal; `ValueError` for a record without a piece of 32 rows, or one too
+    coarse to show more than the motion.
 
     Parameters
     ----------
@@ -104,6 +106,12 @@ def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
             f"the longest part of the record without a gap has {longest} rows, {FEWEST_ROWS} are needed"
         )
     omega, periodogram = _periodograms(parts, signal)
+    if len(omega) < FEWEST_FREQUENCIES:
+        raise ValueError(
+            f"rows every {signal.step_s:.3g} s show {len(omega)} frequencies above {signal.lowest_hz:g} Hz, "
+            f"where the satellite's own motion ends, {FEWEST_FREQUENCIES} are needed: such rows show motion, "
+            "not noise"
+        )
     H = len(signal.enters)
     variance = _start_variances(signal, parts)
     start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
