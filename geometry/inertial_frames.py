@@ -21,9 +21,10 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.epoch import J2000_JD, MJD_ZERO_JD, Epoch, tai_minus_utc_s
 
-__all__ = ["FrameOfDate", "InertialFrame", "of_date_to_gcrs", "rotation_to_gcrs"]
+__all__ = ["AttitudeFrame", "FrameOfDate", "InertialFrame", "of_date_to_gcrs", "rotation_to_gcrs"]
 
 InertialFrame = Literal["GCRF", "ICRF", "EME2000"]
+AttitudeFrame = Literal[InertialFrame, "ITRF"]  # what attitudes may be stated against
 FrameOfDate = Literal["TEME", "TOD"]
 
 

@@ -17,8 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.inertial_frames import InertialFrame, rotation_to_gcrs
+from boresight.geometry.inertial_frames import AttitudeFrame, InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
@@ -35,8 +37,9 @@ from boresight.pipeline.files.xml_files import xml_root
 
 __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 
-# Names of inertial frames that a file may state.
-INERTIAL: tuple[InertialFrame, ...] = get_args(InertialFrame)
+EARTH_FIXED: AttitudeFrame = "ITRF"
+# Names of frames that a file may state; realisations of ITRF differ by centimetres on the ground.
+OUTER: tuple[AttitudeFrame, ...] = (*get_args(InertialFrame), EARTH_FIXED)
 VERSION, VERSIONS = "CCSDS_AEM_VERS", ("1.0", "2.0")  # first keyword of an AEM, and its values that are read
 # Keywords of CCSDS 504.0-B-1 that 504.0-B-2 has no more, and what it has instead of them.
 OF_VERSION_1 = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
@@ -63,6 +66,24 @@ class AttitudeRows:
     )
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
+    is_earth_fixed: bool = scalar("whether `R_si` is from ITRS axes so far", default=False)
+
+    def to_gcrs(self, epoch: Epoch, table: EarthOrientationTable, file: str) -> AttitudeRows:
+        """The same from GCRS axes, where they are Earth-fixed; `RawDataError` for dates without rotation of
+        the Earth, `file` in its message.
+        """
+        if not self.is_earth_fixed:
+            return self
+        try:  # whether old tables are allowed is decided where the orbit is opened
+            earth = EarthRotation.over(
+                epoch, float(self.t_s[0]), float(self.t_s[-1]), table, allow_stale_eop=True
+            )
+        except ValueError as error:
+            raise RawDataError(
+                file, "times", str(error), "dates within the Earth-orientation table"
+            ) from error
+        R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
+        return replace(self, R_si=R_si, is_earth_fixed=False)
 
     def take(self, which: Bools) -> AttitudeRows:
         """The attitudes that a mask (N,) selects."""
@@ -75,7 +96,7 @@ def read_attitudes(
     path: Path,
     file: str,
     epoch: Epoch,
-    frame: InertialFrame | None,
+    frame: AttitudeFrame | None,
     rotation: str | None,
     time_scale: str | None = None,
 ) -> AttitudeRows:
@@ -88,7 +109,7 @@ def read_attitudes(
     epoch : Epoch
         Zero of the times.
     frame : str or None
-        Inertial axes of a CSV file: "GCRF", "ICRF" or "EME2000". A message states its own.
+        Axes of a CSV file: "GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF". A message states its own.
     rotation : str or None
         Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". A message states its
         own.
@@ -137,7 +158,7 @@ def check_rows(rows: AttitudeRows, file: str) -> None:
 
 
 def _from_csv(
-    path: Path, file: str, epoch: Epoch, frame: InertialFrame, rotation: str, time_scale: str
+    path: Path, file: str, epoch: Epoch, frame: AttitudeFrame, rotation: str, time_scale: str
 ) -> AttitudeRows:
     clock = time_scale.lower()  # name of the column of times
     optional = (*SIGMAS, *COVARIANCES, "valid", "temperature_c")
@@ -166,7 +187,8 @@ def _from_csv(
     q = np.column_stack([column[name] for name in COMPONENTS])
     return AttitudeRows(
         t_s=t_s + float(since.tai_s - epoch.tai_s),
-        R_si=_to_gcrs(rotations_of(q, "", file), rotation == "inertial to head", frame),
+        R_si=_from_outer(rotations_of(q, "", file), rotation == "inertial to head", frame),
+        is_earth_fixed=frame == EARTH_FIXED,
         covariance_s=_covariance(column, file),
         temperature_c=column.get("temperature_c"),
         n_invalid=invalid,
@@ -209,9 +231,10 @@ def _covariance(column: dict[str, Floats], file: str) -> Floats | None:
     return covariance * ARCSEC**2
 
 
-def _to_gcrs(R: Rotation, is_inertial_to_head: bool, frame: InertialFrame) -> Rotation:
-    """R_si from rotations between the head and its inertial frame."""
-    return (R if is_inertial_to_head else R.inv()) * rotation_to_gcrs(frame).inv()
+def _from_outer(R: Rotation, is_outer_to_head: bool, frame: AttitudeFrame) -> Rotation:
+    """Rotations from GCRS, or from ITRS, to the head, from those between the head and its outer frame."""
+    R_head = R if is_outer_to_head else R.inv()
+    return R_head if frame == "ITRF" else R_head * rotation_to_gcrs(frame).inv()
 
 
 def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
@@ -383,16 +406,17 @@ def _between(
     the file; from A to B where ATTITUDE_DIR is B2A.
     """
     frames = [meta[key].upper() for key in ("REF_FRAME_A", "REF_FRAME_B")]
-    frames = [SAME_FRAME.get(frame, frame) for frame in frames]
-    inertial = [frame for frame in INERTIAL if frame in frames]
-    if len(inertial) != 1 or frames[0] == frames[1]:
-        expected = f"one of {', '.join(INERTIAL)}, and the head"
+    frames = [EARTH_FIXED if frame.startswith("ITRF") else SAME_FRAME.get(frame, frame) for frame in frames]
+    outer = [frame for frame in OUTER if frame in frames]
+    if len(outer) != 1 or frames[0] == frames[1]:
+        expected = f"one of {', '.join(OUTER)}, and the head"
         raise RawDataError(file, f"{where}REF_FRAME_A and REF_FRAME_B", " and ".join(frames), expected)
     if (direction := meta.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
         raise RawDataError(file, f"{where}ATTITUDE_DIR", direction, "A2B or B2A")
     from_b_to_a = direction == "A2B"
-    head_is_b = frames[0] in INERTIAL
+    head_is_b = frames[0] in OUTER
     return AttitudeRows(
         t_s=t_s,
-        R_si=_to_gcrs(R_ab, from_b_to_a != head_is_b, inertial[0]),
+        R_si=_from_outer(R_ab, from_b_to_a != head_is_b, outer[0]),
+        is_earth_fixed=outer[0] == EARTH_FIXED,
     )

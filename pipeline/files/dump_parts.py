@@ -142,7 +142,7 @@ class DumpParts:
     @cached_property
     def listed_heads(self) -> tuple[Head, ...]:
         """The star cameras with all that their tables list."""
-        return open_heads(self.root, self.head, self.epoch, self.kernels)
+        return open_heads(self.root, self.head, self.epoch, self.earth_table, self.kernels)
 
     @cached_property
     def heads(self) -> tuple[tuple[Head, ...], list[Entry]]:

@@ -253,7 +253,7 @@ class HeadFile(_Strict):
     exposures: RelativePath | None = None
     centroids: RelativePath | None = None
     attitudes: RelativePath | None = None
-    frame: Literal["GCRF", "ICRF", "EME2000"] | None = None
+    frame: Literal["GCRF", "ICRF", "EME2000", "ITRF"] | None = None
     rotation: Literal["head to inertial", "inertial to head"] | None = None
     spice_frame: SpiceName | None = None  # of a CK: the head's frame in the FK
     time_scale: Literal["UTC", "TAI", "GPS"] | None = None  # of a CSV file of attitudes; None: UTC

@@ -19,6 +19,7 @@ from boresight.geometry.attitude_aberration import AberrationRemoved, with_all_a
 from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
@@ -147,9 +148,14 @@ class Head:
 
 
 def open_heads(
-    root: Path, head: schema.DumpFile, epoch: Epoch, kernels: Kernels = NO_KERNELS
+    root: Path,
+    head: schema.DumpFile,
+    epoch: Epoch,
+    table: EarthOrientationTable,
+    kernels: Kernels = NO_KERNELS,
 ) -> tuple[Head, ...]:
-    """The heads of a dump, the reference head first, with the SPICE kernels that it names for CKs.
+    """The heads of a dump, the reference head first, with the SPICE kernels that it names for CKs; the table
+    of Earth orientation turns Earth-fixed attitudes.
 
     `RawDataError` for a file that is not valid.
     """
@@ -162,17 +168,24 @@ def open_heads(
             camera=head.files.star_camera,
             exposures=head.files.exposures,
         )
-    return tuple(_each(*(partial(_head, root, *item, epoch, kernels) for item in stated.items())))
+    return tuple(_each(*(partial(_head, root, *item, epoch, table, kernels) for item in stated.items())))
 
 
-def _head(root: Path, field: str, head: schema.HeadFile, epoch: Epoch, kernels: Kernels) -> Head:
+def _head(
+    root: Path,
+    field: str,
+    head: schema.HeadFile,
+    epoch: Epoch,
+    table: EarthOrientationTable,
+    kernels: Kernels,
+) -> Head:
     def inside(key: str) -> tuple[Path, str]:
         name = str(getattr(head, key))
         return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
 
     installation, source = _each(
         lambda: _installation(*inside("installation")),
-        lambda: _source(root, head, inside, epoch, kernels),
+        lambda: _source(root, head, inside, epoch, table, kernels),
     )
     return Head(
         name=head.name,
@@ -190,10 +203,11 @@ def _source(
     head: schema.HeadFile,
     inside: Callable[[str], tuple[Path, str]],
     epoch: Epoch,
+    table: EarthOrientationTable,
     kernels: Kernels,
 ) -> StarImages | StarCentroids | SolvedAttitudes:
     if head.level == "attitudes":
-        return _attitudes(head, *inside("attitudes"), epoch, kernels)
+        return _attitudes(head, *inside("attitudes"), epoch, table, kernels)
     reads: list[Callable[[], Any]] = [
         lambda: _camera(*inside("camera")),
         lambda: _exposures(root, *inside("exposures"), epoch),
@@ -304,10 +318,15 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
 
 
 def _attitudes(
-    head: schema.HeadFile, path: Path, file: str, epoch: Epoch, kernels: Kernels
+    head: schema.HeadFile,
+    path: Path,
+    file: str,
+    epoch: Epoch,
+    table: EarthOrientationTable,
+    kernels: Kernels,
 ) -> SolvedAttitudes:
     """Attitudes with the one statement of their white noise: of each row, or of the head."""
-    rows = _rows(head, path, file, epoch, kernels)
+    rows = _rows(head, path, file, epoch, kernels).to_gcrs(epoch, table, file)
     stated = head.noise.white_arcsec
     if (rows.covariance_s is None) == (stated is None):
         found = "neither in the rows nor here" if stated is None else f"{stated} and in the rows of {file}"

@@ -214,6 +214,26 @@ def test_every_second_attitude_dated_early_is_told_before_anything_that_follows_
     assert others == [] and len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
 
 
+def test_attitudes_against_earth_fixed_axes_give_the_same_matrix(told, right, sound):
+    """One and the same record in two frames: rounding of quaternions of 15 digits is 1e-9 of a sigma."""
+    earth = open_dump(sound).orbit.earth
+
+    def earth_fixed(dump: Path) -> None:
+        for head in open_dump(sound).heads:
+            header, *rows = faults.table(dump / f"{head.name}.csv")
+            R_hi = Rotation.from_quat([[float(v) for v in row[1:]] for row in rows]).inv()
+            R_ie = earth.rotations_ie(head.source.rows.t_s)
+            q = (R_hi * R_ie).inv().as_quat()
+            new = [[row[0], *map(repr, one)] for row, one in zip(rows, q.tolist())]
+            faults.write(dump / f"{head.name}.csv", [header, *new])
+        change(dump / "dump.toml", 'frame = "GCRF"', 'frame = "ITRF"')
+
+    again = told(earth_fixed).estimate
+    moved = (again.R_cs * right.estimate.R_cs.inv()).as_rotvec()
+    assert np.max(np.abs(moved) / right.estimate.sigma_theta) < 1e-6
+    assert again.sigma_theta == pytest.approx(right.estimate.sigma_theta, rel=1e-9)
+
+
 def exchanged_heads(dump: Path) -> None:
     one, other = dump / "STR1.csv", dump / "STR2.csv"
     one.rename(dump / "kept")

@@ -13,6 +13,7 @@ import spiceypy
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
+from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
@@ -48,6 +49,27 @@ def test_csv_is_read_in_both_senses_of_the_rotation(tmp_path: Path) -> None:
     back = read(tmp_path, csv_text(R_SI.as_quat()), rotation="inertial to head")
     assert max(error_rad(there), error_rad(back)) < 1e-14  # rad: rounding of a quaternion
     assert np.allclose(there.t_s, [10.0, 10.1, 10.2], atol=1e-12)  # s
+
+
+@pytest.mark.parametrize("sense", ["head to inertial", "inertial to head"])
+def test_earth_fixed_attitudes_are_turned_with_the_earth(tmp_path: Path, sense: str) -> None:
+    """Against ERFA's own matrix from celestial to terrestrial axes, with the values of the same table."""
+    table = bundled_earth_orientation()
+    mjd = EPOCH.mjd_tai(np.array([10.0, 10.1, 10.2])) - 37.0 / 86400.0
+    ut1_utc, xp, yp = (
+        np.interp(mjd, table.mjd_utc, column) for column in (table.ut1_utc_s, table.xp_rad, table.yp_rad)
+    )
+    R_ei = Rotation.from_matrix(
+        erfa.c2t06a(erfa.DJM0, mjd + 69.184 / 86400.0, erfa.DJM0, mjd + ut1_utc / 86400.0, xp, yp)
+    )
+    R_se = R_SI * R_ei.inv()
+    found = read(
+        tmp_path, csv_text((R_se if sense == "inertial to head" else R_se.inv()).as_quat()), "ITRF", sense
+    )
+    assert found.is_earth_fixed and error_rad(found, R_se) < 1e-14
+    turned = found.to_gcrs(EPOCH, table, "attitudes")
+    # 0.3 mas: celestial pole offsets, which c2t06a leaves out; interpolation of the table between two days
+    assert not turned.is_earth_fixed and error_rad(turned) < 1e-3 * ARCSEC
 
 
 def test_eme2000_differs_from_gcrf_by_the_frame_bias(tmp_path: Path) -> None:
