@@ -69,8 +69,8 @@ class AttitudeRows:
     is_earth_fixed: bool = scalar("whether `R_si` is from ITRS axes so far", default=False)
 
     def to_gcrs(self, epoch: Epoch, table: EarthOrientationTable, file: str) -> AttitudeRows:
-        """The same from GCRS axes, where they are Earth-fixed; `RawDataError` for dates without rotation of
-        the Earth, `file` in its message.
+        """Attitudes (N,) from GCRS axes, Earth-fixed ones turned with the Earth; `RawDataError`, with `file`,
+        for dates without its rotation.
         """
         if not self.is_earth_fixed:
             return self

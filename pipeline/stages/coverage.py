@@ -90,6 +90,8 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
         reason = f"{dump.orbit_covers}, without gaps not all of its rows, {rows} (utc_first_row)"
     else:
         reason = rows_not_covered(times[near], first, last)
+        if reason and (wider := _margin_that_covers(head, first, last)) > margin_s:
+            reason += f"; with run.exposure_margin_s = {np.ceil(wider):.0f} those around it would"
         if reason and (able := _others_that_cover(dump, first, last)):
             reason += f"; {able} covers them: first in [[star_cameras]] it would carry this strip"
     return Entry(strip.subject, Reason.NOT_COVERED, reason) if reason else near
@@ -98,13 +100,22 @@ def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: fl
 def rows_not_covered(times: Floats, first: float, last: float) -> str:
     """Why exposures at `times` (K,), s, miss rows of a strip from `first` to `last`; empty if they do not."""
     if len(times) < 2:
-        return f"{len(times)} usable star exposures around it, 2 are needed; raise run.exposure_margin_s?"
+        return f"{len(times)} usable star exposures around it, 2 are needed"
     early = times[0] - 0.5 * (times[1] - times[0]) - first
     late = last - times[-1] - 0.5 * (times[-1] - times[-2])
     if early > 0.0 or late > 0.0:
         gaps = f"{max(early, 0.0):.2f} s are missing at the beginning, {max(late, 0.0):.2f} s at the end"
         return f"star exposures do not cover all of its rows: {gaps}"
     return ""
+
+
+def _margin_that_covers(head: HeadSightings, first: float, last: float) -> float:
+    """Seconds from a strip within which a head has attitudes before and after it; 0 where it has not."""
+    source = head.head.source
+    near: Floats = np.array([one.t_s for one in head.stars])
+    t_s = source.rows.t_s if isinstance(source, SolvedAttitudes) else near
+    before, after = t_s[t_s <= first], t_s[t_s >= last]
+    return float(max(first - before[-1], after[0] - last)) if len(before) and len(after) else 0.0
 
 
 def _others_that_cover(dump: Dump, first: float, last: float) -> str:

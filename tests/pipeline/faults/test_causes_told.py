@@ -6,6 +6,7 @@ fault is another one than those of `faults.py`.
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -232,6 +233,17 @@ def test_attitudes_against_earth_fixed_axes_give_the_same_matrix(told, right, so
     moved = (again.R_cs * right.estimate.R_cs.inv()).as_rotvec()
     assert np.max(np.abs(moved) / right.estimate.sigma_theta) < 1e-6
     assert again.sigma_theta == pytest.approx(right.estimate.sigma_theta, rel=1e-9)
+
+
+def test_trackers_that_are_slower_than_the_margin_are_told_with_the_margin_that_serves(told):
+    def thinned(dump: Path) -> None:
+        for name in ("STR1.csv", "STR2.csv"):
+            header, *rows = faults.table(dump / name)
+            faults.write(dump / name, [header, *rows[::14]])
+
+    with pytest.raises(DataNotSufficientError) as refused:
+        told(thinned)
+    assert re.search(r"with run\.exposure_margin_s = \d+ those around it would", str(refused.value))
 
 
 def exchanged_heads(dump: Path) -> None:
