@@ -26,9 +26,9 @@ from boresight.star_id.finding.star_shape import WidthFits
 
 __all__ = ["find_fields"]
 
-# Distance of the fields, in standard errors of what single stars say and px, from which it is looked for (set
-# by hand).
-_SIGNIFICANT, _LEAST_PX = 6.0, 0.02
+# Distance of the fields, in standard errors of what single stars say, from which it is looked for (set by
+# hand); and in px: a smaller one widens a star by less than a hundredth, and coarse pixels show as much.
+_SIGNIFICANT, _LEAST_PX = 6.0, 0.1
 # Brightest stars whose even and odd rows are compared (set by hand).
 _BRIGHTEST = 20
 # Fewest stars that it is fitted to (as for coma).

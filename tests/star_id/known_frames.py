@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -25,6 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from frames import PLACES, Sensor, star_frame
 
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.files.images.image_file import open_image
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from boresight.star_id.identification.triangle_index import build_index
@@ -119,21 +120,19 @@ def rendered(condition, sky):
 
 
 def real(row):
-    """A frame of the real ones' manifest, as grey."""
-    image = cv2.imread(str(REAL / row["file"]), cv2.IMREAD_UNCHANGED)
-    return image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
+    """A frame of the real ones' manifest, as `bs.identify` reads it."""
+    return read_star_image(REAL / row["file"], row["file"])
 
 
 def real_rows():
     """Rows of the real frames' manifest that are images; none where the folder is missing."""
     file = REAL / "manifest.csv"
     rows = csv.DictReader(file.open()) if file.exists() else []
-    return [row for row in rows if cv2.haveImageReader(str(REAL / row["file"]))]
+    return [row for row in rows if open_image(REAL / row["file"], row["file"]).format]
 
 
-def answered(name, image, index):
-    """What a record holds of an image."""
-    found = solve_field(image, index, StarSettings())
+def answer(name, found, index):
+    """What a record holds of an image and its solution, if it has one."""
     if not isinstance(found, FieldSolution):
         return {"frame": name, "ra_deg": "", "dec_deg": "", "fov_deg": "", "matches": 0, "hip": ""}
     bright = np.argsort(index.stars.v_mag[found.rows], kind="stable")[:BRIGHTEST]
@@ -154,15 +153,13 @@ def wide_index():
 
 def main():
     index = wide_index()
-    rows = [
-        answered(f"{condition} {sky}", rendered(condition, sky)[0], index)
-        for condition in CONDITIONS
-        for sky in range(len(FIELDS_DEG))
-    ]
+    every = [(condition, sky) for condition in CONDITIONS for sky in range(len(FIELDS_DEG))]
+    frames = [(f"{condition} {sky}", rendered(condition, sky)[0]) for condition, sky in every]
     real_ones = real_rows()
     if not real_ones:
         raise SystemExit(f"real star images are not at {REAL}: nothing was written")
-    rows += [answered(row["file"], real(row), index) for row in real_ones]
+    frames += [(row["file"], real(row)) for row in real_ones]
+    rows = [answer(name, solve_field(image, index, StarSettings()), index) for name, image in frames]
     with ANSWERS.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
