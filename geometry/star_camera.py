@@ -41,6 +41,7 @@ _EXACT_MM = 2e-13
 LEAST_FORWARD = math.cos(math.radians(89.0))
 # Error, px, of the directions at which pixels are derived.
 _SLOPES_ERROR_PX = 1e-5
+_SQUARE = 1e-3  # difference of the focal lengths along columns and rows of an OpenCV camera, at most
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
 
 
@@ -248,6 +249,44 @@ class StarCamera:
             distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f])
             if self.q3 == 0.0
             else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
+        )
+
+    @classmethod
+    def from_opencv(
+        cls,
+        camera_matrix: ArrayLike,
+        distortion: ArrayLike = (),
+        *,
+        size_px: tuple[int, int],
+        pixel_m: float = 5e-6,
+    ) -> StarCamera:
+        """The camera of `cv2.calibrateCamera`'s matrix (3, 3), px, and distortion k1, k2, p1, p2, k3: the
+        inverse of `opencv_parameters`.
+
+        `size_px` is (width, height). The pitch `pixel_m` changes no direction. `ValueError` where pixels are
+        not square to 1e-3, or there are further coefficients that are not zero.
+        """
+        (f_x, skew, x0), (_, f_y, y0), _ = np.asarray(camera_matrix, dtype=np.float64).tolist()
+        k1, k2, p1, p2, k3, *more = np.append(distortion, np.zeros(5)).tolist()
+        if not (f_x > 0.0 and abs(f_y / f_x - 1.0) < _SQUARE and abs(skew) < _SQUARE * f_x):
+            raise ValueError(
+                f"camera_matrix: focal lengths alike to {_SQUARE:g} expected, got {f_x:g}, {f_y:g}"
+            )
+        if any(more):
+            raise ValueError(f"distortion: k1, k2, p1, p2, k3 expected, got further ones: {more}")
+        focal_m = float(np.sqrt(f_x * f_y)) * pixel_m
+        f = focal_m * _MM
+        return cls(
+            focal_m=focal_m,
+            pixel_m=pixel_m,
+            width_px=size_px[0],
+            height_px=size_px[1],
+            principal_px=(x0, y0),
+            p1=p2 / f,
+            p2=p1 / f,
+            q1=k1 / f**2,
+            q2=k2 / f**4,
+            q3=k3 / f**6,
         )
 
     @property

@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import Projection, StarCamera
-from boresight.star_id.centroids import Centroids
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -55,7 +54,6 @@ __all__ = [
     "FieldSolution",
     "nominal_camera",
     "ra_dec_roll",
-    "solve_centroids",
     "solve_field",
     "solve_list",
     "solve_stars",
@@ -88,8 +86,8 @@ _LEAST_RELIABLE = 4
 # stars be missing (set by hand).
 _PASSES = (
     ((0, 0, 6), (0, 6, 9)),
-    ((0, 9, 13), (0, 13, 18), (1, 0, 9)),
-    ((DENSER, 0, 8), (DENSER, 8, 12), (DENSER, 12, 16)),
+    ((0, 9, 13), (1, 0, 9)),
+    ((DENSER, 0, 8), (DENSER, 8, 12)),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
@@ -432,17 +430,16 @@ def _weighted(
     """Solution with each star weighted by its own covariance; None where no lens fits them."""
     if camera is None:
         return _fitted(stars, found, start, index, settings, observer)
-    return _of_known_camera(stars.centroids, found, camera, index, settings, observer, stars)
+    return _of_known_camera(stars, found, camera, index, settings, observer)
 
 
 def _of_known_camera(
-    stars: Centroids,
+    stars: StarList,
     found: Identification,
     camera: StarCamera,
     index: StarIndex,
     settings: StarSettings,
     observer: Observer | None,
-    star_list: StarList | None = None,
 ) -> FieldSolution:
     rows = found.detections
     years = settings.epoch_error_years if observer is None else 0.0
@@ -450,13 +447,13 @@ def _of_known_camera(
     if years:
         cov = cov + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
     xy, u_i = stars.xy_px.take(rows, axis=0), star_directions(index, found.stars, observer)
-    used = select_for_calibration(stars, rows, found.stars, camera, index, settings)
+    used = select_for_calibration(stars.centroids, rows, found.stars, camera, index, settings)
     fitted = xy, cov, u_i
     if _LEAST_RELIABLE <= np.count_nonzero(used) < len(used):
         fitted = xy[used], cov[used], u_i[used]
     fit = fit_known_camera(camera, *fitted, found.R_si)
     measured = {"R_si": fit.R_si, "cov_s": fit.cov_s, "misfit_px": fit.misfit_px, "u_i": u_i}
-    return _solution(found, stars.xy_px, camera, index, fov_x_sigma_rad=0.0, stars=star_list, **measured)
+    return _solution(found, stars.xy_px, camera, index, fov_x_sigma_rad=0.0, stars=stars, **measured)
 
 
 def _fitted(
@@ -524,17 +521,6 @@ def _expected_stars(camera: StarCamera, R_si: Rotation, detections: int, index: 
 def _if_enough(reliable: Bools) -> Bools:
     """(N,) the stars to measure by: the reliable ones; all, where too few are."""
     return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(reliable), dtype=bool)
-
-
-def solve_centroids(
-    stars: Centroids, camera: StarCamera, index: StarIndex, settings: StarSettings
-) -> FieldSolution | NotIdentified:
-    """Solution from the centroids of one image of a calibrated camera, weighted by their covariances."""
-    size = camera.width_px, camera.height_px
-    answer = _identified(stars.xy_px, size, index, settings, camera, None)
-    if isinstance(answer, NotIdentified):
-        return answer
-    return _of_known_camera(stars, answer[0], camera, index, settings, None)
 
 
 def solve_stars(

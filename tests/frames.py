@@ -20,8 +20,7 @@ from boresight.geometry.starlight import apparent_star_directions
 from boresight.simulator.cameras import star_camera
 from boresight.simulator.scenario import StarCameraSettings
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.psf import Psf
+from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import StarList
 
 PAPER_CAMERA = star_camera(StarCameraSettings())  # Table 2
@@ -88,25 +87,9 @@ def listed_stars(camera, R_si, places, rng, *, brightest=260.0):
     sigma, n = 1.8 / snr[keep], len(keep)
     xy = xy[keep] + rng.normal(size=(n, 2)) * sigma[:, None]
     no = np.zeros(n, dtype=bool)
-    psf = Psf(1.25, 1.25, (0.0, 0.0), camera.width_px, camera.height_px)
-    ground = Background(np.full((8, 10), 20.0), np.full((8, 10), 2.0), camera.width_px, camera.height_px)
     cov = sigma[:, None, None] ** 2 * np.eye(2)
-    return StarList(
-        xy_px=xy,
-        cov_px=cov,
-        flux_dn=snr[keep],
-        snr=snr[keep],
-        saturated=no,
-        blended=no,
-        psf=psf,
-        psf_stars=50,
-        background=ground,
-        gain_e_per_dn=40.0,
-        threshold=5.5,
-        hot_pixels=0,
-        misshapen_px=np.empty((0, 2)),
-        saturation_dn=255.0,
-    )
+    stars = Centroids(xy_px=xy, cov_px=cov, blended=no, snr=snr[keep], psf_sigma_px=1.25)
+    return StarList.of_centroids(stars, snr[keep], (camera.width_px, camera.height_px))
 
 
 def as_seen(places, observer):

@@ -28,6 +28,7 @@ from boresight.accepted import (
     wrong,
 )
 from boresight.display import Result, SuccessfulResult, axes_or_new
+from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
 from boresight.features.sky_images.identify_images import departure, sky_index
 from boresight.features.sky_images.sip import TanSip, tan_sip
@@ -57,6 +58,7 @@ __all__ = [
     "find_stars",
     "identify",
     "image_pixels",
+    "stars_given",
 ]
 
 NARROWEST_DEG, WIDEST_DEG = 0.5, 175.0  # fields of view that are searched
@@ -103,11 +105,61 @@ class Stars(Result):
         "star_list.saturation_dn", "value from which a pixel is full; inf: not known, no star is saturated"
     )
 
+    @classmethod
+    def of_centroids(
+        cls,
+        xy_px: ArrayLike | pd.DataFrame,
+        *,
+        size_px: tuple[int, int],
+        sigma_px: ArrayLike | None = None,
+        cov_px: ArrayLike | None = None,
+        flux_dn: ArrayLike | None = None,
+    ) -> Stars:
+        """Stars that another program found.
+
+        Parameters
+        ----------
+        xy_px : (N, 2) array, or DataFrame
+            Centroids (column, row), (0, 0) the centre of the first pixel, brightest first unless `flux_dn` is
+            given; or a table with the columns x_px, y_px and, as known, sigma_px (or sigma_x_px, sigma_y_px,
+            cov_xy_px2), flux_dn, snr.
+        size_px : (width, height)
+            Size of the image, px.
+        sigma_px : float or (N,) array, optional
+            1-sigma errors along either axis, px; 0.2 px where neither they nor `cov_px` are stated.
+        cov_px : (N, 2, 2) array, optional
+            Covariances, px², instead.
+        flux_dn : (N,) array, optional
+            Fluxes; only their order counts.
+
+        Raises `ValueError` for other shapes, or numbers that are not finite.
+
+        Examples
+        --------
+        >>> import boresight as bs
+        >>> found = bs.find_stars(bs.example("mini") / "exposures/e0001.png")
+        >>> stars = bs.Stars.of_centroids(found.xy_px, size_px=found.size_px)[:40]
+        >>> bool(bs.identify(stars, fov_deg=20))
+        True
+        """
+        given = {"sigma_px": sigma_px, "cov_px": cov_px, "flux_dn": flux_dn}
+        return cls(star_list=star_list_of(xy_px, size_px, **given), size_px=size_px, masked=0)
+
     def __repr__(self) -> str:
         return self.summary()
 
     def __len__(self) -> int:
         return len(self.xy_px)
+
+    def __getitem__(self, chosen: Any) -> Stars:
+        """The stars of a slice, a mask or an array of indices: `stars[:20]`, `stars[stars.snr > 10]`."""
+        return replace(self, star_list=self.star_list.take(np.atleast_1d(np.arange(len(self))[chosen])))
+
+    def __add__(self, other: Stars) -> Stars:
+        """The stars of both lists of one image, brightest first."""
+        if (more := instance_of(other, Stars, "other")).size_px != self.size_px:
+            raise wrong("other", f"stars of an image of {more.size_px} px", f"{self.size_px}")
+        return replace(self, star_list=self.star_list.joined(more.star_list))
 
     @property
     def sigma_px(self) -> Floats:
@@ -455,8 +507,9 @@ def find_stars(
 
 
 def identify(
-    image: ImageLike | Stars,
+    image: ImageLike | Stars | pd.DataFrame,
     *,
+    size: tuple[int, int] | None = None,
     camera: StarCamera | None = None,
     fov_deg: float | None = None,
     time: TimeLike | None = None,
@@ -467,8 +520,10 @@ def identify(
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, path, or Stars
-        A raw image, or what `find_stars` found in it.
+    image : (H, W) or (H, W, 3) array, path, Stars, (N, 2) array, or DataFrame
+        A raw image; or what `find_stars` found in it; or centroids, as `Stars.of_centroids` takes them.
+    size : (width, height), optional
+        Of centroids without a camera: the size of their image, px.
     camera : StarCamera, optional
         The calibrated camera. Without it the lens is fitted to this image.
     fov_deg : float, optional
@@ -513,7 +568,8 @@ def identify(
         raise ValueError("site needs time: where a place on the Earth points depends on the time")
     place = None if site is None else site_of(site)
     observer = None if time is None else observer_at(utc_of(time, "time"), place)
-    stars = image if isinstance(image, Stars) else find_stars(image, settings=chosen)
+    if (stars := stars_given(image, size, known)) is None:
+        stars = find_stars(image, settings=chosen)  # type: ignore[arg-type]
     if known is not None and (known.width_px, known.height_px) != stars.size_px:
         raise wrong(
             "camera", f"{known.width_px} x {known.height_px} px", f"{stars.size_px}, as the image has"
@@ -530,6 +586,21 @@ def identify(
     if isinstance(field, NotIdentified):
         return field
     return StarSolution(field=field, stars=stars, observer=observer)
+
+
+def stars_given(
+    given: ImageLike | Stars | pd.DataFrame, size: tuple[int, int] | None, camera: StarCamera | None
+) -> Stars | None:
+    """Stars, or centroids in an image of `size` or of a camera, as `Stars`; None for an image."""
+    if are_centroids(given):
+        if size is None and camera is not None:
+            size = camera.width_px, camera.height_px
+        if size is None:
+            raise wrong("size", size, "(width, height) of the image, or a camera, with centroids")
+        return Stars.of_centroids(given, size_px=size)
+    if size is not None:
+        raise wrong("size", size, "no size: an image, and Stars, have their own")
+    return given if isinstance(given, Stars) else None
 
 
 def _field_of(fov_deg: float | None) -> float | None:

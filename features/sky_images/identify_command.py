@@ -46,6 +46,10 @@ def identify_command(
     camera: CameraFile = None,
     fov: Fov = None,
     dark: Dark = None,
+    size: Annotated[
+        tuple[int, int] | None,
+        typer.Option(help="Of the images of a CSV file, px, without --camera.", metavar="WIDTH HEIGHT"),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="One CSV row a line on stdout.")] = False,
     as_fits: Annotated[
@@ -90,7 +94,9 @@ def identify_command(
     if as_csv:
         print_data(csv_line(FIELDS))
     named = lines = 0
-    request = Request(camera, fov, dark, Whereabouts(times, orbit, site), as_fits, overlay, constellations)
+    request = Request(
+        camera, fov, dark, size, Whereabouts(times, orbit, site), as_fits, overlay, constellations
+    )
     if as_fits or report is not None:
         from boresight.features.sky_images import identify_page, wcs_files  # with astropy 0.4 s to load
 

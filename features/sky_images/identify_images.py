@@ -33,7 +33,6 @@ from boresight.star_id.field import (
     SMALLEST_FOV_RAD,
     FieldSolution,
     ra_dec_roll,
-    solve_centroids,
     solve_list,
 )
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -82,6 +81,7 @@ class Request:
     camera_file: Path | None = None
     fov_deg: float | None = None
     dark_file: Path | None = None
+    size_px: tuple[int, int] | None = None  # of the images of a list of centroids
     known: Whereabouts = NOWHERE
     catalogue_places: bool = False  # times in the images' headers are not used
     overlay: Path | None = None  # PNG; with several images each adds its own name
@@ -101,7 +101,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
     for path in images:
         started = time.process_time()
         if path.suffix.lower() == ".csv":
-            for name, solved in _of_centroids(path, camera, index, timeless):
+            for name, solved in _of_centroids(path, camera, request, index, timeless):
                 if isinstance(solved, NotIdentified):
                     yield _unnamed(name, width, "not identified", solved.reason, started)
                     continue
@@ -149,16 +149,20 @@ def _named(planets: Sequence[Planet]) -> str:
 
 
 def _of_centroids(
-    path: Path, camera: StarCamera | None, index: StarIndex, settings: StarSettings
+    path: Path, camera: StarCamera | None, request: Request, index: StarIndex, settings: StarSettings
 ) -> Iterator[tuple[Path, FieldSolution | NotIdentified]]:
-    """The images of a list of centroids by their names; `RawDataError` where the camera is not known."""
+    """The images of a list of centroids by their names; `RawDataError` where their size is not known."""
     from boresight.pipeline.files.centroid_files import read_centroids  # with pydantic 0.1 s to load
 
-    if camera is None:
-        expected = "the option --camera: a list of centroids does not tell the size of the images"
+    size = request.size_px if camera is None else (camera.width_px, camera.height_px)
+    if size is None:
+        expected = "the option --camera or --size: a list of centroids does not tell the size of the images"
         raise RawDataError(str(path), "camera", "nothing", expected)
-    for name, stars in read_centroids(path, str(path)).items():
-        yield Path(name), solve_centroids(stars, camera, index, settings)
+    fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
+    for name, centroids in read_centroids(path, str(path)).items():  # brightest first
+        ranks = np.arange(len(centroids.xy_px), dtype=np.float64)
+        stars = StarList.of_centroids(centroids, -ranks, size)
+        yield Path(name), solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov)
 
 
 def read_camera(file: Path | None) -> StarCamera | None:

@@ -23,7 +23,8 @@ __all__ = [
 
 Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]
 ImagesOrLists = Annotated[
-    list[Path], typer.Argument(help="Star images, or CSV files of `centroids --out`, with --camera.")
+    list[Path],
+    typer.Argument(help="Star images, or CSV files of `centroids --out`, with --camera or --size."),
 ]
 CameraFile = Annotated[Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")]
 Fov = Annotated[

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.accepted import ImageLike, floats_of, instance_of, listed, number_of, wrong
 from boresight.display import Result, axes_or_new
-from boresight.features.sky_images.api import find_stars, identify, image_pixels
+from boresight.features.sky_images.api import Stars, find_stars, identify, image_pixels, stars_given
 from boresight.features.sky_images.identify_images import sky_index
 from boresight.features.sky_images.tracking import (
     CameraMotion,
@@ -115,7 +115,7 @@ class StarTrack(Result):
 
 
 def track(
-    frames: Iterable[ImageLike],
+    frames: Iterable[ImageLike | Stars | pd.DataFrame],
     *,
     camera: StarCamera,
     times_s: ArrayLike | None = None,
@@ -134,8 +134,9 @@ def track(
 
     Parameters
     ----------
-    frames : iterable of (H, W) arrays or paths
-        Raw images in the order of time; they are read one by one.
+    frames : iterable of (H, W) arrays, paths, Stars, or centroids as of `Stars.of_centroids`
+        Raw images in the order of time, which are read one by one; or lists of stars, each of which is found
+        anew.
     camera : StarCamera
         The calibrated camera.
     times_s : (N,) array, optional
@@ -230,18 +231,20 @@ class _Tracker:
         self.motion: CameraMotion | None = None
         self.seen: StarList | None = None  # of the last frame that was searched as a whole
 
-    def next(self, image: ImageLike, t_s: float) -> _Row:
+    def next(self, frame: ImageLike | Stars | pd.DataFrame, t_s: float) -> _Row:
         """The row of the next frame."""
-        pixels = image_pixels(image, "frames")
-        if (size := (pixels.shape[1], pixels.shape[0])) != (self.camera.width_px, self.camera.height_px):
+        stars = stars_given(frame, None, self.camera)
+        given = image_pixels(frame, "frames") if stars is None else stars  # type: ignore[arg-type]
+        size = given.size_px if isinstance(given, Stars) else given.shape[::-1]
+        if size != (self.camera.width_px, self.camera.height_px):
             raise wrong("frames", f"{size[0]} x {size[1]} px", "images of the camera's size")
         started_s, fix, state, reason = time.process_time(), None, TRACKED, ""
         now = None
         if self.motion is not None:
             now = predicted_motion(self.motion, t_s, self.push, self.focal_drift)
-        if now is not None and self.seen is not None:
+        if now is not None and self.seen is not None and not isinstance(given, Stars):
             fix = near_prediction(
-                pixels,
+                given,
                 now,
                 self.seen,
                 self.camera,
@@ -250,7 +253,7 @@ class _Tracker:
                 exposure_s=self.exposure_s,
             )
         if fix is None:
-            state, (fix, reason) = FOUND_ANEW, self._anew(pixels)
+            state, (fix, reason) = FOUND_ANEW, self._anew(given)
         cpu_ms = 1e3 * (time.process_time() - started_s)
         if fix is None:
             unknown = np.full(4, np.nan), np.full((3, 3), np.nan), np.full(3, np.nan)
@@ -263,9 +266,9 @@ class _Tracker:
         attitude = motion.R_si.as_quat(), motion.covariance[:3, :3], rate
         return state, *attitude, focal_px, sigma_px, fix.misfit_px, fix.stars, cpu_ms, ""
 
-    def _anew(self, pixels: NDArray[Any]) -> tuple[StarFix | None, str]:
+    def _anew(self, frame: NDArray[Any] | Stars) -> tuple[StarFix | None, str]:
         """The attitude of a frame of which nothing is known, or why there is none."""
-        stars = find_stars(pixels, settings=self.settings)
+        stars = frame if isinstance(frame, Stars) else find_stars(frame, settings=self.settings)
         found = identify(stars, camera=self.camera, settings=self.settings)
         if not found:
             return None, found.reason

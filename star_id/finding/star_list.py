@@ -98,6 +98,28 @@ class StarList:
     misshapen_px: Floats = array("M, 2", "detections rejected as cosmic rays, trails, arms of blooms, text")
     saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
 
+    @classmethod
+    def of_centroids(cls, stars: Centroids, flux_dn: Floats, size: tuple[int, int]) -> StarList:
+        """The list of centroids, fluxes (N,), DN, that another program found in an image of `size` (width,
+        height), px; of the sky nothing is known."""
+        nothing, none = np.full((1, 1), np.nan), np.zeros(len(stars.xy_px), dtype=bool)
+        return cls(
+            xy_px=stars.xy_px,
+            cov_px=stars.cov_px,
+            flux_dn=flux_dn,
+            snr=stars.snr,
+            saturated=none,
+            blended=stars.blended,
+            psf=Psf(stars.psf_sigma_px, stars.psf_sigma_px, (0.0, 0.0), *size),
+            psf_stars=len(none),
+            background=Background(nothing, nothing, *size),
+            gain_e_per_dn=np.inf,
+            threshold=0.0,
+            hot_pixels=0,
+            misshapen_px=np.empty((0, 2)),
+            saturation_dn=np.inf,
+        )
+
     @property
     def misshapen(self) -> int:
         """Number of detections rejected for their shape."""
@@ -118,6 +140,12 @@ class StarList:
         """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
         names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
         return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+    def joined(self, other: StarList) -> StarList:
+        """List of the stars of both, of the same image, brightest first; everything else as here."""
+        names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
+        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
+        return replace(self, **both).take(np.argsort(-both["flux_dn"], kind="stable"))
 
     def in_units(self, unit: float, zero: float) -> StarList:
         """The list of the image whose values are `zero` and so many units more."""

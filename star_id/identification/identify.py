@@ -47,7 +47,7 @@ STAGES = (
 )
 # Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
 # neighbours that proposals are judged by (set by hand).
-_OF_MISSING = 16
+_OF_MISSING = 8
 # Most rounds of matching and fitting again the stars of a calibrated camera (set by hand).
 _ROUNDS = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
@@ -56,6 +56,9 @@ _STARS_FOR_SHIFT = 30
 # errors are as expected a right one has less with probability exp(-4) at most, and an image has many right
 # ones.
 _HOPELESS = -4.0
+# Brightest detections by which a proposal is tried before all are: most are wrong, and these tell so (set by
+# hand).
+_BRIGHT = 100
 # Error of predictions over the mean distance of detections, below which each star's nearest detection is
 # its own: another is nearer in pi * 0.05^2, 1 %, of the cases.
 _UNAMBIGUOUS = 0.05
@@ -138,7 +141,7 @@ def identify_stars(
     n = len(xy)
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
-    image = PlaneDetections.from_xy(xy, field)
+    image, bright = PlaneDetections.from_xy(xy, field), PlaneDetections.from_xy(xy[:_BRIGHT], field)
     if prior is not None:
         tracked, tried = _track(image, index, prior, settings)
         if tracked is not None:
@@ -156,7 +159,10 @@ def identify_stars(
         proposals = propose(image, tables[number], index.u_i, done, size, at_least=at_least)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
-            trial = _try_proposal(image, index, image.points[triangle], R, float(log_scale))
+            corners = image.points[triangle]
+            trial = _try_proposal(bright, index, corners, R, float(log_scale))
+            if n > _BRIGHT and trial is not None and trial.log_ratio > _HOPELESS:
+                trial = _try_proposal(image, index, corners, R, float(log_scale))
             if trial is None:
                 continue
             best = max(best, trial.log_ratio - math.log(examined))

@@ -41,6 +41,8 @@ _DETECTION_RATE = 0.5
 # Natural logarithm: a proposal is examined if its likelihood ratio is a tenth of the number of proposals,
 # or more.
 _MARGIN = np.log(10.0)
+# Nearest neighbours of which one must be detected for the others to be looked at (set by hand).
+_FIRST = 6
 # Proposals judged at a time; bounds memory to some MB.
 _CHUNK = 1024
 # Brightest detections on the map that proposals are judged by: enough to include the stars of the index, 14
@@ -76,23 +78,22 @@ def propose(
     if image.field.is_calibrated or examined <= _TRIALS:  # most are right: the largest fix the attitude best
         largest = (-longest).argsort(kind="stable")[:_TRIALS]
         detected, longest, rows = detected.take(largest, axis=0), longest.take(largest), rows.take(largest)
-    vertices = table.vertices.take(rows, axis=0)
-    if image.field.scale_error > 0.0:
-        log_scale = np.log(longest / np.abs(table.longest.take(rows)))
-    else:
-        log_scale = np.zeros(len(rows))
-    R = _attitudes(u_s, u_i, detected, vertices, log_scale)
     if len(rows) > _TRIALS:
         sky = _DetectionMap.of(image)
-        chunks = [slice(k, k + _CHUNK) for k in range(0, len(rows), _CHUNK)]
-        ratios = [sky.log_ratios(table, u_i, vertices[c], R[:, :, c], log_scale[c]) for c in chunks]
-        log_ratio = np.concatenate(ratios)
-        likely = log_ratio > np.log(len(rows)) - _MARGIN
+        chunks = [slice(k, k + _CHUNK) for k in range(0, examined, _CHUNK)]
+        log_ratio = np.concatenate(
+            [
+                sky.log_ratios(table, u_i, *_posed(image, table, u_s, u_i, detected[c], longest[c], rows[c]))
+                for c in chunks
+            ]
+        )
+        likely = log_ratio > np.log(examined) - _MARGIN
         if at_least:
             likely |= log_ratio >= np.partition(log_ratio, -at_least)[-at_least]
         worth = np.flatnonzero(likely)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
-        detected, R, log_scale = detected[best], R[:, :, best], log_scale[best]
+        detected, longest, rows = detected[best], longest[best], rows[best]
+    _, R, log_scale = _posed(image, table, u_s, u_i, detected, longest, rows)
     return Proposals(detected, R.transpose(2, 0, 1), log_scale, examined)
 
 
@@ -113,6 +114,22 @@ def _look_up(field: FieldOfView, u_s: Floats, table: TriangleTable, done: int) -
     tolerance = field.shape_error + 1.5 * field.pixel / longest
     queries, rows = table.lookup(shapes, tolerance, field.scale_error)
     return vertices.take(queries, axis=0), longest.take(queries), rows
+
+
+def _posed(
+    image: PlaneDetections,
+    table: TriangleTable,
+    u_s: Floats,
+    u_i: Floats,
+    detected: Ints,
+    longest: Floats,
+    rows: Ints,
+) -> tuple[NDArray[np.int32], Floats, Floats]:
+    """Vertices (P, 3), R_si (3, 3, P) and log scales (P,) of agreeing triangles, as of `_look_up`."""
+    vertices, log_scale = table.vertices.take(rows, axis=0), np.zeros(len(rows))
+    if image.field.scale_error > 0.0:
+        log_scale = np.log(longest / np.abs(table.longest.take(rows)))
+    return vertices, _attitudes(u_s, u_i, detected, vertices, log_scale), log_scale
 
 
 def _attitudes(
@@ -168,8 +185,26 @@ class _DetectionMap:
     ) -> Floats:
         """(P,) log likelihood ratios of attitudes `R` (3, 3, P), by the neighbours of each first vertex,
         detected or missed."""
+        neighbours = table.neighbours.take(vertices[:, 0], axis=0)  # (P, K), the nearest first
+        hits, misses = self._counted(u_i, neighbours[:, :_FIRST], vertices, R, log_scale)
+        some = hits.nonzero()[0]  # a right proposal has none of the first in one case of a hundred
+        of_others = neighbours[some, _FIRST:], vertices[some], R[:, :, some], log_scale[some]
+        for first, more in zip((hits, misses), self._counted(u_i, *of_others)):
+            first[some] += more
+        rate = _DETECTION_RATE * min(1.0, len(self.image.points) / STARS_PER_FIELD)
+        chance = max(float(self.occupied.mean()), 1e-6)
+        return np.asarray(hits * np.log(1.0 - rate + rate / chance) + misses * np.log(1.0 - rate))
+
+    def _counted(
+        self,
+        u_i: Floats,
+        neighbours: NDArray[np.int32],
+        vertices: NDArray[np.int32],
+        R: Floats,
+        log_scale: Floats,
+    ) -> tuple[Ints, Ints]:
+        """How many of the neighbours (P, K) in the image are detected, and how many are missed (P,)."""
         field = self.image.field
-        neighbours = table.neighbours.take(vertices[:, 0], axis=0)  # (P, K)
         u, v, w = np.ascontiguousarray(u_i.take(neighbours, axis=0).T)  # (K, P) each
         stretch = np.exp(log_scale) / np.maximum(R[2, 0] * u + R[2, 1] * v + R[2, 2] * w, 0.05)
         x = (R[0, 0] * u + R[0, 1] * v + R[0, 2] * w) * stretch
@@ -182,7 +217,4 @@ class _DetectionMap:
         detected = np.zeros(seen.shape, dtype=bool)
         detected.ravel()[inside] = self.occupied.take(row * self.occupied.shape[1] + column)
         hits = np.count_nonzero(detected, axis=0)
-        misses = np.count_nonzero(seen, axis=0) - hits
-        rate = _DETECTION_RATE * min(1.0, len(self.image.points) / STARS_PER_FIELD)
-        chance = max(float(self.occupied.mean()), 1e-6)
-        return np.asarray(hits * np.log(1.0 - rate + rate / chance) + misses * np.log(1.0 - rate))
+        return hits, np.count_nonzero(seen, axis=0) - hits
