@@ -58,6 +58,7 @@ __all__ = [
 
 # Least rms displacement, px, by which a given camera is said not to fit: twice what a calibration may leave.
 TOLD_PX = 0.02
+_INDICES = 4  # kept in memory, mapped from files: of unknown cameras, and of the known ones asked for last
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
 
@@ -294,19 +295,15 @@ def departure(found: FieldSolution) -> str:
 
 def sky_index(camera: StarCamera | None, fov_deg: float | None, settings: StarSettings) -> StarIndex:
     """Catalogue triangles for what is known of the camera."""
-    if camera is not None and is_fisheye(camera):
-        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
-    if camera is not None:
+    fov = None if fov_deg is None else float(np.radians(fov_deg))
+    if camera is not None and not is_fisheye(camera):
         return _built(equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m))
-    if fov_deg is None:
-        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
+    if fov is None or SMALLEST_FOV_RAD <= fov <= LARGEST_FOV_RAD or fov >= FISHEYE_RAD:
+        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))  # of a fisheye its middle is named
     spread = 1.0 + 2.0 * settings.fov_tolerance
-    fov = float(np.radians(fov_deg))
-    if fov >= FISHEYE_RAD:  # its middle is identified
-        return _built((float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
     return _built((0.5 * fov / spread, 1.2 * fov * spread))  # the area may be that of a tall or a wide image
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=_INDICES)
 def _built(fov_rad: float | tuple[float, float]) -> StarIndex:
     return cached_index(hipparcos_stars().places, CATALOGUE_YEAR, fov_rad)
