@@ -56,9 +56,6 @@ def identify_command(
         bool, typer.Option("--fits", help="Write NAME.wcs.fits here: a TAN-SIP header and the named stars.")
     ] = False,
     overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
-    constellations: Annotated[
-        bool, typer.Option("--constellations", help="With --overlay: figures of constellations.")
-    ] = False,
     report: Annotated[
         Path | None, typer.Option(help="HTML page: detections by kind, PSF, noise, stars, identified or not.")
     ] = None,
@@ -84,8 +81,6 @@ def identify_command(
         raise wrong_usage("--json, --csv and --fits exclude one another")
     if as_fits and times is not None:
         raise wrong_usage("--fits and --times exclude one another: a header states places of the catalogue")
-    if constellations and overlay is None:
-        raise wrong_usage("--constellations needs --overlay")
     if sequence:
         others = (dark, overlay, report, times, orbit, site)
         if camera is None or as_json or as_fits or any(one is not None for one in others):
@@ -94,9 +89,7 @@ def identify_command(
     if as_csv:
         print_data(csv_line(FIELDS))
     named = lines = 0
-    request = Request(
-        camera, fov, dark, size, Whereabouts(times, orbit, site), as_fits, overlay, constellations
-    )
+    request = Request(camera, fov, dark, size, Whereabouts(times, orbit, site), as_fits, overlay)
     if as_fits or report is not None:
         from boresight.features.sky_images import identify_page, wcs_files  # with astropy 0.4 s to load
 

@@ -86,7 +86,6 @@ class Request:
     known: Whereabouts = NOWHERE
     catalogue_places: bool = False  # times in the images' headers are not used
     overlay: Path | None = None  # PNG; with several images each adds its own name
-    constellations: bool = False  # whether it shows their figures
 
 
 def identify_images(images: Sequence[Path], request: Request, settings: StarSettings) -> Iterator[Line]:
@@ -254,7 +253,7 @@ def _draw(
     if found.mirrored:
         image = image[:, ::-1]
     no_stars = np.zeros((0, 2)) if found.stars is None else misshapen_in(image, found.stars)
-    picture = named_sky(image, found, planets, no_stars, figures=request.constellations)
+    picture = named_sky(image, found, planets, no_stars)
     if not cv2.imwrite(str(path), picture[:, :, ::-1]):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 

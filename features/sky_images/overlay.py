@@ -7,7 +7,7 @@ those of bright stars rather cover marks of faint ones than be left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from boresight.features.sky_images.constellation_figures import constellation_figures
 from boresight.features.sky_images.planets import Planet
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.spherical import unit_vectors
-from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
+from boresight.pipeline.report.labels import mark_boxes, place_labels
 from boresight.pipeline.report.star_preview import sky_stretch
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution
@@ -38,11 +36,9 @@ LETTERS, SMALLEST_LETTERS_PX = 0.011, 11
 RING, RING_OF_MAGNITUDE, SMALLEST_RING = 1.3, 0.11, 0.5
 OTHER = 0.35  # half a mark of the other kinds, in letters; a planet's is twice that
 BRIGHTNESS = 0.75  # of the image's white, so that marks and labels stand out
-WHITE, GREY, BLUE = (255, 250, 225), (185, 192, 200), (110, 160, 255)
+WHITE, GREY = (255, 250, 225), (185, 192, 200)
 BRIGHT = 4.0  # to this magnitude a star gets its label even if that covers marks of fainter ones
 SMALLER = 0.85  # letters of stars that have no name but a number
-STEPS = 65  # points along a line of a figure, which an image of a wide field shows curved
-FIGURE_GAP = 1.5  # between a star and the lines of its figure, in letters
 _SHIFT = 4  # of OpenCV's whole numbers: sixteenths of a pixel
 _TURN = np.linspace(0.0, 2.0 * np.pi, 49)
 
@@ -91,33 +87,26 @@ def named_sky(
     found: FieldSolution,
     planets: Sequence[Planet],
     no_stars_px: Floats,
-    *,
-    figures: bool,
 ) -> NDArray[np.uint8]:
     """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size; a small one enlarged by a
     whole number.
 
     `no_stars_px` (M, 2) are the detections of no star's shape. A mirror image must be reversed already.
-    `figures` draws constellations.
     """
     larger = -(-LEAST_PX // max(image.shape))
     letters = max(SMALLEST_LETTERS_PX, round(LETTERS * larger * max(image.shape)))
     thick = max(1, round(letters / 11))
-    lines = _figure_lines(found, FIGURE_GAP * letters / larger, larger) if figures else {}
     v_mag = _magnitudes(found.hip)
     marks = _marks(found, planets, no_stars_px, v_mag, letters, larger)
     grey = 255.0 * BRIGHTNESS * sky_stretch(image.astype(np.float32))
     whole = grey.astype(np.uint8).repeat(larger, axis=0).repeat(larger, axis=1)
     picture = np.repeat(whole[:, :, None], 3, axis=2)
-    segments = np.concatenate([np.zeros((0, 2, 2)), *lines.values()])
-    _draw(picture, segments, BLUE, thick)
     for one in marks:
         for stroke in one.kind.strokes:
             at = one.xy_px[:, None] + one.half_px[:, None, None] * stroke
             _draw(picture, at, one.kind.colour, thick)
     taken = [mark_boxes(one.xy_px, one.half_px) for one in marks]
-    taken.append(line_boxes(segments[:, 0], segments[:, 1], float(thick)))
-    labels = _labels(found.hip, v_mag, marks, planets, lines, picture.shape[1::-1], letters)
+    labels = _labels(found.hip, v_mag, marks, planets, letters)
     return _written(picture, labels, np.vstack(taken), marks, letters)
 
 
@@ -154,42 +143,14 @@ def _enlarged(xy_px: Floats, larger: int) -> Floats:
     return (xy_px + 0.5) * larger - 0.5
 
 
-def _figure_lines(found: FieldSolution, gap_px: float, larger: int) -> dict[str, Floats]:
-    """Straight pieces (K, 2, 2) of the figures in view by name, px of the picture, clear of the stars by
-    `gap_px` of the image.
-    """
-    places = hipparcos_stars().places
-    camera = found.camera
-    frame = np.array([camera.width_px, camera.height_px], dtype=float)
-    lines = {}
-    for name, pairs in constellation_figures().items():
-        rows = np.searchsorted(places.hip, pairs)
-        u_i = unit_vectors(places.ra_rad[rows], places.dec_rad[rows])
-        part = np.linspace(0.0, 1.0, STEPS)[None, :, None]
-        along = u_i[:, :1] * (1.0 - part) + u_i[:, 1:] * part  # (pairs, STEPS, 3): the great circle
-        xy = camera.pixels_from_directions(found.R_si.apply(along.reshape(-1, 3))).reshape(
-            *along.shape[:2], 2
-        )
-        with np.errstate(invalid="ignore"):
-            near = np.asarray(((xy > -0.5 * frame) & (xy < 1.5 * frame)).all(axis=-1))
-            for end in (xy[:, :1], xy[:, -1:]):
-                near &= ~(np.hypot(*np.moveaxis(xy - end, -1, 0)) < gap_px)
-        pieces = np.stack([xy[:, :-1], xy[:, 1:]], axis=2)[near[:, :-1] & near[:, 1:]]
-        if ((pieces > 0.0) & (pieces < frame)).all(axis=-1).any():
-            lines[name] = _enlarged(pieces, larger)
-    return lines
-
-
 def _labels(
     hip: NDArray[np.integer],
     v_mag: Floats,
     marks: Sequence[_Marks],
     planets: Sequence[Planet],
-    lines: Mapping[str, Floats],
-    frame: tuple[int, ...],
     letters: int,
 ) -> list[_Label]:
-    """What is to be written, the most important first: planets, stars by brightness, constellations."""
+    """What is to be written, the most important first: planets, stars by brightness."""
     stars, space = marks[0], 0.2 * letters
     labels = []
     for planet, at, half in zip(planets, marks[-1].xy_px, marks[-1].half_px):
@@ -200,10 +161,6 @@ def _labels(
         colour, height = (GREY, small) if name.startswith("HIP ") else (WHITE, letters)
         words, bright = f"{name} {v_mag[n]:.1f}", bool(v_mag[n] < BRIGHT)
         labels.append(_Label(words, colour, stars.xy_px[n], gap, height, bright))
-    for name, pieces in lines.items():
-        ends = pieces.reshape(-1, 2)
-        middle = ends[((ends > 0) & (ends < frame)).all(axis=1)].mean(axis=0)
-        labels.append(_Label(name.upper(), BLUE, middle, 0.5 * letters, letters, False))
     return labels
 
 

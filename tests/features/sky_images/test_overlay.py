@@ -1,4 +1,4 @@
-"""The picture of `identify --overlay`, with figures of constellations."""
+"""The picture of `identify --overlay`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 from astropy import units
-from astropy.coordinates import SkyCoord, get_constellation
+from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.wcs import WCS
 from command_line import app
@@ -18,7 +18,6 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.features.sky_images.constellation_figures import constellation_figures
 from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
@@ -26,37 +25,13 @@ from boresight.star_id.catalogue import hipparcos_stars
 CAMERA = StarCamera(
     focal_m=0.035, pixel_m=9e-6, width_px=1280, height_px=960, principal_px=(639.5, 479.5)
 )  # 18.7° wide
-BETELGEUSE, BELLATRIX, MEISSA, ALNITAK, ALNILAM = 27989, 25336, 26207, 26727, 26311
-# Stars that a figure takes from the neighbouring constellation: Elnath and Alpheratz.
-BORROWED = {("Auriga", 25428): "Taurus", ("Pegasus", 677): "Andromeda"}
-
-SPELT = {"Ophiucus": "Ophiuchus"}  # by Astropy
+BETELGEUSE, BELLATRIX, ALNILAM = 27989, 25336, 26311
 
 
 def place(hip: int) -> SkyCoord:
     places = hipparcos_stars().places
     row = np.searchsorted(places.hip, hip)
     return SkyCoord(places.ra_rad[row] * units.rad, places.dec_rad[row] * units.rad)
-
-
-def test_every_star_of_a_figure_is_a_visible_star_of_its_constellation():
-    places = hipparcos_stars().places
-    stars = [(name, hip) for name, pairs in constellation_figures().items() for hip in {*sum(pairs, ())}]
-    assert len(constellation_figures()) == 51
-    rows = np.searchsorted(places.hip, [hip for _, hip in stars])
-    assert places.hip[rows].tolist() == [hip for _, hip in stars]
-    assert places.v_mag[rows].max() < 6.5  # Mira; all others are brighter than 5.3
-    sky = SkyCoord(places.ra_rad[rows] * units.rad, places.dec_rad[rows] * units.rad)
-    lies_in = [SPELT.get(name, name).strip() for name in get_constellation(sky).tolist()]
-    assert {star: name for star, name in zip(stars, lies_in) if star[0] != name} == BORROWED
-
-
-def test_a_line_joins_two_stars_once_and_is_no_longer_than_a_figure():
-    for name, pairs in constellation_figures().items():
-        assert len({frozenset(pair) for pair in pairs}) == len(pairs) and all(a != b for a, b in pairs)
-        for one, other in pairs:
-            # The longest real ones, of Ophiuchus and Hydra, are 22° long: a wrong number is farther, mostly.
-            assert place(one).separation(place(other)).deg < 22.5, (name, one, other)
 
 
 def looking_at(ra_deg: float, dec_deg: float) -> Rotation:
@@ -69,7 +44,7 @@ def looking_at(ra_deg: float, dec_deg: float) -> Rotation:
 
 @pytest.fixture(scope="module")
 def orion(tmp_path_factory):
-    """A rendered frame of Orion's upper half, identified: without and with figures, and its coordinates."""
+    """A rendered frame of Orion's upper half, identified, and its coordinates."""
     folder = tmp_path_factory.mktemp("orion")
     R_si = looking_at(82.5, 3.0)
     rng = np.random.default_rng(3)
@@ -78,14 +53,12 @@ def orion(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
         patch.chdir(folder)
-        for name, option in (("plain", ()), ("figures", ("--constellations",))):
-            file = str(folder / f"{name}.png")
-            command = ["identify", str(folder / "orion.png"), "--fits", "--fov", "18.7", "--overlay", file]
-            done = CliRunner().invoke(app, [*command, *option])
-            assert done.exit_code == 0, done.output
+        command = ["identify", str(folder / "orion.png"), "--fits", "--fov", "18.7", "--overlay", "named.png"]
+        done = CliRunner().invoke(app, command)
+        assert done.exit_code == 0, done.output
     with fits.open(folder / "orion.wcs.fits") as hdus:
         wcs = WCS(hdus[0].header)
-    return *(np.asarray(Image.open(folder / f"{n}.png")).astype(int) for n in ("plain", "figures")), wcs
+    return np.asarray(Image.open(folder / "named.png")).astype(int), wcs
 
 
 def written(words: str, picture: np.ndarray, colour: tuple[int, int, int]) -> tuple[float, np.ndarray]:
@@ -104,28 +77,13 @@ def written(words: str, picture: np.ndarray, colour: tuple[int, int, int]) -> tu
     [(BETELGEUSE, "Betelgeuse 0.4"), (BELLATRIX, "Bellatrix 1.6"), (ALNILAM, "Alnilam 1.7")],  # V of ESA 1997
 )
 def test_a_bright_star_has_its_name_and_magnitude_beside_it(orion, hip, words):
-    _, picture, wcs = orion
+    picture, wcs = orion
     likeness, at = written(words, picture, (255, 250, 225))
     assert likeness > 0.8  # 1 if it lay on black and whole pixels
     star = np.array(wcs.world_to_pixel(place(hip)))
     away = np.abs(at - star)
     half_a_label_and_ring = 60.0 + 30.0  # px
     assert away[0] < half_a_label_and_ring and away[1] < 40.0
-
-
-def test_figures_join_their_stars_where_astropy_has_them(orion):
-    plain, picture, wcs = orion
-    changed = np.abs(picture - plain).sum(axis=2) > 60
-    for one, other in ((BETELGEUSE, BELLATRIX), (BETELGEUSE, MEISSA), (BETELGEUSE, ALNITAK)):
-        start, end = place(one), place(other)
-        angle, length = start.position_angle(end), start.separation(end)
-        on_line = [start.directional_offset_by(angle, part * length) for part in (0.3, 0.5, 0.7)]
-        for column, row in (np.rint(wcs.world_to_pixel(at)).astype(int) for at in on_line):
-            # A line is 1 px wide; aberration and the rounding of the place make up another.
-            assert changed[row - 2 : row + 3, column - 2 : column + 3].any(), (one, other)
-    column, row = np.rint(wcs.world_to_pixel(place(BETELGEUSE))).astype(int)
-    assert not changed[row - 8 : row + 9, column - 8 : column + 9].any()  # the star itself is left free
-    assert written("ORION", picture, (110, 160, 255))[0] > 0.8 > written("ORION", plain, (110, 160, 255))[0]
 
 
 def test_a_small_image_is_enlarged_and_its_rings_lie_about_its_stars(tmp_path, monkeypatch):
@@ -149,8 +107,3 @@ def test_a_small_image_is_enlarged_and_its_rings_lie_about_its_stars(tmp_path, m
             off.append(np.median([column + x - 20, row + y - 20], axis=1) - at)
     # Labels and neighbours hide parts of rings; half a pixel of the image too many would be 1.5.
     assert len(off) > 10 and np.abs(np.median(off, axis=0)).max() < 0.8
-
-
-def test_figures_without_a_picture_are_wrong_usage(tmp_path):
-    done = CliRunner().invoke(app, ["identify", str(tmp_path / "a.png"), "--constellations"])
-    assert done.exit_code == 2 and "--overlay" in done.output
