@@ -46,8 +46,10 @@ class SeenTargets:
 
     target_id: NDArray[np.str_] = array("J", "ids of the targets")
     curve: NDArray[np.int64] = array("J", "curve of the residual distortion that each sighting lies on")
-    place: Array = array("J", "along that curve, px")
-    ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
+    place: Array = array("J", "along that curve, correlation lengths")
+    distortion_rad: Array = array("J", "1-sigma of that curve")
+    modes_rad: Array = array("J, 3", "change by shift, slope and bend of its CCD")
+    unit: NDArray[np.int64] = array("J", "CCD of each sighting, numbered over all cameras")
     cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
     is_star: Bools = array("J", "targets that are stars")
     earth: str = scalar("prediction of Earth orientation at the strip's date; empty: measured")
@@ -126,12 +128,11 @@ def find_shared(
     Of targets in several strips, those seen most often come first.
     """
     knots: set[Knot] = set()
-    if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
-        for strip in strips:
-            knots.update(knots_touched(strip.curve, strip.place, settings.distortion_length_px))
     ccds: set[int] = set()
-    if settings.distortion_scope == "camera" and settings.has_ccd_modes:
-        ccds.update(int(ccd) for strip in strips for ccd in np.unique(strip.ccd))
+    for strip in strips if settings.distortion_scope == "camera" else ():
+        curved = strip.distortion_rad > 0.0
+        knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
+        ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
     count: dict[str, int] = {}
     covariance: dict[str, Array] = {}
     for strip in strips:

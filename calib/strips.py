@@ -18,18 +18,18 @@ and is done once. Strips with equal numbers of exposures, targets and unknowns a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
-    Knot,
-    ccd_modes,
+    columns_of_ccds,
     correlation,
     knot_weights,
     knots_touched,
-    places_on_curves,
+    residual_distortion,
+    unit_numbers,
 )
 from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
 from boresight.calib.orbit_bias import BIASES, bias_columns
@@ -40,6 +40,7 @@ from boresight.calib.shared_unknowns import (
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
+    find_shared,
 )
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, missed_covariance, motion_of
 from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
@@ -72,13 +73,16 @@ class PreparedStrip:
     used: Bools = array("K", "exposures whose attitudes are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
     target_id: Texts = array("J", "target")
+    camera: Ints = array("J", "number of the camera, of those that are calibrated")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
     line: Floats = array("J", "row, px")
     t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
     weights: Floats = array("J, U", "of the attitudes of the exposures used in that at the target's instant")
     curve: Ints = array("J", "curve of the residual distortion that holds there")
-    place: Floats = array("J", "position along that curve, px")
+    place: Floats = array("J", "position along that curve, correlation lengths")
+    distortion_rad: Floats = array("J", "1-sigma of that curve, per axis")
+    modes_rad: Floats = array("J, 3", "change of the look by shift, slope and bend of its CCD, 1-sigma each")
     u_c: Floats = array("J, 3", "measured look directions, frame c")
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
@@ -101,17 +105,14 @@ class PreparedStrip:
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
 
+    @property
+    def unit(self) -> Ints:
+        """CCD (J,) of each target, numbered over all cameras."""
+        return unit_numbers(self.ccd, self.camera)
+
     def seen(self) -> SeenTargets:
         """The strip's targets, as far as other strips may share unknowns with them."""
-        return SeenTargets(
-            target_id=self.target_id,
-            curve=self.curve,
-            place=self.place,
-            ccd=self.ccd,
-            cov_coordinates=self.cov_coordinates,
-            is_star=self.is_star,
-            earth=self.earth,
-        )
+        return SeenTargets(**{field.name: getattr(self, field.name) for field in fields(SeenTargets)})
 
 
 @record(kw_only=True)
@@ -120,6 +121,7 @@ class StripGroup:
 
     place: Ints = array("S", "which strips of the calibration these are")
     inside: Bools = array("S, J", "as in `PreparedStrip`")
+    which: Ints = array("S, J", "number of the camera, of those that are calibrated")
     u_c: Floats = array("S, J, 3", "as in `PreparedStrip`")
     cov_c: Floats = array("S, J, 3, 3", "as in `PreparedStrip`")
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
@@ -141,7 +143,7 @@ class LinearStrips:
     """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
 
     r: Floats  # (S, 2 J) residuals
-    X_theta: Floats  # (S, 2 J, 3) change of r by theta
+    X_theta: Floats  # (S, 2 J, 3 C) change of r by theta of C cameras
     X_shared: Floats  # (S, 2 J, g) change of r by unknowns of the calibration: knots, coordinates
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
@@ -151,20 +153,26 @@ class LinearStrips:
     tie_q: Floats  # (S, h, n)
 
 
-def prepare_strips(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[PreparedStrip]:
-    """The strips, with the motion between exposures that all of them show."""
+def prepare_strips(
+    strips: Sequence[StripSightings], settings: CalibrationSettings, cameras: Sequence[str] = ("",)
+) -> list[PreparedStrip]:
+    """The strips of `cameras`, with the motion between exposures that all of them show."""
     fitted = with_attitudes(strips, settings.attitudes)
     motion = motion_of(fitted, settings)
     return [
-        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST) for strip in fitted
+        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST, cameras)
+        for strip in fitted
     ]
 
 
 def prepare_strip(
-    strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion = AT_REST
+    strip: StripSightings,
+    settings: CalibrationSettings,
+    motion: SlowMotion = AT_REST,
+    cameras: Sequence[str] = ("",),
 ) -> PreparedStrip:
     """The strip with every target in frame s at its own instant, and the unknowns common to its targets;
-    `motion` is what the satellite does between the exposures.
+    `motion` is what the satellite does between the exposures. The rows of each of `cameras` have a clock.
 
     Attitudes of exposures are fitted where the strip has none.
     """
@@ -188,10 +196,15 @@ def prepare_strip(
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(nodes)
     late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
+    camera = np.array(
+        [cameras.index(name) if cameras[1:] else 0 for name in strip.camera_of_target.tolist()], int
+    )
     clock = late * settings.sigma_clock_s
+    clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, nodes, root, settings)
-    curve, place = places_on_curves(ground.ccd, ground.xy_px[:, 0], ground.u_c, settings.distortion_pixel_rad)
+    models = [settings.of(name) for name in cameras]
+    curve, place, distortion_rad, modes_rad = residual_distortion(ground, camera, models)
     names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
     motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PreparedStrip(
@@ -201,6 +214,7 @@ def prepare_strip(
         used=used,
         inside=inside,
         target_id=ground.target_id,
+        camera=camera,
         ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
@@ -208,12 +222,14 @@ def prepare_strip(
         weights=weights @ nodes.share,
         curve=curve,
         place=place,
+        distortion_rad=distortion_rad,
+        modes_rad=modes_rad,
         u_c=ground.u_c,
         cov_c=ground.cov_c,
         R_si=R_si,
         v_s=v_s,
-        shared_s=np.concatenate([phi, moved, position, clock], axis=2),
-        unknowns=(*names, *motions, "position/x", "position/y", "position/z", "clock"),
+        shared_s=np.concatenate([phi, moved, position, clocks], axis=2),
+        unknowns=(*names, *motions, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
@@ -272,8 +288,8 @@ def group_strips(
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        n = 2 * len(_own_knots(strip, settings)) + 6 * len(_own_ccds(strip, settings))
-        n += 3 * len(_seen_again(strip, shared))
+        own = _own(strip, settings)
+        n = 2 * len(own.knots) + 6 * len(own.ccds) + 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
         size = strip.n_phi, strip.shared_s.shape[2]
         shapes.setdefault((*size, len(strip.ccd), n, h), []).append(place)
@@ -287,9 +303,8 @@ def linearise(
 
     `scale_c` is a factor of the image measurements' standard deviations.
     """
-    C = R_cs.as_matrix()
-    S = len(group.place)
-    w = group.v_s @ C.T  # (S, J, 3)
+    C, S = matrix_of_each(R_cs, group.which), len(group.place)
+    w = turned(C, group.v_s)  # (S, J, 3)
     tangent = tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
     measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
@@ -301,7 +316,7 @@ def linearise(
     own = _along_axes(tangent, group.own)
     parts = (
         rows @ (tangent @ difference[..., None]),
-        rows @ (tangent @ cross_matrices(w)),
+        rows @ _by_theta(R_cs, group.which, tangent @ cross_matrices(w)),
         rows @ np.concatenate(_by_shared(tangent, tangent_s, group), axis=3),
         rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
     )
@@ -322,6 +337,24 @@ def linearise(
         tie_shared=np.concatenate([np.zeros((S, h, others)), by_heads], axis=2),
         tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
     )
+
+
+def matrix_of_each(R_cs: Rotation, camera: Ints) -> Floats:
+    """Matrix (..., 3, 3) of the camera of each target (...); of a single camera (3, 3)."""
+    return R_cs.as_matrix() if R_cs.single else R_cs.as_matrix()[camera]
+
+
+def turned(C: Floats, v_s: Floats) -> Floats:
+    """Vectors (..., 3) of frame s in the frame of each target's camera, by `matrix_of_each`."""
+    return v_s @ C.T if C.ndim == 2 else (C @ v_s[..., None])[..., 0]
+
+
+def _by_theta(R_cs: Rotation, camera: Ints, change: Floats) -> Floats:
+    """Changes (S, J, 2, 3) by theta of each target's own camera as columns of the theta of all cameras."""
+    if R_cs.single:
+        return change
+    own = camera[:, :, None] == np.arange(len(R_cs))
+    return np.asarray((own[:, :, None, :, None] * change[:, :, :, None, :]).reshape(*change.shape[:3], -1))
 
 
 def _by_shared(tangent: Floats, tangent_s: Floats, group: StripGroup) -> list[Floats]:
@@ -351,11 +384,12 @@ def _group(
     camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
     across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
-    fields = ("inside", "u_c", "cov_c", "v_s")
+    names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
     return StripGroup(
         place=place,
+        which=np.stack([strip.camera for strip in members]),
         shared_s=shared_s,
         white_s=np.stack(white),
         targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
@@ -367,7 +401,7 @@ def _group(
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
-        **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
+        **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
@@ -474,16 +508,11 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
     return across, own, white
 
 
-def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Knot, ...]:
-    if settings.distortion_scope == "camera" or settings.sigma_distortion_rad == 0.0:
-        return ()
-    return knots_touched(strip.curve, strip.place, settings.distortion_length_px)
-
-
-def _own_ccds(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[int, ...]:
-    if settings.distortion_scope == "camera" or not settings.has_ccd_modes:
-        return ()
-    return tuple(np.unique(strip.ccd).tolist())
+def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
+    """Unknowns of the distortion that the strip has for itself."""
+    if settings.distortion_scope == "camera":
+        return find_shared([], settings)
+    return find_shared([strip.seen()], replace(settings, distortion_scope="camera"))
 
 
 def _distortion(
@@ -492,26 +521,23 @@ def _distortion(
     """Weights of the camera's knots and CCDs (J, g/2), whitened weights of the strip's own (J, m), white
     variance (J,), rad².
     """
-    sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
-    J, knots = len(strip.ccd), _own_knots(strip, settings)
-    camera: Floats = np.zeros((J, len(shared.knots)))
-    own: Floats = np.zeros((J, len(knots)))
-    missed: Floats = np.full(J, sigma**2)
-    if shared.knots:
-        camera = knot_weights(strip.curve, strip.place, shared.knots, length)
-        missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(shared.knots), camera))
-    if knots:
-        own = knot_weights(strip.curve, strip.place, knots, length) @ np.linalg.cholesky(correlation(knots))
-        missed = sigma**2 * (1.0 - np.einsum("jk,jk->j", own, own))
-    of_ccds = [_by_ccds(strip, ccds, settings) for ccds in (shared.ccds, _own_ccds(strip, settings))]
-    camera, own = (np.column_stack([sigma * part, of]) for part, of in zip((camera, own), of_ccds))
-    return camera, own, missed
-
-
-def _by_ccds(strip: PreparedStrip, ccds: tuple[int, ...], settings: CalibrationSettings) -> Floats:
-    """Change (J, 3 C), rad, of the look direction by the modes of CCDs in units of their prior sigma."""
-    return ccd_modes(strip.ccd, strip.sample, ccds, settings.ccd_px) * np.repeat(
-        settings.sigma_ccd_rad, len(ccds)
+    own = _own(strip, settings)
+    curved, sigma = strip.distortion_rad > 0.0, strip.distortion_rad[:, None]
+    columns, missed = [], strip.distortion_rad**2
+    for unknowns in (shared, own):
+        weights: Floats = np.zeros((len(curved), len(unknowns.knots)))
+        if unknowns.knots:
+            weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], unknowns.knots)
+            explained = np.einsum("jk,kl,jl->j", weights, correlation(unknowns.knots), weights)
+            missed = strip.distortion_rad**2 * (1.0 - explained)
+        of_ccds = columns_of_ccds(strip.modes_rad, strip.unit, unknowns.ccds)
+        columns.append((weights, of_ccds))
+    white = np.linalg.cholesky(correlation(own.knots)) if own.knots else np.zeros((0, 0))
+    camera, of_strip = columns
+    return (
+        np.column_stack([sigma * camera[0], camera[1]]),
+        np.column_stack([sigma * (of_strip[0] @ white), of_strip[1]]),
+        missed,
     )
 
 

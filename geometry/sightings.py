@@ -195,17 +195,29 @@ class StripSightings:
         "prediction of Earth orientation (`EarthRotation.prediction`) of `ground.earth_i`; empty: measured",
         default="",
     )
-    parts: tuple[tuple[str, int], ...] = scalar(
-        "of strips joined to one (`calib.simultaneous_strips`): their ids, each with the number of its rows "
-        "in `ground`, in order; none: the strip itself",
+    camera: str = scalar("remote-sensing camera that took it, of several; empty: the only one", default="")
+    joined: tuple[tuple[str, str, int], ...] = scalar(
+        "of strips joined to one (`calib.simultaneous_strips`): their ids, each with its camera and the "
+        "number of its rows in `ground`, in order; none: the strip itself",
         default=(),
     )
 
     @property
+    def parts(self) -> tuple[tuple[str, str, int], ...]:
+        """The strips that are joined, or this one: id, camera, number of rows."""
+        return self.joined or ((self.strip_id, self.camera, len(self.ground.target_id)),)
+
+    @property
     def strip_of_target(self) -> Texts:
         """Strip (J,) of each target."""
-        names, counts = zip(*(self.parts or ((self.strip_id, len(self.ground.target_id)),)))
+        names, _, counts = zip(*self.parts)
         return np.repeat(np.array(names, dtype=str), counts)
+
+    @property
+    def camera_of_target(self) -> Texts:
+        """Camera (J,) of each target."""
+        _, cameras, counts = zip(*self.parts)
+        return np.repeat(np.array(cameras, dtype=str), counts)
 
     def later(self, seconds: float) -> StripSightings:
         """The strip with all its instants so much later."""
