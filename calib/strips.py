@@ -27,7 +27,6 @@ from boresight.calib.distortion import (
     columns_of_ccds,
     correlation,
     knot_weights,
-    knots_touched,
     residual_distortion,
     unit_numbers,
 )
