@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
 
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
@@ -25,6 +26,8 @@ __all__ = [
     "TargetResiduals",
     "WithoutHead",
 ]
+
+PROBABILITY_MOVED = 1e-3  # that a rotation which is as stated is said not to be
 
 
 @record
@@ -141,6 +144,12 @@ class CameraRotation:
     R_ab: Rotation = scalar("frame of b to frame of a")
     theta: Floats = array("3", "its deviation from that at the start, rad, frame of a")
     covariance: Floats = array("3, 3", "of a small rotation about the axes of a, rad²")
+    p_value: float = scalar("of `theta`, by the stated errors of both matrices at the start")
+
+    @property
+    def as_before_launch(self) -> bool:
+        """Whether the rotation is that at the start, but for its stated error."""
+        return self.p_value >= PROBABILITY_MOVED
 
     @property
     def sigma(self) -> Floats:
@@ -210,20 +219,25 @@ class InstallationEstimate:
         own = slice(3 * n, 3 * n + 3)
         return (self.R_cs if self.R_cs.single else self.R_cs[n]), self.cov_theta[own, own]
 
-    def between(self) -> tuple[CameraRotation, ...]:
-        """The rotation of each camera against each one before it; none of a single camera."""
-        every = range(len(self.cameras))
-        return tuple(self._rotation(a, b) for a in every for b in every[a + 1 :])
+    def between(self, sigma_rad: Floats | None = None) -> tuple[CameraRotation, ...]:
+        """The rotation of each camera against each one before it, none of a single camera; `sigma_rad` (T,)
+        is the 1-sigma of the matrices at the start.
+        """
+        every, sigma = range(len(self.cameras)), np.zeros(len(self.theta)) if sigma_rad is None else sigma_rad
+        return tuple(self._rotation(a, b, sigma) for a in every for b in every[a + 1 :])
 
-    def _rotation(self, a: int, b: int) -> CameraRotation:
+    def _rotation(self, a: int, b: int, sigma_rad: Floats) -> CameraRotation:
         R_ab, R_ab0 = self.R_cs[a] * self.R_cs[b].inv(), self.R_cs0[a] * self.R_cs0[b].inv()
         lift = np.zeros((3, len(self.theta)))
         lift[:, 3 * a : 3 * a + 3], lift[:, 3 * b : 3 * b + 3] = np.eye(3), -R_ab.as_matrix()
+        theta, stated = theta_between(R_ab, R_ab0), np.diag(sigma_rad**2)
+        apart = lift @ (self.cov_theta + stated) @ lift.T
         return CameraRotation(
             cameras=(self.cameras[a], self.cameras[b]),
             R_ab=R_ab,
-            theta=theta_between(R_ab, R_ab0),
+            theta=theta,
             covariance=lift @ self.cov_theta @ lift.T,
+            p_value=float(chdtrc(3, theta @ np.linalg.solve(apart, theta))),
         )
 
 

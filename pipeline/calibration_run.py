@@ -139,7 +139,8 @@ def run_dumps(
     """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
     counted and does not stop the others.
     """
-    with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
+    roots = list(dict.fromkeys(one.dump.root for one in dumps))
+    with claimed(out, roots, request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
         required = _keep_stated(out, request)
         if _is_finished(out, inputs, request):

@@ -28,9 +28,10 @@ from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import record, scalar
+from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows_together
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -62,7 +63,7 @@ class NamedDump:
     dump: Dump = scalar("the open dump, as one of its cameras sees it")
 
 
-@record
+@record(kw_only=True)
 class JointCalibration:
     """One matrix from all dumps that could be calibrated."""
 
@@ -71,6 +72,8 @@ class JointCalibration:
     strips: tuple[StripSightings, ...] = scalar('of all dumps, ids "dump/strip", t_s since the first epoch')
     settings: CalibrationSettings = scalar("of the estimate")
     cameras: tuple[LineSensor, ...] = scalar("models of the estimate's remote-sensing cameras")
+    sigma_installation_rad: Floats = scalar("1-sigma (3 C,) of their pre-launch matrices, axes of each")
+    rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
     omissions: tuple[Entry, ...] = scalar("dumps without a result, observations that the fit rejects")
 
 
@@ -168,7 +171,19 @@ def calibrate_jointly(
         target_files=first.dump.target_files,
     )
     cameras = tuple(dump.line_camera for dump in of_cameras.values())
-    return JointCalibration(estimate, verdict, strips, model, cameras, (*failed, *estimate.rejected))
+    views: dict[Path, list[tuple[Rows, ...]]] = {}
+    for named, found in calibrated:
+        views.setdefault(named.dump.root, []).append(found.rows)
+    return JointCalibration(
+        estimate=estimate,
+        verdict=verdict,
+        strips=strips,
+        settings=model,
+        cameras=cameras,
+        sigma_installation_rad=sigma,
+        rows=rows_together([rows_of_cameras(own) for own in views.values()]),
+        omissions=(*failed, *estimate.rejected),
+    )
 
 
 def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> list[MovedInput]:

@@ -17,7 +17,6 @@ from boresight.geometry.ledger import Kind, Reason
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.unused_rows import rows_together
 from boresight.pipeline.diagnosis.words import doubts
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
@@ -73,8 +72,7 @@ def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, 
 
 def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibration) -> str:
     """A line for each dump, then the joint result as that of one dump."""
-    together = rows_together([one.rows for one in of_dumps.values()])
-    lines = verdict_lines(verdict_json(joint.verdict, together))
+    lines = verdict_lines(verdict_json(joint.verdict, joint.rows))
     for name, one in of_dumps.items():
         if one.verdict.outcome is Outcome.REFUTED:
             lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
@@ -83,7 +81,8 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
     lines += blind_lines(blind_spots_json(joint.verdict))
     several = len(joint.estimate.cameras) > 1
     lines.append("all cameras together:" if several else f"jointly from {len(of_dumps)} dumps:")
-    lines += _estimate_lines(joint.estimate, joint.strips, joint_ground_m_per_rad(joint))
+    sigma_rad = joint.sigma_installation_rad
+    lines += _estimate_lines(joint.estimate, joint.strips, joint_ground_m_per_rad(joint), sigma_rad)
     lines += _doubt_lines(joint.estimate, ())
     return "\n".join(lines + omission_lines([entry.row for entry in joint.omissions]))
 
@@ -157,19 +156,24 @@ def _matrix_lines(estimate: InstallationEstimate, n: int, m_per_rad: Array) -> l
     return lines
 
 
-def _between_lines(estimate: InstallationEstimate) -> Iterator[str]:
-    """The rotations between cameras: their deviation from those before launch, and its 1 sigma."""
-    for one in estimate.between():
+def _between_lines(estimate: InstallationEstimate, sigma_rad: Array | None) -> Iterator[str]:
+    """The rotations between cameras: their deviation from those before launch, its 1 sigma and verdict."""
+    for one in estimate.between(sigma_rad):
         yield _row(f"{one.cameras[1]} to {one.cameras[0]}"[:25], one.theta / ARCSEC, "+.3f")
         yield _row("  1 sigma, arcsec", one.sigma / ARCSEC, ".4f")
+        told = "as before launch, within its stated error" if one.as_before_launch else "not as before launch"
+        yield f"{'':26s}{told} (p {one.p_value:.2g})"
 
 
 def _estimate_lines(
-    estimate: InstallationEstimate, strips: Sequence[StripSightings], grounds: Sequence[Array]
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    grounds: Sequence[Array],
+    sigma_rad: Array | None = None,
 ) -> list[str]:
     """The matrix of each camera, the rotations between them, and what they come from."""
     lines = [line for n, ground in enumerate(grounds) for line in _matrix_lines(estimate, n, ground)]
-    lines += _between_lines(estimate)
+    lines += _between_lines(estimate, sigma_rad)
     n = estimate.n_strips
     lines += [
         f"{'from':26s}{estimate.n_exposures} exposures with {estimate.n_stars} stars, "

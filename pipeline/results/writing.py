@@ -30,7 +30,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.unused_rows import Rows, rows_together
+from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
@@ -130,9 +130,10 @@ def write_joint_result(
     content = _installation(
         estimate,
         joint.verdict,
-        rows_together([found.rows for found in of_dumps.values()]),
+        joint.rows,
         (joint.settings, settings),
         joint_ground_m_per_rad(joint),
+        joint.sigma_installation_rad,
     )
     write_json(result / "installation.json", content)
 
@@ -203,6 +204,7 @@ def _installation(
     rows: Sequence[Rows],
     given: tuple[CalibrationSettings, Settings],
     grounds: Sequence[Floats],
+    sigma_installation_rad: Floats | None = None,
 ) -> dict[str, Any]:
     error_model, settings = given
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
@@ -211,7 +213,7 @@ def _installation(
     values = {
         "verdict": verdict_json(verdict, rows),
         "blind_spots": blind_spots_json(verdict),
-        **_matrices(estimate, grounds),
+        **_matrices(estimate, grounds, sigma_installation_rad),
         "frames": estimate.n_exposures,
         "stars": estimate.n_stars,
         "targets": estimate.n_targets,
@@ -229,7 +231,9 @@ def _installation(
     return {field: values[field] for field in FIELDS if field in values} | several | bias | earth | doubtful
 
 
-def _matrices(estimate: InstallationEstimate, grounds: Sequence[Floats]) -> dict[str, Any]:
+def _matrices(
+    estimate: InstallationEstimate, grounds: Sequence[Floats], sigma_rad: Floats | None
+) -> dict[str, Any]:
     """The matrix; of several cameras that of each, their covariance, and the rotations between them."""
     cameras = []
     for n, (name, ground) in enumerate(zip(estimate.cameras, grounds)):
@@ -245,7 +249,8 @@ def _matrices(estimate: InstallationEstimate, grounds: Sequence[Floats]) -> dict
         return cameras[0]
     between = [
         {"cameras": list(one.cameras), **_rotation(one.R_ab, "R_ab", one.theta, one.covariance)}
-        for one in estimate.between()
+        | {"p_value": one.p_value, "as_before_launch": one.as_before_launch}
+        for one in estimate.between(sigma_rad)
     ]
     full = estimate.cov_theta.tolist()
     return {"cameras": cameras, "between_cameras": between, "cameras_covariance_rad2": full}
