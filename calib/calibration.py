@@ -35,6 +35,7 @@ from boresight.calib.gross_errors import (
     snoop,
     weigh,
 )
+from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import (
     aligned,
     carried,
@@ -419,8 +420,20 @@ def _estimate(
         noise=NoiseScale(*scale_s, *fit.scale_c),
         agreement=problem.agreement,
         bias=common_bias(problem.shared.names, step.solution, settings),
+        references=_offsets(problem, step.solution),
         heads=(HeadInstallation(name="", R_cs=R_cs if R_cs.single else R_cs[0]),),
         cov_heads=step.solution.covariance[:3, :3],
+    )
+
+
+def _offsets(problem: Problem, solution: Solution) -> tuple[ReferenceOffset, ...]:
+    """Estimated offsets of the ground references."""
+    names, first = problem.shared.names, len(solution.theta)
+    rows = [[names.index(name) for name in field.names] for field in problem.shared.references]
+    covariance = solution.covariance_all[first:, first:]
+    return tuple(
+        field.offset(solution.shared[own], covariance[np.ix_(own, own)])
+        for field, own in zip(problem.shared.references, rows)
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
 from boresight.geometry.installation import theta_between
@@ -191,6 +192,7 @@ class InstallationEstimate:
     noise: NoiseScale = scalar("noise as the residuals show it")
     agreement: HeadAgreement = scalar("of the heads with one another")
     bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
+    references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
 

@@ -261,6 +261,20 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     yield from _in_each(_all_strips(of.prepared), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of.prepared), rest)
+    yield from _in_each(*_references(of))
+
+
+def _references(of: HypothesisInputs) -> tuple[list[Place], list[_InputError]]:
+    """Each ground reference, where targets have several, and its offset."""
+    name, moves = of.column("reference"), np.moveaxis(of.C @ of.column("reference_s"), 2, 0)
+    names = np.unique(name).tolist()
+    places: list[Place] = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
+    axes = (("east", ("east", "west")), ("north", ("north", "south")), ("height", SIZES))
+    words = [(axis, tuple(f"too far {one}" for one in both)) for axis, both in axes[:2]] + [axes[2]]
+    return places, [
+        _InputError(f"ground reference, {axis}", "m", (more, less), of.target_files, "reference", change)
+        for (axis, (more, less)), change in zip(words, moves)
+    ]
 
 
 def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:

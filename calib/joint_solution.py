@@ -69,7 +69,7 @@ class Problem:
         carrying = [strip for strip in prepared if strip.inside.any()]
         tied = {tie.head for strip in carrying for tie in strip.ties}
         heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
-        seen = [one.seen() for one in passes if one.inside.any()]
+        seen = [one for one in passes if one.inside.any()]
         shared = find_shared(seen, settings, heads, interior)
         groups = [condensed(group) for group in group_strips(passes, shared, settings)]
         places = [n for group in groups for n in group.place.tolist()]

@@ -18,7 +18,7 @@ and is done once. Strips with equal numbers of exposures, targets and unknowns a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,11 +31,10 @@ from boresight.calib.distortion import (
     unit_numbers,
 )
 from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
-from boresight.calib.orbit_bias import BIASES, bias_columns
+from boresight.calib.orbit_bias import bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import (
     MICRORADIAN,
-    SeenTargets,
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
@@ -93,6 +92,10 @@ class PreparedStrip:
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
+    reference: Texts = array("J", "ground reference of each target; empty: none")
+    reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
+    reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
+    reference_place: Floats = array("J, 3", "place of the target in correlation lengths of that offset")
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
@@ -108,10 +111,6 @@ class PreparedStrip:
     def unit(self) -> Ints:
         """CCD (J,) of each target, numbered over all cameras."""
         return unit_numbers(self.ccd, self.camera)
-
-    def seen(self) -> SeenTargets:
-        """The strip's targets, as far as other strips may share unknowns with them."""
-        return SeenTargets(**{field.name: getattr(self, field.name) for field in fields(SeenTargets)})
 
 
 @record(kw_only=True)
@@ -202,6 +201,7 @@ def prepare_strip(
     clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, nodes, root, settings)
+    references = ground.referenced()
     models = [settings.of(name) for name in cameras]
     curve, place, distortion_rad, modes_rad = residual_distortion(ground, camera, models)
     names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
@@ -232,6 +232,10 @@ def prepare_strip(
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
+        reference=references.name,
+        reference_s=-move_s @ references.axes_i,
+        reference_sigma_m=references.sigma_m,
+        reference_place=references.place,
         earth_s=R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
@@ -382,7 +386,7 @@ def _group(
     members = [strips[n] for n in place]
     camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
-    across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
+    again, white = zip(*(_coordinates(strip, shared) for strip in members))
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
@@ -391,7 +395,7 @@ def _group(
         which=np.stack([strip.camera for strip in members]),
         shared_s=shared_s,
         white_s=np.stack(white),
-        targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
+        targets_s=np.stack([shared.columns_s(strip) for strip in members]),
         camera=np.stack(camera),
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
@@ -412,22 +416,6 @@ def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> F
         for tie in strip.ties
     ]
     return np.concatenate([none, *rows])
-
-
-def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknowns) -> Floats:
-    """Columns (J, 3, T) of shared coordinates, biases, rotations of the Earth and alignments: of the last
-    targets see only the one of the head that carries the strip, as an error of all its attitudes.
-    """
-    biases = strip.bias_s[:, :, [BIASES.index(name) for name in shared.biases]]
-    alignments = np.zeros((len(coordinates), 3, 3 * len(shared.heads)))
-    if strip.carrier:
-        first = 3 * shared.heads.index(strip.carrier)
-        alignments[:, :, first : first + 3] = -cross_matrices(strip.v_s)
-    earth = np.zeros((len(coordinates), 3, 3 * len(shared.earth)))
-    if strip.earth:
-        first = 3 * shared.earth.index(strip.earth)
-        earth[:, :, first : first + 3] = strip.earth_s
-    return np.concatenate([coordinates, biases, earth, alignments], axis=2)
 
 
 def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:
@@ -486,32 +474,31 @@ def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
     return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
 
 
-def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats, Floats]:
-    """Targets' own coordinates: columns (J, 3, 3 t) of the shared ones, (J, 3, 3 m) of those seen again in
-    this strip, whitened, and the white noise (J, 3, 3) of the rest, rad².
+def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
+    """Targets' own coordinates: columns (J, 3, 3 m) of those seen again in this strip alone, whitened, and
+    the white noise (J, 3, 3) of the rest, rad².
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
     again = _seen_again(strip, shared)
-    across = np.zeros((len(move), 3, 3 * len(shared.targets)))
     own = np.zeros((len(move), 3, 3 * len(again)))
-    for row in np.flatnonzero(np.isin(strip.target_id, [*shared.targets])):
-        place = 3 * shared.targets.index(str(strip.target_id[row]))
-        across[row, :, place : place + 3] = move[row]
-        white[row] = 0.0
+    white[np.isin(strip.target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):
         rows = strip.target_id == name
         values, vectors = np.linalg.eigh(covariance[rows][0])
         own[rows, :, 3 * n : 3 * n + 3] = move[rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         white[rows] = 0.0
-    return across, own, white
+    for field in shared.references:
+        left = strip.reference_s * field.sigma_m
+        white = white + field.rest(strip)[:, None, None] * (left @ np.swapaxes(left, 1, 2))
+    return own, white
 
 
 def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
     """Unknowns of the distortion that the strip has for itself."""
     if settings.distortion_scope == "camera":
         return find_shared([], settings)
-    return find_shared([strip.seen()], replace(settings, distortion_scope="camera"))
+    return find_shared([strip], replace(settings, distortion_scope="camera"))
 
 
 def _distortion(

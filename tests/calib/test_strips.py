@@ -25,7 +25,7 @@ CAMERAS = CameraPair(BOLD)
 NONE = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
-NOTHING = SharedUnknowns((), (), np.zeros((0, 3, 3)), 0)
+NOTHING = SharedUnknowns()
 
 
 def strips_of(plan, seed=1):
