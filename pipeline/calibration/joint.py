@@ -204,11 +204,12 @@ def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> l
     return list(joined.values())
 
 
-Place = tuple[str, bytes, bytes]
+Place = tuple[str, bytes, bytes, str]
 
 
 def _place(target: Any) -> Place:
-    return target.target_id, target.p_e.tobytes(), target.sigma_m.tobytes()
+    of = target.reference.name if target.reference else ""
+    return target.target_id, target.p_e.tobytes(), target.sigma_m.tobytes(), of
 
 
 def _names_of_targets(dumps: Iterable[NamedDump]) -> dict[Place, str]:
@@ -287,6 +288,7 @@ def _check_one_mission(mission: NamedDump, first: NamedDump, other: NamedDump, s
         ("dump.toml", "star cameras", _of_heads(a), _of_heads(b), ""),
         (head.remote_cameras[b.camera], "remote camera", a.line_camera, b.line_camera, ""),
         (files.installation or "dump.toml", "pre-launch installation matrix", a.R_cs0, b.R_cs0, ""),
+        ("dump.toml", "ground_references", *_of_references(mission.dump, b), ""),
         ("dump.toml", "errors", of_a, of_b, "; [calibration] in a file of --settings states them for all"),
     )
     for file, what, mine, theirs, hint in compared:
@@ -300,6 +302,16 @@ def _of_heads(dump: Dump) -> tuple[tuple[Any, ...], ...]:
     cameras = [None if isinstance(h.source, SolvedAttitudes) else h.source.camera for h in dump.heads]
     matrices = [dump.heads[0].name, *(head.R_cs0 for head in dump.heads[1:])]
     return tuple((h.name, h.noise, *both) for h, *both in zip(dump.heads, cameras, matrices))
+
+
+def _of_references(a: Dump, b: Dump) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The ground references that the points of both dumps name."""
+    of_a, of_b = (
+        {of.name: of for target in dump.ground_targets.values() if (of := target.reference)}
+        for dump in (a, b)
+    )
+    both = sorted(of_a.keys() & of_b.keys())
+    return tuple(of_a[name] for name in both), tuple(of_b[name] for name in both)
 
 
 def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from boresight.gct_match.records import GroundReference
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry
@@ -150,7 +151,8 @@ class DumpParts:
         """The targets, and the files of their chips."""
         if self._is_without("targets"):
             return NO_TARGETS, ()
-        return read_targets(self.root, self._path("targets"), str(self.head.files.targets))
+        file = str(self.head.files.targets)
+        return read_targets(self.root, self._path("targets"), file, self.ground_references)
 
     @cached_property
     def listed_heads(self) -> tuple[Head, ...]:
@@ -187,7 +189,7 @@ class DumpParts:
         if self._is_without("points"):
             return (), ()
         file = str(self.head.files.points)
-        points, surveyed = read_points(self._path("points"), file)
+        points, surveyed = read_points(self._path("points"), file, self.ground_references)
         known = {strip.strip_id: strip for strip in self.listed_strips[0] if strip.kind == "ground"}
         for measured in points:
             if measured.strip_id not in known:
@@ -231,6 +233,15 @@ class DumpParts:
         if self.strips[1]:
             survey_of(table)  # an invalid file is reported before hours of work
         return table
+
+    @property
+    def ground_references(self) -> dict[str, GroundReference]:
+        """The mosaics and surveys whose points have an offset in common."""
+        found = {}
+        for one in self.head.ground_references:
+            sigma_m = np.array([one.sigma_east_m, one.sigma_north_m, one.sigma_up_m])
+            found[one.id] = GroundReference(one.id, sigma_m, 1e3 * one.correlation_km)
+        return found
 
     @property
     def epoch(self) -> Epoch:

@@ -303,6 +303,18 @@ class CameraFile(_Strict):
     installation: RelativePath | None = None  # of the reference head; None: that of the star camera's table
 
 
+class GroundReferenceFile(_Strict):
+    """One table of [[ground_references]] in dump.toml: an offset that points of a mosaic or a survey share"""
+
+    id: Id
+    sigma_east_m: float = within(0.0, 1e4, "1-sigma of the offset to the east, m")
+    sigma_north_m: float = within(0.0, 1e4, "to the north, m")
+    sigma_up_m: float = within(0.0, 1e4, "of the heights, m")
+    correlation_km: Annotated[
+        float, within(0.0, 1e5, "distance at which the offsets' correlation is 1/e; 0: one offset")
+    ] = 0.0
+
+
 class DumpFile(_Strict):
     """dump.toml"""
 
@@ -319,6 +331,7 @@ class DumpFile(_Strict):
     spice: SpiceFile | None = None
     star_cameras: Annotated[list[HeadFile], Field(max_length=16)] = []
     cameras: Annotated[list[CameraFile], Field(max_length=64)] = []
+    ground_references: Annotated[list[GroundReferenceFile], Field(max_length=1000)] = []
 
     @property
     def remote_cameras(self) -> dict[str, str]:
@@ -364,8 +377,10 @@ class DumpFile(_Strict):
         if (self.files.remote_camera is not None) == bool(self.cameras):
             both = "exclude one another" if self.cameras else "are both missing: one of them says it"
             raise ValueError(f"files.remote_camera and [[cameras]] {both}")
-        if len({one.id.casefold() for one in self.cameras}) < len(self.cameras):
-            raise ValueError("cameras: each id once")
+        for name in ("cameras", "ground_references"):
+            ids = [one.id.casefold() for one in getattr(self, name)]
+            if len(set(ids)) < len(ids):
+                raise ValueError(f"{name}: each id once")
         return self
 
     @model_validator(mode="after")
@@ -574,6 +589,9 @@ class _Surveyed(_Row):
     sigma_east_m: TargetSigma
     sigma_north_m: TargetSigma
     sigma_up_m: TargetSigma
+    reference: Annotated[
+        str, StringConstraints(max_length=64), Field(description="id of [[ground_references]]")
+    ] = ""
 
 
 class TargetRow(_Surveyed, _Identified):

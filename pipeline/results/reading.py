@@ -254,15 +254,17 @@ def read_mounting(result: Path, name: str) -> InformationPairs:
     alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
     biases = tuple(unknown for unknown in own if unknown in BIASES)
     earth = tuple(unknown for unknown in own if is_earth(unknown))
-    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth]
+    offsets = tuple(unknown for unknown in own if unknown.startswith("reference/"))
+    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth + offsets]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
     weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
     try:
         of_earth = prior_of_predictions(earth)
-        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), of_earth, weak)
-        return pairs.as_one(name, coordinate_names(targets) + biases + earth + alignments, prior)
+        of_ground = _prior_of_targets(result, targets), bias_prior(biases), of_earth, np.eye(len(offsets))
+        eliminated = coordinate_names(targets) + biases + earth + offsets + alignments
+        return pairs.as_one(name, eliminated, block_diag(*of_ground, weak))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

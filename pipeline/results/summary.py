@@ -186,6 +186,10 @@ def _estimate_lines(
         lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
     if estimate.bias is not None:
         lines.append(f"{'bias, stated less true':26s}{', '.join(estimate.bias.texts())}")
+    for one in estimate.references:
+        axes = zip(("east", "north", "up"), one.value_m, one.sigma_m)
+        text = ", ".join(f"{axis} {value:+.2f} ± {sigma:.2f} m" for axis, value, sigma in axes)
+        lines.append(f"{f'reference {one.name}'[:25]:26s}{text}, stated less true")
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

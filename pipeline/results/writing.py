@@ -228,6 +228,8 @@ def _installation(
     groups = [[f"{each.strip}/{each.id}" for each in group] for group in estimate.targets.doubtful]
     doubtful = {"doubtful_targets": groups} if groups else {}
     earth = _predicted_earth(estimate)
+    if estimate.references:
+        earth = earth | {"ground_references": [plain(one) for one in estimate.references]}
     return {field: values[field] for field in FIELDS if field in values} | several | bias | earth | doubtful
 
 
