@@ -237,6 +237,7 @@ def _each(*reads: Callable[[], Any]) -> list[Any]:
 
 
 def read_installation(path: Path, file: str) -> schema.InstallationFile:
+    """What an installation.toml says; `RawDataError` if it is not valid."""
     return read_toml(path, schema.InstallationFile, file)
 
 

@@ -190,7 +190,7 @@ def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Fl
 
 
 def joint_ground_m_per_rad(joint: JointCalibration) -> list[Floats]:
-    """`ground_m_per_rad` of each camera of a joint calibration."""
+    """`ground_m_per_rad` (3,) of each camera of a joint calibration."""
     several = len(joint.estimate.cameras) > 1
     return [
         ground_m_per_rad([one for one in joint.strips if not several or one.camera == name], camera)
