@@ -101,8 +101,8 @@ def open_dumps(
 
 
 def named_cameras(views: Sequence[Dump], name: str = "") -> list[NamedDump]:
-    """A dump called `name` as its cameras see it, each with its own name behind that of the dump. `RawDataError`
-    for the name of a folder that every result has.
+    """A dump called `name` as its cameras see it, each with its own name behind that of the dump.
+    `RawDataError` for the name of a folder that every result has.
     """
     if any(view.camera in OF_RESULTS for view in views):
         raise RawDataError("dump.toml", "cameras.id", "a name of a result's folders", "another name")

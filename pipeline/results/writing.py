@@ -65,9 +65,6 @@ FIELDS = (
     "euler_zxy_deg",
     "covariance_rad2",
     "ground_m_per_rad",
-    "cameras",
-    "between_cameras",
-    "cameras_covariance_rad2",
     "frames",
     "stars",
     "targets",
@@ -77,6 +74,7 @@ FIELDS = (
     "settings",
     "version",
 )
+OF_CAMERAS = ("cameras", "between_cameras", "cameras_covariance_rad2")  # of several, in place of a matrix
 
 
 def write_result(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
@@ -230,7 +228,10 @@ def _installation(
     earth = _predicted_earth(estimate)
     if estimate.references:
         earth = earth | {"ground_references": [plain(one) for one in estimate.references]}
-    return {field: values[field] for field in FIELDS if field in values} | several | bias | earth | doubtful
+    matrices = [field for field in values if field in OF_CAMERAS]
+    first, last = FIELDS.index("R_cs"), FIELDS.index("frames")
+    fields = (*FIELDS[:first], *matrices, *FIELDS[last:]) if matrices else FIELDS
+    return {field: values[field] for field in fields} | several | bias | earth | doubtful
 
 
 def _matrices(

@@ -76,6 +76,26 @@ def test_each_camera_has_a_matrix_and_what_both_share_is_counted_once(
     assert sigma < 0.6 * np.sqrt(covariance[0, 0])  # the orbit across the track is common to both
 
 
+def test_two_dumps_of_one_instant_are_one_pass(finished: tuple[Path, Path], tmp_path: Path) -> None:
+    dumps = [tmp_path / name for name in ("even", "odd")]
+    head, *rows = (finished[0] / "strips.csv").read_text().splitlines()
+    for n, dump in enumerate(dumps):
+        shutil.copytree(finished[0], dump)
+        own = [row for row in rows if int(row.split(",")[1]) % 2 == n]
+        (dump / "strips.csv").write_text("\n".join([head, *own]) + "\n")
+    out = tmp_path / "result"
+    stopped_run(out, dumps)
+    for dump in dumps:
+        stopped_run(out / dump.name, [dump], finished[1])
+    ran("calibrate", *dumps, "--out", out, "--workers", 1, "--no-report")
+    joint, whole = content(out), content(finished[1])
+    assert (joint["frames"], joint["stars"]) == (whole["frames"], whole["stars"])
+    sigma, of_whole = (np.sqrt(np.diag(one["covariance_rad2"])) for one in (joint, whole))
+    np.testing.assert_allclose(sigma, of_whole, rtol=0.05)  # positions that were measured once more
+    off = np.array(joint["theta_rad"]) - whole["theta_rad"]
+    assert np.all(np.abs(off) < 0.3 * of_whole)  # 1-sigma: noise of pixels that were measured once more
+
+
 def test_console_and_page_show_a_matrix_for_each_camera(seen: tuple[Path, Path]) -> None:
     printed = (seen[1].parent / "printed").read_text()
     assert "R_cs of camera left =" in printed and "R_cs of camera right =" in printed
