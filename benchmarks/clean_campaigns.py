@@ -1,11 +1,15 @@
 """Campaigns without a fault: how many are refuted or get a finding, and whether the covariance is honest.
 
-    python benchmarks/clean_campaigns.py [--sightings 120] [--dumps 5]
+    python benchmarks/clean_campaigns.py [--sightings 120] [--dumps 5] [--cuts 0]
 
 `sightings`: directions with all stated errors at the paper's size, without images: strips of the ground, of
 the sky, both, and attitudes of two heads with coloured noise; with 2, 4 and 14 exposures a strip; with a
 residual distortion that is one curve over the field, and one that differs from CCD to CCD. The prior is that
 of a dump that states look_distortion_px = 0.3 and no more.
+
+`cuts`: the same strips whole, cut in two by rows, as two and as four simultaneous strips, and with a second
+camera of a third of the field that sees other targets: how strips are cut must not change the covariance, and
+that between the cameras must be honest too.
 
 `dumps`: whole dumps of `tests/pipeline/faults/fault_dumps.py` with seeds of their own, from pixels, through
 `boresight calibrate --json`.
@@ -17,6 +21,7 @@ import itertools
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +32,7 @@ sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
 import numpy as np  # isort: skip
 from fault_cases import Case, calibrated, case_of, imported, judged, true_rotation
 from fault_dumps import sound_dump
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
@@ -37,6 +43,7 @@ from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.run.settings import Settings, calibration_settings
@@ -45,6 +52,7 @@ from boresight.simulator.campaign import (
     CameraPair,
     DistortionCurve,
     StripPlan,
+    draw_other_camera,
     draw_strips,
     installation_by_tilt,
 )
@@ -162,6 +170,88 @@ def said(verdict: Verdict) -> str:
     return "; ".join([*failed, *(one.cause + ", " + one.item for one in verdict.findings)])
 
 
+# ---- the same strips, cut otherwise ----
+
+OBLIQUE = CameraPair(
+    Rotation.from_euler("xyz", [25.0, -9.0, 81.0], degrees=True) * CAMERAS.R_cs,
+    pixel_rad=2.0 * CAMERAS.pixel_rad,
+    ccd_px=CAMERAS.ccd_px // 3,
+    n_ccds=2,
+)
+
+
+def cut(strip: StripSightings, part: NDArray[np.int64]) -> list[StripSightings]:
+    """The strip as simultaneous strips of the targets with the same number in `part`."""
+    rows = [np.flatnonzero(part == k) for k in np.unique(part)]
+    return [
+        replace(strip, strip_id=f"{strip.strip_id}-{k}", ground=strip.ground.take(own), R_oi_targets=R_oi)
+        for k, own in enumerate(rows)
+        for R_oi in [strip.R_oi_targets[own]]
+    ]
+
+
+def by_rows(strip: StripSightings) -> list[StripSightings]:
+    """The first and the second half of a strip, each with the exposures around it."""
+    times, t_s = np.array([one.t_s for one in strip.exposures]), strip.ground.t_s
+    middle, step = float(np.mean(times)), float(times[1] - times[0])
+    parts = []
+    for one, near in zip(cut(strip, (t_s > middle).astype(np.int64)), (times < middle, times > middle)):
+        seen = np.flatnonzero(near | (np.abs(times - middle) < 1.5 * step))
+        exposures = tuple(strip.exposures[k] for k in seen)
+        parts.append(replace(one, exposures=exposures, R_oi_exposures=strip.R_oi_exposures[seen]))
+    return parts
+
+
+CUTS: dict[str, Callable[[StripSightings], list[StripSightings]]] = {
+    "whole": lambda strip: [strip],
+    "cut in two by rows": by_rows,
+    "two simultaneous strips": lambda strip: cut(strip, np.arange(len(strip.ground.t_s)) % 2),
+    "four simultaneous strips": lambda strip: cut(strip, np.arange(len(strip.ground.t_s)) % 4),
+}
+
+
+def squared(off: Floats, covariance: Floats) -> float:
+    return float(off @ np.linalg.solve(covariance, off))
+
+
+def cut_campaigns(runs: int, first_seed: int) -> dict[str, list[float]]:
+    """Squared errors in their covariances, three degrees of freedom each, of each cut and of two cameras."""
+    stated = replace(settings(), of_cameras=(("oblique", replace(settings(), ccd_px=(OBLIQUE.ccd_px,) * 2)),))
+    found: dict[str, list[float]] = defaultdict(list)
+    for n in range(first_seed, first_seed + runs):
+        rng = np.random.default_rng([55, n])
+        plan = plan_of(8, "CCD")
+        strips, truth = draw_strips(plan, CAMERAS, rng)
+        for name, pieces in CUTS.items():
+            estimate = calibrate_strips([p for strip in strips for p in pieces(strip)], R_CS0, settings())
+            assert isinstance(estimate, InstallationEstimate)
+            found[name].append(squared(theta_between(estimate.R_cs, CAMERAS.R_cs), estimate.cov_theta))
+        nadir = [replace(strip, camera="nadir") for strip in strips]
+        both = [*nadir, *draw_other_camera(strips, truth, plan, OBLIQUE, "oblique", rng)]
+        turn = R_CS0 * CAMERAS.R_cs.inv()
+        start = {"nadir": R_CS0, "oblique": turn * OBLIQUE.R_cs}
+        estimate = calibrate_strips(both, start, stated)
+        assert isinstance(estimate, InstallationEstimate)
+        for name, camera in (("nadir", CAMERAS), ("oblique", OBLIQUE)):
+            R_cs, covariance = estimate.of_camera(name)
+            found[f"two cameras, {name}"].append(squared(theta_between(R_cs, camera.R_cs), covariance))
+        (between,) = estimate.between()
+        off = theta_between(between.R_ab, CAMERAS.R_cs * OBLIQUE.R_cs.inv())
+        found["between two cameras"].append(squared(off, between.covariance))
+    return found
+
+
+def report_cuts(found: dict[str, list[float]]) -> None:
+    """Mean of each, which is 3 within 3 sqrt(6 / n)."""
+    print(f"{'strips':34s}    n   NEES")
+    for name, squares in found.items():
+        print(f"{name:34s} {len(squares):4d} {np.mean(squares):6.2f}")
+    print()
+    for name, squares in found.items():
+        reach = 3.0 * np.sqrt(6.0 / len(squares))
+        record.judge_nees(name, squares, asked=(3.0 - reach, 3.0 + reach))
+
+
 # ---- whole dumps ----
 
 
@@ -225,6 +315,7 @@ def main() -> None:
     options = record.arguments_of(
         __doc__,
         ("--sightings", 120, "campaigns of directions"),
+        ("--cuts", 0, "campaigns whose strips are cut otherwise, and of two cameras"),
         ("--dumps", 5, "of 100: how many of each kind say their shares; one of each at least"),
         ("--exposures", EXPOSURES, "a strip, of sightings"),
         ("--first-seed", 101, "of either"),
@@ -232,6 +323,8 @@ def main() -> None:
     record.head("Campaigns without a fault")
     if options.sightings:
         report(sightings(options.sightings, options.exposures, options.first_seed), "sightings")
+    if options.cuts:
+        report_cuts(cut_campaigns(options.cuts, options.first_seed))
     if options.dumps:
         report(dumps(options.dumps, options.first_seed), "dumps")
     raise SystemExit(record.exit_status())

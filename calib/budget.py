@@ -34,11 +34,11 @@ class ErrorShare:
     """What one source of error contributes."""
 
     source: str = scalar("the source, in words")
-    covariance: Floats = array("3, 3", "its part of the covariance of theta, axes of c, rad²")
+    covariance: Floats = array("T, T", "its part of the covariance of theta, axes of c, rad²")
 
 
 def uncertainty_budget(
-    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings], R_cs: Rotation | Mapping[str, Rotation], settings: CalibrationSettings
 ) -> tuple[ErrorShare, ...]:
     """The budget of a calibration, the source with the largest shares of the three variances first.
 
@@ -46,7 +46,7 @@ def uncertainty_budget(
     ----------
     strips : sequence of StripSightings
         The strips that were calibrated; no target is rejected.
-    R_cs : Rotation
+    R_cs : Rotation, or mapping of camera to Rotation
         Their installation matrix.
     settings : CalibrationSettings
         Their error model.

@@ -8,7 +8,7 @@ least squares.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -35,6 +35,7 @@ from boresight.calib.gross_errors import (
     snoop,
     weigh,
 )
+from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import (
     aligned,
     carried,
@@ -43,7 +44,7 @@ from boresight.calib.heads import (
     unknown_heads,
     without_head,
 )
-from boresight.calib.information import InformationPairs, Solution
+from boresight.calib.information import InformationPairs, Solution, corrected, theta_of
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.joint_solution import (
     Problem,
@@ -59,7 +60,6 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
-from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes, StripSightings
@@ -73,12 +73,13 @@ HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none do
 
 def calibrate_strips(
     strips: Sequence[StripSightings],
-    R_cs0: Rotation,
+    R_cs0: Rotation | Mapping[str, Rotation],
     settings: CalibrationSettings,
     *,
     interior: InteriorModel | None = None,
 ) -> InstallationEstimate | NotObservable:
-    """The installation matrix with its covariance, or the rotations that the strips leave undetermined.
+    """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
+    several cameras of one satellite a matrix each.
 
     The result is the same, bit for bit, for any order of the strips.
 
@@ -86,8 +87,9 @@ def calibrate_strips(
     ----------
     strips : sequence of StripSightings
         Stars of the exposures (directions in frames s and i) and targets (directions in frames c and i).
-    R_cs0 : Rotation
-        Matrix to start from, star camera to remote-sensing camera; milliradians off are no obstacle.
+    R_cs0 : Rotation, or mapping of camera to Rotation
+        Matrix to start from, star camera to remote-sensing camera; milliradians off are no obstacle. Of
+        several cameras (`StripSightings.camera`) a matrix each, in the order of the result.
     settings : CalibrationSettings
         Prior standard deviations of the errors that the sightings' covariances do not hold, and limits.
     interior : InteriorModel, optional
@@ -102,7 +104,7 @@ def calibrate_strips(
     Raises
     ------
     ValueError
-        If two strips share one id, or list exposures of one instant that differ.
+        If two strips share one id, list exposures of one instant that differ, or are of unknown cameras.
 
     Examples
     --------
@@ -110,13 +112,30 @@ def calibrate_strips(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
-    passes = _passes(strips, settings)
-    found = _calibrated(passes, R_cs0, settings, interior)
+    passes, cameras, start = _passes(strips, settings), *_matrices(strips, R_cs0)
+    found = _calibrated(passes, cameras, start, settings, interior)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
     heads = ("", *unknown_heads(passes))
-    trials = [_without(passes, head, R_cs0, settings, interior) for head in heads]
+    trials = [_without(passes, head, cameras, start, settings, interior) for head in heads]
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
+
+
+def _matrices(
+    strips: Sequence[StripSightings], R_cs0: Rotation | Mapping[str, Rotation]
+) -> tuple[tuple[str, ...], Rotation]:
+    """Cameras of the strips and matrices to start from, in the order given; a single camera has no name."""
+    seen = {strip.camera for strip in strips}
+    if isinstance(R_cs0, Rotation):
+        if len(seen) > 1:
+            raise ValueError(f"strips of the cameras {', '.join(sorted(seen))} need a matrix each")
+        return ("",), R_cs0
+    if unknown := sorted(seen - set(R_cs0)):
+        raise ValueError(f"strips are of the camera {unknown[0]!r}, of which no matrix is given")
+    names = tuple(name for name in R_cs0 if name in seen)
+    if len(names) < 2:
+        return ("",), R_cs0[names[0] if names else next(iter(R_cs0))]
+    return names, Rotation.concatenate([R_cs0[name] for name in names])
 
 
 def _passes(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[StripSightings]:
@@ -138,6 +157,7 @@ def _contradict(agreement: HeadAgreement) -> bool:
 def _without(
     strips: Sequence[StripSightings],
     head: str,
+    cameras: tuple[str, ...],
     R_cs0: Rotation,
     settings: CalibrationSettings,
     interior: InteriorModel | None,
@@ -145,7 +165,7 @@ def _without(
     """Statistics of the estimate without one head; None where nothing can be estimated without it."""
     strips = aligned(strips, {name: measured_alignment(strips, name) for name in unknown_heads(strips)})
     rest = [without_head(strip, head) for strip in strips]
-    found = _calibrated(rest, R_cs0, settings, interior)
+    found = _calibrated(rest, cameras, R_cs0, settings, interior)
     if isinstance(found, NotObservable):
         return None
     rejected = sum(entry.reason is Reason.TARGET_RESIDUAL for entry in found.rejected)
@@ -155,6 +175,7 @@ def _without(
 
 def _calibrated(
     strips: Sequence[StripSightings],
+    cameras: tuple[str, ...],
     R_cs0: Rotation,
     settings: CalibrationSettings,
     interior: InteriorModel | None,
@@ -163,28 +184,29 @@ def _calibrated(
     were never on together with another, that the targets show.
     """
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
-    found = _about(strips, R_cs0, settings, interior)
+    found = _about(strips, cameras, R_cs0, settings, interior)
     for _ in range(MOST_ALIGNMENTS):
         if isinstance(found, NotObservable):
             break
-        better = {head.name: found.R_cs.inv() * head.R_cs for head in found.heads}
+        better = {head.name: found.heads[0].R_cs.inv() * head.R_cs for head in found.heads}
         if largest_turn(strips, better) < NEGLIGIBLE_TURN_RAD:
             break
         strips = aligned(strips, better)
-        found = _about(strips, R_cs0, settings, interior)
+        found = _about(strips, cameras, R_cs0, settings, interior)
     return found
 
 
 def _about(
     strips: Sequence[StripSightings],
+    cameras: tuple[str, ...],
     R_cs0: Rotation,
     settings: CalibrationSettings,
     interior: InteriorModel | None,
 ) -> InstallationEstimate | NotObservable:
     """The estimate about the alignments of heads that the strips assume."""
     of_heads = [carried(strip) for strip in strips]
-    prepared = prepare_strips(of_heads, settings)
-    problem = Problem.of(prepared, settings, interior)
+    prepared = prepare_strips(of_heads, settings, cameras)
+    problem = Problem.of(prepared, settings, interior, cameras)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -199,25 +221,26 @@ def _about(
     fit = _solve(problem, R_cs0, test)
     residuals = _residuals(strips, prepared, problem, fit, test)
     rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
-    R_cs = deviation_from_theta(fit.step.solution.theta) * fit.step.R_cs
+    R_cs = corrected(fit.step.R_cs, fit.step.solution.theta)
     if len(fit.step.solution.unobservable):
-        return _not_observable(fit.step.solution, theta_between(R_cs, R_cs0), rejected, settings)
+        return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
     matrices, scale_s = (R_cs, R_cs0), _star_noise(strips)
     estimate = _estimate(prepared, problem, fit, matrices, residuals, rejected, test, scale_s)
     return _with_heads(estimate, strips, problem, fit.step.solution)
 
 
 def strip_pairs(
-    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings], R_cs: Rotation | Mapping[str, Rotation], settings: CalibrationSettings
 ) -> tuple[InformationPairs, Floats]:
     """Normal equations of each pass about `R_cs`, no target rejected, and the prior information (G, G) of
     the unknowns that passes share. `ValueError` where no strip has a target that exposures cover.
     """
     fitted = [carried(one) for one in _passes(strips, settings)]
-    problem = Problem.of(prepare_strips(fitted, settings), settings)
+    cameras, about = _matrices(strips, R_cs)
+    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, None, cameras)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
-    return linear_solution(problem, R_cs, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
+    return linear_solution(problem, about, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,7 +293,7 @@ def _iterated(
         iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
-        R_cs = deviation_from_theta(step.solution.theta) * R_cs
+        R_cs = corrected(R_cs, step.solution.theta)
     return step
 
 
@@ -310,6 +333,7 @@ def _residuals(
     place = np.argsort(order)[rows]  # row of each target of the problem
     return TargetResiduals(
         strip_id=strip_id[order],
+        camera=np.concatenate([strip.camera for strip in prepared])[order],
         target_id=np.concatenate([strip.target_id for strip in prepared])[order],
         ccd=np.concatenate([strip.ccd for strip in prepared])[order],
         sample=np.concatenate([strip.sample for strip in prepared])[order],
@@ -324,13 +348,13 @@ def _residuals(
 
 
 def _not_observable(
-    solution: Solution, theta: Floats, rejected: tuple[Entry, ...], settings: CalibrationSettings
+    solution: Solution, theta: Floats, rejected: tuple[Entry, ...], problem: Problem
 ) -> NotObservable:
     unseen = solution.unobservable
     values, vectors = np.linalg.eigh(solution.covariance)
     seen = vectors.T[len(unseen) :]
-    limit = settings.sigma_observable_rad
-    text = ", ".join(f"[{d[0]:+.3f} {d[1]:+.3f} {d[2]:+.3f}]" for d in unseen)
+    limit = problem.settings.sigma_observable_rad
+    text = ", ".join(_axis(d.reshape(-1, 3), problem.cameras) for d in unseen)
     reason = (
         f"the rotation about {text} (frame c) is not observable: its 1-sigma would exceed {limit:.3g} rad; "
         f"targets spread wider over the field, or a star camera that looks another way, would show it"
@@ -343,6 +367,12 @@ def _not_observable(
         sigma_along=np.sqrt(np.maximum(values[len(unseen) :], 0.0)),
         rejected=rejected,
     )
+
+
+def _axis(d: Floats, cameras: tuple[str, ...]) -> str:
+    """A direction (C, 3) in words: its part in the camera that it concerns most."""
+    n = int(np.argmax(np.linalg.norm(d, axis=1)))
+    return "[" + " ".join(f"{x:+.3f}" for x in d[n]) + "]" + (f" of {cameras[n]}" if cameras[n] else "")
 
 
 def _estimate(
@@ -360,14 +390,15 @@ def _estimate(
     exposures = [(strip.attitudes, strip.used) for strip in carrying]
     n_kept, n_exposures = int(np.sum(fit.weight > 0.0)), int(sum(used.sum() for _, used in exposures))
     dof_stars = int(sum(attitudes.dof[used].sum() for attitudes, used in exposures))
-    last = np.abs(step.solution.theta)
+    last, n_theta = np.abs(step.solution.theta), len(step.solution.theta)
     return InstallationEstimate(
         R_cs=R_cs,
         R_cs0=R_cs0,
-        theta=theta_between(R_cs, R_cs0),
+        cameras=problem.cameras,
+        theta=theta_of(R_cs, R_cs0),
         cov_theta=step.solution.covariance,
         chi2=step.chi2,
-        dof=2 * (n_kept - len(residuals.doubtful)) - 3,
+        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta,
         chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
         dof_stars=dof_stars,
         n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
@@ -381,25 +412,39 @@ def _estimate(
         pairs=step.pairs,
         prior_shared=problem.prior_shared,
         shared_values=step.solution.shared,
-        shared_covariance=step.solution.covariance_all[3:, 3:],
-        theta_with_shared=step.solution.covariance_all[:3, 3:],
+        shared_covariance=step.solution.covariance_all[n_theta:, n_theta:],
+        theta_with_shared=step.solution.covariance_all[:n_theta, n_theta:],
         n_targets_treated_independent=problem.shared.n_treated_independent,
         targets=residuals,
         rejection=test,
         noise=NoiseScale(*scale_s, *fit.scale_c),
         agreement=problem.agreement,
         bias=common_bias(problem.shared.names, step.solution, settings),
-        heads=(HeadInstallation(name="", R_cs=R_cs),),
-        cov_heads=step.solution.covariance,
+        references=_offsets(problem, step.solution),
+        heads=(HeadInstallation(name="", R_cs=R_cs if R_cs.single else R_cs[0]),),
+        cov_heads=step.solution.covariance[:3, :3],
+    )
+
+
+def _offsets(problem: Problem, solution: Solution) -> tuple[ReferenceOffset, ...]:
+    """Estimated offsets of the ground references."""
+    names, first = problem.shared.names, len(solution.theta)
+    rows = [[names.index(name) for name in field.names] for field in problem.shared.references]
+    covariance = solution.covariance_all[first:, first:]
+    return tuple(
+        field.offset(solution.shared[own], covariance[np.ix_(own, own)])
+        for field, own in zip(problem.shared.references, rows)
     )
 
 
 def _with_heads(
     estimate: InstallationEstimate, strips: Sequence[StripSightings], problem: Problem, solution: Solution
 ) -> InstallationEstimate:
-    """The estimate with the matrices of the other heads, R_ch = R_cs exp(alpha) R_sh, and all covariances."""
-    names = problem.shared.heads
-    C = estimate.R_cs.as_matrix()
+    """The estimate with the matrices of the other heads, R_ch = R_cs exp(alpha) R_sh, and all covariances; of
+    several cameras those of the first.
+    """
+    names, R_cs = problem.shared.heads, estimate.heads[0].R_cs
+    C = R_cs.as_matrix()
     first = solution.covariance_all.shape[0] - 3 * len(names)
     # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
     lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))
@@ -410,7 +455,7 @@ def _with_heads(
         lift[rows, :3], lift[rows, columns] = np.eye(3), -C
         alpha = np.concatenate([solution.theta, solution.shared])[columns]
         R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
-        heads.append(HeadInstallation(name=name, R_cs=estimate.R_cs * Rotation.from_rotvec(alpha) * R_sh))
+        heads.append(HeadInstallation(name=name, R_cs=R_cs * Rotation.from_rotvec(alpha) * R_sh))
     return replace(estimate, heads=tuple(heads), cov_heads=lift @ solution.covariance_all @ lift.T)
 
 

@@ -65,13 +65,13 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
     }
     t_s = joined["t_s"]
     position = _process(settings.sigma_position_m * joined["move_s"], t_s, settings.position_time_s, number)
-    clock = _process(
-        settings.sigma_clock_s * joined["late_s"][:, :, None], t_s, settings.clock_time_s, number
-    )
+    late, camera = settings.sigma_clock_s * joined["late_s"][:, :, None], joined["camera"]
+    clock = _process(late, t_s, settings.clock_time_s, number, camera)
     phi = _blocks([one.shared_s[:, :, : one.n_phi] for one in passes])
-    motion = _blocks([one.shared_s[:, :, one.n_phi : -4] for one in passes])
+    last = [one.unknowns.index("position/x") for one in passes]
+    motion = _blocks([one.shared_s[:, :, one.n_phi : n] for one, n in zip(passes, last)])
     names = [name for one in passes for name in one.unknowns[: one.n_phi]]
-    names += [name for one in passes for name in one.unknowns[one.n_phi : -4]]
+    names += [name for one, n in zip(passes, last) for name in one.unknowns[one.n_phi : n]]
     names += [f"position/{n}" for n in range(position.shape[2])] + [
         f"clock/{n}" for n in range(clock.shape[2])
     ]
@@ -88,16 +88,20 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
     )
 
 
-def _process(columns: Floats, t_s: Floats, time_s: float, number: Ints) -> Floats:
+def _process(columns: Floats, t_s: Floats, time_s: float, number: Ints, of: Ints | None = None) -> Floats:
     """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
-    instant, (J, 3, A): its M independent parts of unit variance.
+    instant, (J, 3, A): its M independent parts of unit variance. `number` is that of each target's pass;
+    processes of different cameras `of` are independent.
     """
+    of = np.zeros_like(number) if of is None else of
     if time_s:
-        values, vectors = np.linalg.eigh(np.exp(-np.abs(t_s[:, None] - t_s) / time_s))
+        alike = of[:, None] == of
+        values, vectors = np.linalg.eigh(alike * np.exp(-np.abs(t_s[:, None] - t_s) / time_s))
         large = values > NO_EFFECT * values[-1:]
         root = vectors[:, large] * np.sqrt(values[large])
     else:
-        root = (number[:, None] == np.unique(number)).astype(float)
+        own = np.unique(np.column_stack([number, of]), axis=0, return_inverse=True)[1]
+        root = np.eye(int(own.max(initial=-1)) + 1)[own]
     return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
 
 

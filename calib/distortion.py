@@ -16,17 +16,25 @@ along y.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
+
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "MODES",
     "ccd_modes",
+    "columns_of_ccds",
     "correlation",
     "knot_weights",
     "knots_touched",
     "places_on_curves",
     "prior_information",
+    "residual_distortion",
+    "unit_numbers",
     "unknown_names",
 ]
 
@@ -34,6 +42,37 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 MODES = ("shift", "slope", "bend")  # of a CCD, along x and along y
 Knot = tuple[int, int]  # curve: CCD, or 0 of the whole field; number of the knot along it
+OF_CAMERA = 1000  # CCDs and curves of camera n are numbered from n times as many
+
+
+def unit_numbers(ccd: Index, camera: Index) -> Index:
+    """Numbers (J,) over all cameras of CCDs, or of curves, of cameras."""
+    return OF_CAMERA * camera + ccd
+
+
+def residual_distortion(
+    ground: GroundSightings, camera: Index, models: Sequence[CalibrationSettings]
+) -> tuple[Index, Array, Array, Array]:
+    """Curve (J,) of each target, its place along it in correlation lengths, the curve's 1-sigma, rad, and the
+    change (J, 3) by the `MODES` of its CCD, of 1-sigma each, rad; by the settings of each camera.
+    """
+    J, sample = len(camera), ground.xy_px[:, 0]
+    curve, place, sigma_rad, modes_rad = (
+        np.zeros(J, dtype=np.int64),
+        np.zeros(J),
+        np.zeros(J),
+        np.zeros((J, 3)),
+    )
+    for n in np.unique(camera).tolist():
+        here, model = camera == n, models[n]
+        ccd, x, u_c = ground.ccd[here], sample[here], ground.u_c[here]
+        curves, places_px = places_on_curves(ccd, x, u_c, model.distortion_pixel_rad)
+        curve[here] = unit_numbers(curves, camera[here])
+        place[here] = places_px / model.distortion_length_px
+        sigma_rad[here] = model.sigma_distortion_rad
+        if model.has_ccd_modes:
+            modes_rad[here] = ccd_modes(ccd, x, model.ccd_px) * model.sigma_ccd_rad
+    return curve, place, sigma_rad, modes_rad
 
 
 def places_on_curves(ccd: Index, sample: Array, u_c: Array, pixel_rad: float) -> tuple[Index, Array]:
@@ -45,14 +84,14 @@ def places_on_curves(ccd: Index, sample: Array, u_c: Array, pixel_rad: float) ->
     return np.zeros_like(ccd), np.arctan2(u_c[:, 1], u_c[:, 2]) / pixel_rad
 
 
-def knots_touched(curve: Index, place: Array, length_px: float) -> tuple[Knot, ...]:
+def knots_touched(curve: Index, place: Array, length_px: float = 1.0) -> tuple[Knot, ...]:
     """The knots between which targets at places (J,) on curves (J,) lie, in order."""
     left = np.floor(place / (0.5 * length_px)).astype(np.int64)
     both = {(int(c), int(k) + side) for c, k in zip(curve, left) for side in (0, 1)}
     return tuple(sorted(both))
 
 
-def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px: float) -> Array:
+def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px: float = 1.0) -> Array:
     """Weights (J, K) of the knots in the curve's value at each target. Raises `KeyError` for a knot not
     in `knots`.
     """
@@ -75,16 +114,18 @@ def correlation(knots: tuple[Knot, ...]) -> Array:
     return (1.0 + distance) * np.exp(-distance) * (table[:, None, 0] == table[None, :, 0])
 
 
-def ccd_modes(ccd: Index, sample: Array, ccds: tuple[int, ...], ccd_px: tuple[int, ...]) -> Array:
-    """Change (J, 3 C) of the distortion at each target by the `MODES` of CCDs `ccds` (C,), mode by mode, in
-    units of their rms; `ccd_px` is the number of samples of every CCD of the camera.
+def ccd_modes(ccd: Index, sample: Array, ccd_px: tuple[int, ...]) -> Array:
+    """Change (J, 3) of the distortion at each target by the `MODES` of its CCD, in units of their rms;
+    `ccd_px` is the number of samples of every CCD of the camera.
     """
-    if not ccds:
-        return np.zeros((len(ccd), 0))
     t = 2.0 * sample / (np.array(ccd_px, dtype=float)[ccd] - 1.0) - 1.0
-    modes = np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t * t - 0.5)], axis=1)
-    own = ccd[:, None] == np.array(ccds)
-    return np.asarray((modes[:, :, None] * own[:, None, :]).reshape(len(ccd), -1))
+    return np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t * t - 0.5)], axis=1)
+
+
+def columns_of_ccds(modes: Array, ccd: Index, ccds: tuple[int, ...]) -> Array:
+    """Changes (J, 3) by modes of each target's CCD as columns (J, 3 C) of CCDs `ccds` (C,), mode by mode."""
+    own = ccd[:, None] == np.array(ccds, dtype=np.int64)
+    return np.asarray((modes[:, :, None] * own[:, None, :]).reshape(len(ccd), 3 * len(ccds)))
 
 
 def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[str, ...]:

@@ -6,13 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc
 
+from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
+from boresight.geometry.installation import theta_between
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
+    "CameraRotation",
     "HeadAgreement",
     "HeadInstallation",
     "InstallationEstimate",
@@ -24,13 +28,15 @@ __all__ = [
     "WithoutHead",
 ]
 
+PROBABILITY_MOVED = 1e-3  # that a rotation which is as stated is said not to be
+
 
 @record
 class Iteration:
     """One Gauss-Newton step."""
 
-    theta_step: Floats = array("3", "rad, frame c")
-    sigma: Floats = array("3", "1-sigma predicted at this step, rad, frame c")
+    theta_step: Floats = array("T", "rad, frame c; of several cameras camera after camera, as all of theta")
+    sigma: Floats = array("T", "1-sigma predicted at this step, rad, frame c")
     chi2: float = scalar("weighted sum of squares after the step, priors included")
     targets: float = scalar("sum of the targets' weights")
 
@@ -40,6 +46,7 @@ class TargetResiduals:
     """Residuals of all targets, all unknowns estimated. Row n of every array is the same sighting."""
 
     strip_id: Texts = array("J", "strip")
+    camera: Ints = array("J", "number of the camera among those of the estimate")
     target_id: Texts = array("J", "target")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
@@ -131,15 +138,37 @@ class HeadInstallation:
 
 
 @record(kw_only=True)
-class InstallationEstimate:
-    """The installation matrix with covariance and fit statistics."""
+class CameraRotation:
+    """The rotation between two cameras of one satellite: errors that they share are not part of it."""
 
-    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
-    R_cs0: Rotation = scalar("matrix at the start")
-    theta: Floats = array("3", "whole deviation, R_cs = exp[[theta]] R_cs0, rad, frame c")
-    cov_theta: Floats = array("3, 3", "covariance of a small rotation about the axes of c, rad²")
+    cameras: tuple[str, str] = scalar("the cameras a and b")
+    R_ab: Rotation = scalar("frame of b to frame of a")
+    theta: Floats = array("3", "its deviation from that at the start, rad, frame of a")
+    covariance: Floats = array("3, 3", "of a small rotation about the axes of a, rad²")
+    p_value: float = scalar("of `theta`, by the stated errors of both matrices at the start")
+
+    @property
+    def as_before_launch(self) -> bool:
+        """Whether the rotation is that at the start, but for its stated error."""
+        return self.p_value >= PROBABILITY_MOVED
+
+    @property
+    def sigma(self) -> Floats:
+        """1-sigma (3,) about the axes of a, rad."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@record(kw_only=True)
+class InstallationEstimate:
+    """The installation matrix with covariance and fit statistics; of C cameras C matrices, T = 3 C."""
+
+    R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera; (C,) of several")
+    R_cs0: Rotation = scalar("matrix at the start; (C,) of several")
+    cameras: tuple[str, ...] = scalar("names of the cameras; a single one has none")
+    theta: Floats = array("T", "whole deviation, R_cs = exp[[theta]] R_cs0, rad, frame c of each camera")
+    cov_theta: Floats = array("T, T", "covariance of small rotations about the axes of c, rad²")
     chi2: float = scalar("of the targets' residuals, priors included")
-    dof: int = scalar("degrees of freedom of `chi2`: two a good target, less three")
+    dof: int = scalar("degrees of freedom of `chi2`: two a good target, less three a camera")
     chi2_stars: float = scalar("of the stars' residuals about the attitudes of their exposures")
     dof_stars: int = scalar("degrees of freedom of `chi2_stars`")
     n_strips: int = scalar("strips that take part")
@@ -154,7 +183,7 @@ class InstallationEstimate:
     prior_shared: Floats = array("G, G", "prior information of the pairs' shared unknowns")
     shared_values: Floats = array("G", "the shared unknowns as estimated")
     shared_covariance: Floats = array("G, G", "their covariance")
-    theta_with_shared: Floats = array("3, G", "covariance of theta with them")
+    theta_with_shared: Floats = array("T, G", "covariance of theta with them")
     n_targets_treated_independent: int = scalar(
         "targets seen in several strips whose coordinate errors were taken as independent in each"
     )
@@ -163,6 +192,7 @@ class InstallationEstimate:
     noise: NoiseScale = scalar("noise as the residuals show it")
     agreement: HeadAgreement = scalar("of the heads with one another")
     bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
+    references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
 
@@ -182,8 +212,35 @@ class InstallationEstimate:
 
     @property
     def sigma_theta(self) -> Floats:
-        """1-sigma (3,) about the axes of frame c, rad."""
+        """1-sigma (T,) about the axes of frame c, rad."""
         return np.sqrt(np.diag(self.cov_theta))
+
+    def of_camera(self, name: str) -> tuple[Rotation, Floats]:
+        """The matrix of one camera, and the covariance (3, 3) of a small rotation about its axes, rad²."""
+        n = self.cameras.index(name)
+        own = slice(3 * n, 3 * n + 3)
+        return (self.R_cs if self.R_cs.single else self.R_cs[n]), self.cov_theta[own, own]
+
+    def between(self, sigma_rad: Floats | None = None) -> tuple[CameraRotation, ...]:
+        """The rotation of each camera against each one before it, none of a single camera; `sigma_rad` (T,)
+        is the 1-sigma of the matrices at the start.
+        """
+        every, sigma = range(len(self.cameras)), np.zeros(len(self.theta)) if sigma_rad is None else sigma_rad
+        return tuple(self._rotation(a, b, sigma) for a in every for b in every[a + 1 :])
+
+    def _rotation(self, a: int, b: int, sigma_rad: Floats) -> CameraRotation:
+        R_ab, R_ab0 = self.R_cs[a] * self.R_cs[b].inv(), self.R_cs0[a] * self.R_cs0[b].inv()
+        lift = np.zeros((3, len(self.theta)))
+        lift[:, 3 * a : 3 * a + 3], lift[:, 3 * b : 3 * b + 3] = np.eye(3), -R_ab.as_matrix()
+        theta, stated = theta_between(R_ab, R_ab0), np.diag(sigma_rad**2)
+        apart = lift @ (self.cov_theta + stated) @ lift.T
+        return CameraRotation(
+            cameras=(self.cameras[a], self.cameras[b]),
+            R_ab=R_ab,
+            theta=theta,
+            covariance=lift @ self.cov_theta @ lift.T,
+            p_value=float(chdtrc(3, theta @ np.linalg.solve(apart, theta))),
+        )
 
 
 @record(kw_only=True)
@@ -191,8 +248,8 @@ class NotObservable:
     """Result where the data do not fix all three angles; no number is given along the undetermined axes."""
 
     reason: str = scalar("what is lacking, in words")
-    directions_c: Floats = array("M, 3", "unit vectors: rotations about them are not observable")
-    observable_c: Floats = array("L, 3", "unit vectors, the 3 - M observable ones")
+    directions_c: Floats = array("M, T", "unit vectors: rotations about them are not observable")
+    observable_c: Floats = array("L, T", "unit vectors, the T - M observable ones")
     theta_along: Floats = array("L", "deviation from R_cs0 about each observable axis, rad")
     sigma_along: Floats = array("L", "its 1-sigma, rad")
     rejected: tuple[Entry, ...] = scalar("observations that take no part")

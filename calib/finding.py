@@ -31,7 +31,7 @@ class Finding:
     refutes: bool = scalar("the matrix is not to be used", default=False)
     is_fault: bool = scalar("an input is probably wrong; otherwise the data are only weak", default=True)
     effect_rad: Floats = array(
-        "3", "by how much it moves theta, axes of c; NaN: unknown", default_factory=_unknown
+        "T", "by how much it moves theta, axes of c; NaN: unknown", default_factory=_unknown
     )
     effect_sigma: float = scalar("the same in 1-sigma of theta; NaN: unknown", default=np.nan)
     p_value: float = scalar("probability of as much where nothing is wrong; NaN: not a test", default=np.nan)

@@ -7,7 +7,7 @@ camera, which all strips share, does not average: it sets a floor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -61,7 +61,7 @@ class Forecast:
 
 
 def forecast_from_strips(
-    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings], R_cs: Rotation | Mapping[str, Rotation], settings: CalibrationSettings
 ) -> Forecast:
     """The forecast from example strips of a plan.
 
@@ -69,7 +69,7 @@ def forecast_from_strips(
     ----------
     strips : sequence of StripSightings
         Example strips; the more, the nearer their mean is to that of all strips of the plan.
-    R_cs : Rotation
+    R_cs : Rotation, or mapping of camera to Rotation
         Installation matrix with which they were made, star camera to remote-sensing camera.
     settings : CalibrationSettings
         Priors of the errors to be expected.

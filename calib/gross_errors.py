@@ -39,6 +39,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, chndtr, softmax
 
 from boresight.calib.estimate import Iteration, RejectionTest
+from boresight.calib.information import corrected
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -166,8 +167,16 @@ def detectable_bias(step: Step, noncentrality: float) -> Floats:
 
 def l1_start(problem: Problem, R_cs: Rotation) -> Rotation:
     """The matrix with the least sum of absolute residuals, by iterative re-weighting from `R_cs`."""
-    u_c = np.concatenate([group.u_c[group.inside] for group in problem.groups])
-    v_s = np.concatenate([group.v_s[group.inside] for group in problem.groups])
+    parts = [(g.u_c[g.inside], g.v_s[g.inside], g.which[g.inside]) for g in problem.groups]
+    u_c, v_s, camera = (np.concatenate(part) for part in zip(*parts))
+    if R_cs.single:
+        return _l1(u_c, v_s, R_cs)
+    each = [camera == n for n in range(len(R_cs))]
+    return Rotation.concatenate([_l1(u_c[own], v_s[own], R_cs[n]) for n, own in enumerate(each)])
+
+
+def _l1(u_c: Floats, v_s: Floats, R_cs: Rotation) -> Rotation:
+    """The same of one camera with directions (N, 3) in its frame and in frame s."""
     for _ in range(50):
         w = R_cs.apply(v_s)
         difference = u_c - w
@@ -198,7 +207,7 @@ def refine_geman_mcclure(
     for _ in range(40):
         step = linear_solution(problem, R_cs, weight, scale_c)
         iterations.append(iteration_record(step, weight))
-        R_cs = deviation_from_theta(step.solution.theta) * R_cs
+        R_cs = corrected(R_cs, step.solution.theta)
         scale, before = max(3.0, 0.5 * scale), weight
         weight = problem.inside * (1.0 + (np.linalg.norm(step.whitened, axis=1) / scale) ** 2) ** -2.0
         if scale == 3.0 and np.max(np.abs(weight - before)) < 1e-2:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.star_camera_error import StarEffects
-from boresight.calib.strips import PreparedStrip
+from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Kind, Subject
@@ -72,11 +72,39 @@ class HypothesisInputs:
 
     prepared: Sequence[PreparedStrip]  # as they enter the solution
     R_cs: Rotation  # the estimate
-    pixel_rad: float  # of the remote-sensing camera
+    pixel_rad: float | Sequence[float]  # of the remote-sensing camera, or of each
     effects: Sequence[StarEffects] = ()  # errors of the star camera, by strip; none: attitudes were delivered
     inputs: Sequence[MovedInput] = ()  # what moves in the prediction with further inputs
-    pivots: Mapping[int, float] | None = None  # samples about which CCDs rotate; else: their mean
+    pivots: Mapping[tuple[str, int], float] | None = None  # samples about which CCDs rotate; else: their mean
     target_files: str = "targets.csv"  # files of the dump with the coordinates of the targets
+    cameras: Sequence[str] = ("",)  # names of several
+
+    def column(self, name: str) -> Any:
+        """A field of all targets (J, ...), pass after pass."""
+        return np.concatenate([getattr(one, name) for one in self.prepared])
+
+    @property
+    def C(self) -> Floats:
+        """Matrix of the camera of each target (J, 3, 3); of a single camera (3, 3)."""
+        return matrix_of_each(self.R_cs, self.column("camera"))
+
+    @property
+    def pixel(self) -> Floats:
+        """Angle (J, 1) of a pixel of each target's camera."""
+        return np.broadcast_to(self.pixel_rad, len(self.cameras))[self.column("camera"), None]
+
+    def in_c(self, change_s: Floats) -> Floats:
+        """Vectors (J, 3) of frame s in the frame of each target's camera."""
+        return turned(self.C, change_s)
+
+    def looks(self) -> tuple[Floats, Floats]:
+        """Look directions (J, 3), and what takes a small change of each to the part across it, (J, 3, 3)."""
+        u_c: Floats = self.column("u_c")
+        return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+
+    def turns(self) -> Floats:
+        """Change (3, J, 3) by a rotation of an arc-second of the attitudes about each axis of c."""
+        return np.moveaxis(ARCSEC * cross_matrices(self.in_c(self.column("v_s"))), 2, 0)
 
 
 HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
@@ -116,15 +144,11 @@ def _in_each(places: Iterable[Place], errors: Sequence[_InputError]) -> Iterator
 
 def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first is named."""
-    prepared, C = of.prepared, of.R_cs.as_matrix()
-    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
-    found = [*_of_clock(prepared, C), *_of_position(of, C)]
-    found += [_of_input(prepared, C, one) for one in of.inputs]
-    found += _of_looks(prepared, of.pixel_rad, of.pivots or {})
-    if len(prepared) > 1:
-        found += [*_of_attitude(prepared, C, attitudes), *_of_images(prepared, of.pixel_rad)]
+    found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
+    if len(of.prepared) > 1:
+        found += [*_of_attitude(of), *_of_images(of)]
     if of.effects:
-        found += _of_star_camera(prepared, C, of.effects)
+        found += _of_star_camera(of)
     return [one for one in found if np.any(one.change_c)]
 
 
@@ -132,12 +156,11 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
-    prepared, C = of.prepared, of.R_cs.as_matrix()
-    u_c, across = _looks(prepared)
+    prepared, (u_c, across) = of.prepared, of.looks()
     every = _all("all frames", prepared)
     origin = [
         _InputError(
-            f"origin of the look vectors, {'xy'[axis]} of c", "″", SIZES, "w_c", "", of.pixel_rad * column
+            f"origin of the look vectors, {'xy'[axis]} of c", "″", SIZES, "w_c", "", of.pixel * column
         )
         for axis, column in enumerate(np.moveaxis(across, 2, 0)[:2])
     ]
@@ -145,37 +168,20 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
     if 1 < len(prepared) <= MOST_FRAMES:
-        turned = _turned(prepared, C)
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(prepared)))
         axes = [
             _InputError(
                 f"attitude of a frame, about {'xyz'[axis]} of c", "″", SIZES, "v_stars, v_targets", "", turn
             )
-            for axis, turn in enumerate(turned)
+            for axis, turn in enumerate(of.turns())
         ]
         found += _in_each(frames, axes)
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
-            for one in _of_star_camera(prepared, C, of.effects)
+            for one in _of_star_camera(of)
         ]
     return [one for one in found if np.any(one.change_c)]
-
-
-def _column(prepared: Sequence[PreparedStrip], name: str) -> Any:
-    """A field of all targets (J, ...), pass after pass."""
-    return np.concatenate([getattr(one, name) for one in prepared])
-
-
-def _looks(prepared: Sequence[PreparedStrip]) -> tuple[Floats, Floats]:
-    """Look directions (J, 3), and what takes a small change of each to the part across it, (J, 3, 3)."""
-    u_c: Floats = _column(prepared, "u_c")
-    return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
-
-
-def _turned(prepared: Sequence[PreparedStrip], C: Floats) -> Floats:
-    """Change (3, J, 3) by a rotation of an arc-second of the attitudes about each axis of c."""
-    return np.moveaxis(ARCSEC * cross_matrices(_column(prepared, "v_s") @ C.T), 2, 0)
 
 
 def _passes(prepared: Sequence[PreparedStrip]) -> Iterator[Place]:
@@ -196,19 +202,27 @@ def _all_strips(prepared: Sequence[PreparedStrip]) -> list[Place]:
     return _all("all strips", prepared) if len(prepared) > 1 else []
 
 
-def _strips_within(prepared: Sequence[PreparedStrip]) -> Iterator[Place]:
+def _strips_within(of: HypothesisInputs) -> Iterator[Place]:
     """Each strip of passes of several: errors of one strip's rows in strips.csv."""
-    strip = _column(prepared, "strip")
-    for one in prepared:
+    strip = of.column("strip")
+    for one in of.prepared:
         names = np.unique(one.strip).tolist()
         for name in names if len(names) > 1 else ():
             yield f"strip {name}", (Subject(Kind.STRIP, strip=name),), strip == name
 
 
-def _of_clock(prepared: Sequence[PreparedStrip], C: Floats) -> Iterator[Hypothesis]:
+def _cameras(of: HypothesisInputs) -> Iterator[Place]:
+    """All looks of each camera."""
+    camera = of.column("camera")
+    for n, name in enumerate(of.cameras):
+        subject = Subject(Kind.CCD, camera=name)
+        yield subject.words, (subject,) if name else (), camera == n
+
+
+def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Rows dated late, and a period of the rows that is too long."""
-    late_c = -_column(prepared, "late_s") @ C.T  # rows dated late by 1 s
-    since = np.concatenate([_since_first_row(one) for one in prepared])[:, None]
+    late_c = of.in_c(-of.column("late_s"))  # rows dated late by 1 s
+    since = np.concatenate([_since_first_row(one) for one in of.prepared])[:, None]
     late = _InputError(
         "clock of the rows", "ms", ("too late", "too early"), "strips.csv", "utc_first_row", MILLI * late_c
     )
@@ -216,8 +230,8 @@ def _of_clock(prepared: Sequence[PreparedStrip], C: Floats) -> Iterator[Hypothes
         "row period", "%", ("too long", "too short"), "strips.csv", "row_period_s", PERCENT * since * late_c
     )
     of_all = replace(late, field="utc_first_row, time_of_row")
-    yield from _in_each(_all_strips(prepared), [of_all, long])
-    yield from _in_each([*_passes(prepared), *_strips_within(prepared)], [late, long])
+    yield from _in_each(_all_strips(of.prepared), [of_all, long])
+    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long])
 
 
 def _since_first_row(strip: PreparedStrip) -> Floats:
@@ -232,10 +246,10 @@ def _since_first_row(strip: PreparedStrip) -> Floats:
     return since
 
 
-def _of_position(of: HypothesisInputs, C: Floats) -> Iterator[Hypothesis]:
+def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
-    ground = ~_column(of.prepared, "is_star")[:, None]
-    ahead, right, down = np.moveaxis(-C @ _column(of.prepared, "move_s"), 2, 0) * ground
+    ground = ~of.column("is_star")[:, None]
+    ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
     along, *rest = (
         _InputError(f"orbit or targets, {name}", "m", words, f"orbit, {of.target_files}", "", change)
         for name, words, change in (
@@ -247,19 +261,33 @@ def _of_position(of: HypothesisInputs, C: Floats) -> Iterator[Hypothesis]:
     yield from _in_each(_all_strips(of.prepared), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of.prepared), rest)
+    yield from _in_each(*_references(of))
 
 
-def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -> Hypothesis:
+def _references(of: HypothesisInputs) -> tuple[list[Place], list[_InputError]]:
+    """Each ground reference, where targets have several, and its offset."""
+    name, moves = of.column("reference"), np.moveaxis(of.C @ of.column("reference_s"), 2, 0)
+    names = np.unique(name).tolist()
+    places: list[Place] = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
+    axes = (("east", ("east", "west")), ("north", ("north", "south")), ("height", SIZES))
+    words = [(axis, tuple(f"too far {one}" for one in both)) for axis, both in axes[:2]] + [axes[2]]
+    return places, [
+        _InputError(f"ground reference, {axis}", "m", (more, less), of.target_files, "reference", change)
+        for (axis, (more, less)), change in zip(words, moves)
+    ]
+
+
+def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
     """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
     change = []
-    for one in prepared:
+    for one in of.prepared:
         dv_s = np.zeros((len(one.ccd), 3))
         directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
         if directions_i is not None:
             dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
         if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
             dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
-        change.append(-dv_s @ C.T)
+        change.append(-dv_s)
     return Hypothesis(
         cause=moved.cause,
         item=moved.item,
@@ -269,16 +297,14 @@ def _of_input(prepared: Sequence[PreparedStrip], C: Floats, moved: MovedInput) -
         file=moved.file,
         field=moved.field,
         most=moved.most,
-        change_c=np.concatenate(change),
+        change_c=of.in_c(np.concatenate(change)),
     )
 
 
-def _of_looks(
-    prepared: Sequence[PreparedStrip], pixel_rad: float, pivots: Mapping[int, float]
-) -> Iterator[Hypothesis]:
-    """Shifts and rotation of each CCD, all shifted alike, and the focal length."""
-    (u_c, across), ccd = _looks(prepared), _column(prepared, "ccd")
-    sample, file = _column(prepared, "sample"), "remote_camera.toml"
+def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """Shifts and rotation of each CCD, all of a camera shifted alike, and its focal length."""
+    (u_c, across), ccd, camera = of.looks(), of.column("ccd"), of.column("camera")
+    sample, file, pixel_rad = of.column("sample"), "remote_camera.toml", of.pixel
     x, y = across[:, :, 0], across[:, :, 1]
 
     def placed(what: str) -> list[_InputError]:
@@ -291,14 +317,17 @@ def _of_looks(
             ),
         ]
 
-    every = _all("all CCDs", prepared)
+    every = list(_cameras(of))
     yield from _in_each(every, placed("the CCDs"))
-    numbers = np.unique(ccd).tolist()
-    for number in numbers if len(numbers) > 1 else ():
-        here = ccd == number
-        arm = MILLI * pixel_rad * (sample - pivots.get(number, float(sample[here].mean())))[:, None]
+    numbers = sorted(set(zip(camera.tolist(), ccd.tolist())))
+    for n, number in numbers:
+        if sum(one == n for one, _ in numbers) == 1:
+            continue
+        here, name = (camera == n) & (ccd == number), of.cameras[n]
+        pivot = (of.pivots or {}).get((name, number), float(sample[here].mean()))
+        arm = MILLI * pixel_rad * (sample - pivot)[:, None]
         turn = _InputError("rotation of a CCD", "mrad", SIZES, file, "rotation_mrad", arm * x)
-        subject = Subject(Kind.CCD, ccd=number)
+        subject = Subject(Kind.CCD, camera=name, ccd=number)
         yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), turn])
     yield from _in_each(every, [_focal_length(u_c, across, file, "focal_length_m")])
 
@@ -312,33 +341,32 @@ def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> _InputE
     return _InputError(cause, "%", ("too long", "too short"), file, field, change)
 
 
-def _of_attitude(prepared: Sequence[PreparedStrip], C: Floats, attitudes: str) -> Iterator[Hypothesis]:
+def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Attitude of a pass about the axes x and z of c; about y it is its clock."""
-    x, _, z = _turned(prepared, C)
+    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
+    x, _, z = of.turns()
     names = (("across the track", x), ("about the line of sight", z))
     file = f"{attitudes}, orbit"
     turns = [_InputError(f"attitude {name}", "″", SIZES, file, "", change) for name, change in names]
-    yield from _in_each(_passes(prepared), turns)
+    yield from _in_each(_passes(of.prepared), turns)
 
 
-def _of_images(prepared: Sequence[PreparedStrip], pixel_rad: float) -> Iterator[Hypothesis]:
+def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Shifts of the image of one CCD in one strip, of a pass that has several CCDs."""
-    (_, across), strip, ccd = _looks(prepared), _column(prepared, "strip"), _column(prepared, "ccd")
-    several = [one for one in prepared if len(np.unique(one.ccd)) > 1]
+    (_, across), strip, ccd = of.looks(), of.column("strip"), of.column("ccd")
+    several = [one for one in of.prepared if len(np.unique(one.ccd)) > 1]
     images = [key for one in several for key in sorted(set(zip(one.strip.tolist(), one.ccd.tolist())))]
     subjects = [Subject(Kind.CCD, strip=name, ccd=number) for name, number in images]
     places = ((one.words, (one,), (strip == one.strip) & (ccd == one.ccd)) for one in subjects)
     names = (("lines", across[:, :, 0]), ("samples", across[:, :, 1]))
     shifts = [
-        _InputError(f"image of a CCD, {name}", "px", SIZES, "strips.csv", "file", pixel_rad * change)
+        _InputError(f"image of a CCD, {name}", "px", SIZES, "strips.csv", "file", of.pixel * change)
         for name, change in names
     ]
     yield from _in_each(places, shifts)
 
 
-def _of_star_camera(
-    prepared: Sequence[PreparedStrip], C: Floats, effects: Sequence[StarEffects]
-) -> Iterator[Hypothesis]:
+def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
     rows = (
         ("focal length of the star camera", "%", "focal_length_mm", ("too long", "too short")),
@@ -346,11 +374,12 @@ def _of_star_camera(
         ("principal point of the star camera, row", "px", "principal_point_px", SIZES),
         ("radial distortion of the star camera", "px at its corner", "q1_per_mm2", SIZES),
     )
-    every = _all("all exposures", prepared)
+    every = _all("all exposures", of.prepared)
     for k, (cause, unit, field, words) in enumerate(rows):
         change = [
-            C @ (cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None])
-            for one, effect in zip(prepared, effects)
+            cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
+            for one, effect in zip(of.prepared, of.effects)
         ]
-        error = _InputError(cause, unit, words, "star_camera.toml", field, np.concatenate(change)[:, :, 0])
+        change_c = (of.C @ np.concatenate(change))[:, :, 0]
+        error = _InputError(cause, unit, words, "star_camera.toml", field, change_c)
         yield from (replace(one, star_part=k) for one in _in_each(every, [error]))

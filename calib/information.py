@@ -4,43 +4,60 @@ A pair determines the deviation theta (frame c, rad, the paper's sign: R_cs = ex
 stated reference. Pairs of independent frames or strips about one reference add. The sum is exact and rounded
 once, so it is the same, bit for bit, in whatever order it is made. Unknowns that several strips
 share (a camera's distortion) stand after theta in the pair, each by its name; they get their prior, and are
-eliminated, after the sum.
+eliminated, after the sum. Of C cameras theta is three components each, camera after camera, about C matrices.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.installation import theta_between
+from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import array, record, scalar
 
-__all__ = ["InformationPairs", "InformationTotal", "Solution", "exact_sum", "solve_total"]
+__all__ = [
+    "InformationPairs",
+    "InformationTotal",
+    "Solution",
+    "corrected",
+    "exact_sum",
+    "solve_total",
+    "theta_of",
+]
 
 Array = NDArray[np.float64]
 
 
 @record
 class InformationPairs:
-    """Pairs of K frames or strips about one reference, n = 3 + number of unknowns shared between strips."""
+    """Pairs of K frames or strips about one reference; N = 3 C + unknowns shared between strips."""
 
     names: NDArray[np.str_] = array("K", "frame or strip ids")
-    F: Array = array("K, N, N", "information, N = 3 + shared unknowns; block of theta in rad⁻²")
+    F: Array = array("K, N, N", "information; block of theta in rad⁻²")
     F_theta: Array = array("K, N", "F times the best (theta, shared unknowns)")
-    R_cs_ref: Rotation = scalar("reference: theta is the deviation from it")
+    R_cs_ref: Rotation = scalar("reference: theta is the deviation from it; (C,) of several cameras")
     shared: tuple[str, ...] = scalar("names of the unknowns after theta, in order", default=())
+    cameras: tuple[str, ...] = scalar("of C matrices; a single one has no name", default=("",))
 
     def __post_init__(self) -> None:
-        if self.F.shape[1] != (n := 3 + len(self.shared)):
-            raise ValueError(f"{n - 3} shared unknowns need F of {n} rows, got {self.F.shape[1]}")
+        if self.F.shape[1] != (n := self.n_theta + len(self.shared)):
+            raise ValueError(f"{len(self.shared)} shared unknowns need F of {n} rows, got {self.F.shape[1]}")
+
+    @property
+    def n_theta(self) -> int:
+        """Components of theta."""
+        return 3 * len(self.cameras)
 
     def merged(self, other: InformationPairs) -> InformationPairs:
-        """Both sets together, about this one's reference. `ValueError` for a name in both."""
+        """Both sets together, about this one's reference. `ValueError` for a name in both, other cameras."""
+        if self.cameras != other.cameras:
+            raise ValueError(f"pairs of the cameras {self.cameras} and of {other.cameras} do not add")
         if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
             raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
         shared = tuple(sorted(set(self.shared) | set(other.shared)))
@@ -51,6 +68,7 @@ class InformationPairs:
             np.concatenate([mine.F_theta, theirs.F_theta]),
             self.R_cs_ref,
             shared,
+            self.cameras,
         )
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
@@ -58,19 +76,20 @@ class InformationPairs:
         if _same_reference(self.R_cs_ref, R_cs_ref):
             return self
         shift = np.zeros(self.F.shape[-1])
-        shift[:3] = theta_between(self.R_cs_ref, R_cs_ref)
-        return InformationPairs(self.names, self.F, self.F_theta + self.F @ shift, R_cs_ref, self.shared)
+        shift[: self.n_theta] = theta_of(self.R_cs_ref, R_cs_ref)
+        return replace(self, F_theta=self.F_theta + self.F @ shift, R_cs_ref=R_cs_ref)
 
     def widened(self, shared: tuple[str, ...]) -> InformationPairs:
         """The pairs extended to the unknowns `shared`: zeros for those that they do not contain."""
         if shared == self.shared:
             return self
-        place = np.array([0, 1, 2, *(3 + shared.index(name) for name in self.shared)], dtype=np.int64)
-        n = 3 + len(shared)
+        t = self.n_theta
+        place = np.array([*range(t), *(t + shared.index(name) for name in self.shared)], dtype=np.int64)
+        n = t + len(shared)
         F, F_theta = np.zeros((len(self.names), n, n)), np.zeros((len(self.names), n))
         F[:, place[:, None], place] = self.F
         F_theta[:, place] = self.F_theta
-        return InformationPairs(self.names, F, F_theta, self.R_cs_ref, shared)
+        return replace(self, F=F, F_theta=F_theta, shared=shared)
 
     def total(self) -> InformationTotal:
         """The exact sum over all pairs."""
@@ -81,7 +100,7 @@ class InformationPairs:
         information `prior` (m, m), are marginalised; theta and the others stay.
         """
         total = self.total()
-        out = 3 + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
+        out = self.n_theta + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
         stay = np.setdiff1d(np.arange(len(total.F)), out)
         F, right = total.F, total.F_theta
         gain = np.linalg.solve(F[np.ix_(out, out)] + prior, F[np.ix_(out, stay)])
@@ -93,27 +112,37 @@ class InformationPairs:
             (right[stay] - gain.T @ right[out])[None],
             self.R_cs_ref,
             shared,
+            self.cameras,
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of a table, one row a pair: name, upper triangle of F, F_theta, reference (scalar last).
 
-        They are `F:a:b` and `F_theta:a`, where a and b are x, y, z or the name of a shared unknown.
+        They are `F:a:b` and `F_theta:a`, where a and b are x, y, z (of one of several cameras camera/NAME/x)
+        or the name of a shared unknown.
         """
-        unknowns = ("x", "y", "z", *self.shared)
+        unknowns = (*(_of(camera, axis) for camera in self.cameras for axis in "xyz"), *self.shared)
         rows, columns = np.triu_indices(len(unknowns))
         data: dict[str, NDArray[Any]] = {"name": self.names}
         for i, j in zip(rows.tolist(), columns.tolist()):
             data[f"F:{unknowns[i]}:{unknowns[j]}"] = self.F[:, i, j]
         data |= {f"F_theta:{unknown}": self.F_theta[:, i] for i, unknown in enumerate(unknowns)}
         of_all = np.ones(len(self.names))
-        return data | {f"q_ref:{i}": q * of_all for i, q in enumerate(self.R_cs_ref.as_quat())}
+        quaternions = np.atleast_2d(self.R_cs_ref.as_quat())
+        references = {
+            f"q_ref:{_of(camera, i)}": q * of_all
+            for camera, own in zip(self.cameras, quaternions)
+            for i, q in enumerate(own)
+        }
+        return data | references
 
     @classmethod
     def from_columns(cls, table: Mapping[str, NDArray[Any]]) -> InformationPairs:
         """Pairs from columns (N,) as `columns` gives them; `ValueError` if they have several references."""
         unknowns = [name.removeprefix("F_theta:") for name in table if name.startswith("F_theta:")]
-        quaternions = np.column_stack([table[f"q_ref:{i}"] for i in range(4)])
+        named = [name.split("/")[1] for name in unknowns if name.startswith("camera/")]
+        cameras = tuple(dict.fromkeys(named)) or ("",)
+        quaternions = np.column_stack([table[f"q_ref:{_of(one, i)}"] for one in cameras for i in range(4)])
         if np.any(quaternions != quaternions[0]):
             raise ValueError("the pairs of one table must share one reference")
         rows, columns = np.triu_indices(len(unknowns))
@@ -121,15 +150,16 @@ class InformationPairs:
         for i, j in zip(rows.tolist(), columns.tolist()):
             F[:, i, j] = F[:, j, i] = table[f"F:{unknowns[i]}:{unknowns[j]}"]
         F_theta = np.column_stack([table[f"F_theta:{unknown}"] for unknown in unknowns])
-        R_cs_ref = Rotation.from_quat(quaternions[0])
-        return cls(table["name"].astype(str), F, F_theta, R_cs_ref, tuple(unknowns[3:]))
+        R_cs_ref = Rotation.from_quat(quaternions[0].reshape((-1, 4) if len(cameras) > 1 else 4))
+        shared = tuple(unknowns[3 * len(cameras) :])
+        return cls(table["name"].astype(str), F, F_theta, R_cs_ref, shared, cameras)
 
 
 @record
 class InformationTotal:
     """The sum of many pairs, each of its numbers rounded once."""
 
-    F: Array = array("N, N", "information, N = 3 + shared unknowns")
+    F: Array = array("N, N", "information")
     F_theta: Array = array("N", "right-hand side")
 
 
@@ -154,38 +184,39 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
 class Solution:
     """The best theta of a total, and the directions that are not observable."""
 
-    theta: Array = array("3", "about the reference, rad; zero along unobservable directions")
-    covariance: Array = array("3, 3", "of theta, frame c, rad²; zero along unobservable directions")
-    information: Array = array("3, 3", "shared unknowns eliminated, rad⁻²")
+    theta: Array = array("T", "3 C, about the reference, rad; zero along unobservable directions")
+    covariance: Array = array("T, T", "of theta, frame c, rad²; zero along unobservable directions")
+    information: Array = array("T, T", "shared unknowns eliminated, rad⁻²")
     shared: Array = array("N", "best shared unknowns")
-    covariance_all: Array = array("N + 3, N + 3", "of theta and the shared unknowns")
-    unobservable: Array = array("M, 3", "unit vectors, frame c: rotation about them is not observable")
+    covariance_all: Array = array("A, A", "of theta and the shared unknowns")
+    unobservable: Array = array("M, T", "unit vectors, frame c: rotation about them is not observable")
 
 
 def solve_total(
     F: Array, F_theta: Array, prior_shared: Array | None = None, *, sigma_observable_rad: float
 ) -> Solution:
-    """Best theta of the summed pair (n, n), (n,); `prior_shared` (n - 3, n - 3) is the shared unknowns'
+    """Best theta (t,) of the summed pair (n, n), (n,); `prior_shared` (n - t, n - t) is the shared unknowns'
     information.
 
     A direction (eigenvector of the information on theta) whose 1-sigma would exceed `sigma_observable_rad`,
     or whose eigenvalue is below the rounding error of the largest, is reported as unobservable.
     """
     prior = np.zeros((0, 0)) if prior_shared is None else prior_shared
-    shared_F = F[3:, 3:] + prior
-    gain = np.linalg.solve(shared_F, F[3:, :3])  # (n - 3, 3)
-    shared_0 = np.linalg.solve(shared_F, F_theta[3:])
-    information = F[:3, :3] - F[:3, 3:] @ gain
+    t = len(F) - len(prior)
+    shared_F = F[t:, t:] + prior
+    gain = np.linalg.solve(shared_F, F[t:, :t])  # (n - t, t)
+    shared_0 = np.linalg.solve(shared_F, F_theta[t:])
+    information = F[:t, :t] - F[:t, t:] @ gain
     information = 0.5 * (information + information.T)
-    right = F_theta[:3] - gain.T @ F_theta[3:]
+    right = F_theta[:t] - gain.T @ F_theta[t:]
     values, vectors = np.linalg.eigh(information)
     seen = (values > sigma_observable_rad**-2.0) & (values > 1e-13 * values[-1])
-    inverse = np.divide(1.0, values, out=np.zeros(3), where=seen)
+    inverse = np.divide(1.0, values, out=np.zeros(t), where=seen)
     covariance = (vectors * inverse) @ vectors.T
     theta = vectors @ (inverse * (vectors.T @ right))
-    lift = np.vstack([np.eye(3), -gain])
+    lift = np.vstack([np.eye(t), -gain])
     covariance_all = lift @ covariance @ lift.T
-    covariance_all[3:, 3:] += np.linalg.inv(shared_F)
+    covariance_all[t:, t:] += np.linalg.inv(shared_F)
     return Solution(
         theta=theta,
         covariance=covariance,
@@ -194,6 +225,21 @@ def solve_total(
         covariance_all=covariance_all,
         unobservable=vectors.T[~seen],
     )
+
+
+def theta_of(R_cs: Rotation, R_cs0: Rotation) -> Array:
+    """Deviation theta (3 C,) of the matrices of C cameras from others."""
+    return theta_between(R_cs, R_cs0).ravel()
+
+
+def corrected(R_cs: Rotation, theta: Array) -> Rotation:
+    """The matrices of C cameras that deviate by theta (3 C,) from `R_cs`."""
+    return deviation_from_theta(theta if R_cs.single else theta.reshape(-1, 3)) * R_cs
+
+
+def _of(camera: str, part: str | int) -> str:
+    """Name of an unknown, or a number, of one of several cameras; a single camera has no name."""
+    return f"camera/{camera}/{part}" if camera else str(part)
 
 
 def _same_reference(a: Rotation, b: Rotation) -> bool:

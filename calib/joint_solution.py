@@ -50,6 +50,7 @@ class Problem:
     inside: Bools = array("J", "whether exposures cover the target's instant")
     rank: Ints = array("J", "place of each sighting in the order of strip, target and CCD")
     settings: CalibrationSettings = scalar("priors and limits")
+    cameras: tuple[str, ...] = scalar("of the matrices; a single one has no name")
     agreement: HeadAgreement = scalar("of the heads with one another, without any target")
 
     @classmethod
@@ -58,16 +59,17 @@ class Problem:
         prepared: list[PreparedStrip],
         settings: CalibrationSettings,
         interior: InteriorModel | None = None,
+        cameras: tuple[str, ...] = ("",),
     ) -> Problem:
-        """The problem that these strips pose, the camera's interior unknown if there is a model of it;
-        without groups where no target is covered.
+        """The problem that these strips of `cameras` pose, the camera's interior unknown if there is a model
+        of it; without groups where no target is covered.
         """
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
         carrying = [strip for strip in prepared if strip.inside.any()]
         tied = {tie.head for strip in carrying for tie in strip.ties}
         heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
-        seen = [one.seen() for one in passes if one.inside.any()]
+        seen = [one for one in passes if one.inside.any()]
         shared = find_shared(seen, settings, heads, interior)
         groups = [condensed(group) for group in group_strips(passes, shared, settings)]
         places = [n for group in groups for n in group.place.tolist()]
@@ -88,6 +90,7 @@ class Problem:
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
             rank=rank,
             settings=settings,
+            cameras=cameras,
             agreement=_agreement(carrying, heads, len(tied)),
         )
 
@@ -153,7 +156,7 @@ class Step:
 
     @property
     def sigma(self) -> Floats:
-        """1-sigma (3,) of theta, rad."""
+        """1-sigma (3 C,) of theta, rad."""
         return np.sqrt(np.diag(self.solution.covariance))
 
 
@@ -176,7 +179,8 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
         reduced.append(_reduced(line, weight[first:last].reshape(group.inside.shape)))
         first = last
     N = np.concatenate([part.N for part in reduced])
-    pairs = InformationPairs(problem.names, N[:, :-1, :-1], N[:, :-1, -1], about.R_cs, problem.shared.names)
+    F, right, shared = N[:, :-1, :-1], N[:, :-1, -1], problem.shared.names
+    pairs = InformationPairs(problem.names, F, right, about.R_cs, shared, problem.cameras)
     total = pairs.total()
     limit = problem.settings.sigma_observable_rad
     solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
@@ -210,7 +214,7 @@ class _Reduced:
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
     of_targets = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
-    by_theta = np.zeros((*line.tie_r.shape, 3))
+    by_theta = np.zeros((*line.tie_r.shape, line.X_theta.shape[2]))
     of_heads = np.concatenate([by_theta, line.tie_shared, line.tie_r[:, :, None]], axis=2)
     X_q = np.concatenate([root * line.X_q, line.tie_q], axis=1)
     Y = np.concatenate([of_targets, of_heads], axis=1)
@@ -223,7 +227,7 @@ def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
 
 
 def _by_common(line: LinearStrips) -> Floats:
-    """(S, 2 J, 3 + g) change of r by theta and by the unknowns of the calibration."""
+    """(S, 2 J, 3 C + g) change of r by theta and by the unknowns of the calibration."""
     return np.concatenate([line.X_theta, line.X_shared], axis=2)
 
 

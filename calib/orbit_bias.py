@@ -70,14 +70,15 @@ def bias_prior(names: Sequence[str]) -> Floats:
 def common_bias(names: Sequence[str], solution: Solution, settings: CalibrationSettings) -> CommonBias | None:
     """The biases among the shared unknowns `names` that the data determine; None if there are none."""
     unit = np.array([settings.sigma_position_m] * 3 + [settings.sigma_clock_s])
-    sigma = np.sqrt(np.diag(solution.covariance_all))[3:]
+    n_theta = len(solution.theta)
+    sigma = np.sqrt(np.diag(solution.covariance_all))[n_theta:]
     rows = [
         n for n, name in enumerate(names) if name in BIASES and sigma[n] <= OBSERVABLE * PRIOR_SIGMA[name]
     ]
     if not rows:
         return None
     stated = unit[[BIASES.index(names[n]) for n in rows]]
-    columns = 3 + np.array(rows)
+    columns = n_theta + np.array(rows)
     return CommonBias(
         names=tuple(names[n].removeprefix("bias/") for n in rows),
         value=stated * solution.shared[rows],

@@ -27,7 +27,7 @@ def rejected_observations(
     entries: list[Entry] = []
     for strip, ready in zip(strips, prepared):
         entries += _stars_and_exposures(strip, ready, limit)
-        for name in [name for name, _ in strip.parts] or [strip.strip_id]:
+        for name, _, _ in strip.parts:
             entries += _targets(name, ready, limit, residuals)
     return tuple(entries)
 

@@ -49,7 +49,7 @@ from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import StarEffects, star_effects, summed
-from boresight.calib.strips import PreparedStrip, prepare_strips, tangent_axes
+from boresight.calib.strips import PreparedStrip, matrix_of_each, prepare_strips, tangent_axes, turned
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
@@ -104,7 +104,7 @@ class HypothesisTest:
     p_value: float = scalar("of `statistic`")
     detectable: float = scalar("smallest error that is found with probability 0.9; inf: none")
     redundancy: float = scalar("0: the matrix takes up the whole error, 1: it takes up none")
-    effect_rad: Floats = array("3", "change of theta by one unit, axes of c, rad")
+    effect_rad: Floats = array("T", "change of theta by one unit, axes of c of each camera, rad")
     effect_sigma: float = scalar("the same in 1-sigma of theta")
 
     @property
@@ -161,8 +161,8 @@ class _Fit:
 
     kept: Bools  # (J,)
     criterion: float
-    theta: Floats  # (3,) about the matrix of the estimate
-    covariance: Floats  # (3, 3) of theta
+    theta: Floats  # (3 C,) about the matrices of the estimate
+    covariance: Floats  # (3 C, 3 C) of theta
     size: Floats  # (H,) of the hypotheses
     sigma: Floats  # (H,)
     statistic: Floats  # (J,) of the observations, chi-square of two degrees of freedom
@@ -212,10 +212,10 @@ def examine(
     strips: Sequence[StripSightings],
     settings: CalibrationSettings,
     *,
-    pixel_rad: float,
+    pixel_rad: float | Mapping[str, float],
     star_camera: StarCamera | None = None,
     inputs: Sequence[MovedInput] = (),
-    pivots: Mapping[int, float] | None = None,
+    pivots: Mapping[tuple[str, int], float] | None = None,
     target_files: str = "targets.csv",
     limits: ReliabilitySettings | None = None,
     table_of: HypothesisTable = hypotheses,
@@ -231,14 +231,14 @@ def examine(
         a strip that was not used, say, count as rejected.
     settings : CalibrationSettings
         Those given to `calibrate`.
-    pixel_rad : float
+    pixel_rad : float, or mapping of camera to float
         Angle of a pixel of the remote-sensing camera.
     star_camera : StarCamera, optional
         Camera whose model gave the stars' directions; None: attitudes were delivered.
     inputs : sequence of MovedInput
         Further inputs whose errors were evaluated by prediction.
-    pivots : mapping of int to float, optional
-        Samples about which CCDs rotate, by CCD; default: the mean of their observations.
+    pivots : mapping of camera and CCD to float, optional
+        Samples about which CCDs rotate; default: the mean of their observations.
     target_files : str
         Files with the coordinates of the targets, as findings name them.
     limits : ReliabilitySettings, optional
@@ -254,13 +254,15 @@ def examine(
     limits = limits or ReliabilitySettings()
     passes = passes_of(with_attitudes(strips, settings.attitudes))
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
+    names = estimate.cameras
+    pixels = [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names]
     one = _adjustment(
         estimate,
         passes,
         settings,
         star_camera,
         lambda prepared, effects: table_of(
-            HypothesisInputs(prepared, estimate.R_cs, pixel_rad, effects, moved, pivots, target_files)
+            HypothesisInputs(prepared, estimate.R_cs, pixels, effects, moved, pivots, target_files, names)
         ),
     )
     tests = _tests(one, limits)
@@ -276,10 +278,11 @@ def _adjustment(
     star_camera: StarCamera | None,
     table_of: Callable[[Sequence[PreparedStrip], Sequence[StarEffects]], list[Hypothesis]],
 ) -> _Adjustment:
-    strips = aligned(strips, {head.name: estimate.R_cs.inv() * head.R_cs for head in estimate.heads})
+    first = estimate.heads[0].R_cs
+    strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
-    prepared = prepare_strips(strips, settings)
-    problem = Problem.of(prepared, settings)
+    prepared = prepare_strips(strips, settings, estimate.cameras)
+    problem = Problem.of(prepared, settings, None, estimate.cameras)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
     about = linearised(problem, estimate.R_cs, 1.0)
     found = estimate.targets
@@ -295,16 +298,16 @@ def _adjustment(
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
     of_stars = parts >= 0
-    R_cs = estimate.R_cs.as_matrix()
-    apart = np.concatenate([one.u_c - one.v_s @ R_cs.T for one in prepared])
+    R_cs = matrix_of_each(estimate.R_cs, np.concatenate([one.camera for one in prepared]))
+    u_c, v_s, move_s = (np.concatenate([getattr(p, n) for p in prepared]) for n in ("u_c", "v_s", "move_s"))
     return _Adjustment(
         problem=problem,
         about=about,
         step=step,
         table=table,
         B=_whitened(problem, about, change),
-        by_place=_whitened(problem, about, R_cs @ np.concatenate([one.move_s for one in prepared])),
-        measured=_whitened(problem, about, apart[:, :, None])[:, :, 0],
+        by_place=_whitened(problem, about, R_cs @ move_s),
+        measured=_whitened(problem, about, (u_c - turned(R_cs, v_s))[:, :, None])[:, :, 0],
         is_star=np.concatenate([one.is_star for one in prepared]),
         strip_id=np.concatenate([strip.strip for strip in prepared]),
         target_id=np.concatenate([strip.target_id for strip in prepared]),
@@ -320,7 +323,7 @@ def _whitened(problem: Problem, about: Linearised, change_c: Floats) -> Floats:
     parts, last = [], 0
     for group, line in zip(problem.groups, about.strips):
         first, last = last, last + group.inside.size
-        rows = line.whitener @ tangent_axes(group.v_s @ about.R_cs.as_matrix().T)
+        rows = line.whitener @ tangent_axes(turned(matrix_of_each(about.R_cs, group.which), group.v_s))
         rows = rows * group.inside[:, :, None, None]
         parts.append(rows.reshape(-1, 2, 3) @ change_c[first:last])
     return np.concatenate(parts)
@@ -333,7 +336,7 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
     weighted = step.weight[:, None, None] * one.B
     S = np.einsum("jah,jah->h", weighted, left) + np.diag(one.star_information)
     y = np.einsum("jah,ja->h", weighted, step.whitened) + one.star_right
-    theta = x[:3].T
+    theta = x[: len(step.solution.theta)].T
     by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
     redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
     seen = redundancy > 1e-9
@@ -368,7 +371,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
     if (bias := estimate.bias) is None:
         return
     names = list(one.problem.shared.names)
-    rows = [3 + names.index(f"bias/{name}") for name in bias.names]
+    rows = [len(estimate.theta) + names.index(f"bias/{name}") for name in bias.names]
     _, x = respond(one.problem, one.about, one.step, one.B)
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
@@ -479,13 +482,14 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
 
 def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats]:
     """Normal matrix and right-hand side of the sizes of hypotheses; of a unit of each, what is left of it as
-    residuals (J, 2, H), and theta (3, H).
+    residuals (J, 2, H), and theta (3 C, H).
     """
     B = one.B[:, :, rows]
     left, x = respond(one.problem, one.about, step, B)
     weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
     S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
-    return 0.5 * (S + S.T), weighted.T @ step.whitened.ravel() + one.star_right[rows], left, x[:3]
+    right = weighted.T @ step.whitened.ravel() + one.star_right[rows]
+    return 0.5 * (S + S.T), right, left, x[: len(step.solution.theta)]
 
 
 def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
@@ -499,7 +503,7 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
     tried: set[bytes] = set()
     for kept in starts:
         for _ in range(MOST_ROUNDS):
-            if kept.tobytes() in tried or 2 * kept.sum() < 3 + len(rows):
+            if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
                 break
             tried.add(kept.tobytes())
             fit = _fit(one, rows, kept)

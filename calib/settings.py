@@ -55,9 +55,14 @@ class CalibrationSettings:
     sigma_observable_rad: float = (
         1e-3  # a ground measurement is better than this; a weaker direction gets no number
     )
+    of_cameras: tuple[tuple[str, CalibrationSettings], ...] = ()  # by name, of those with other distortions
     tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
     tolerance_sigma: float = 0.01  # M -> I in units of the predicted sigma
     most_iterations: int = 20
+
+    def of(self, camera: str) -> CalibrationSettings:
+        """The settings whose distortion is that of one of several cameras."""
+        return dict(self.of_cameras).get(camera, self)
 
     @property
     def sigma_ccd_rad(self) -> tuple[float, float, float]:
@@ -72,7 +77,7 @@ class CalibrationSettings:
     @property
     def without_distortion(self) -> CalibrationSettings:
         """Settings for a camera that leaves no distortion."""
-        return replace(self, sigma_distortion_rad=0.0, ccd_px=())
+        return replace(self, sigma_distortion_rad=0.0, ccd_px=(), of_cameras=())
 
     @property
     def attitudes(self) -> AttitudeSettings:

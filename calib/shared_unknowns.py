@@ -1,14 +1,23 @@
-"""Unknowns that several strips share: the camera's distortion, targets' coordinates, the orbit's bias,
-the Earth's rotation where it is predicted, alignments of heads.
+"""The table of errors that several strips share: each declared once, with its unknowns, prior and columns.
 
-Each is one named unknown of the whole calibration and does not average over strips. A target's coordinates
-are three unknowns in metres, in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS
-closely enough for errors of metres; those of a star are its direction in µrad, GCRS axes.
+    scope             error                                                    unknowns
+    camera            residual distortion, interior orientation                knots, CCDs' modes; parameters
+    target            coordinates of one that several strips see               metres; of a star µrad
+    satellite         bias of the orbit and of the row clocks                  stated errors of a strip
+    date              rotation of the Earth where it is predicted              1-sigma of the prediction
+    ground reference  offset of a mosaic or a survey                           1-sigma stated for it
+    head              alignment to the reference head                          radians
+
+Each is one named unknown of the whole calibration and does not average over strips. Coordinates are in axes
+that rotate with the Earth about the pole of GCRS, which agree with ITRS closely enough for errors of metres;
+those of a star are its direction, GCRS axes. Errors of one pass alone are columns of its strips (`strips`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +25,23 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
+from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import head_names
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import Bools, array, record, scalar
+
+if TYPE_CHECKING:
+    from boresight.calib.strips import PreparedStrip
 
 __all__ = [
     "MICRORADIAN",
     "SIGMA_ALIGNMENT_RAD",
-    "SeenTargets",
+    "SharedError",
     "SharedUnknowns",
     "coordinate_covariance",
     "coordinate_names",
@@ -40,53 +54,46 @@ MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedError:
+    """One row of the table: an error that moves the known directions of targets."""
+
+    names: tuple[str, ...]  # of its n unknowns
+    prior: Array  # (n, n) information
+    columns: Callable[[PreparedStrip], Array]  # change (J, 3, n) of v_s by each
+
+
 @record(kw_only=True)
-class SeenTargets:
-    """The targets of one strip, as far as other strips may share unknowns with them."""
-
-    target_id: NDArray[np.str_] = array("J", "ids of the targets")
-    curve: NDArray[np.int64] = array("J", "curve of the residual distortion that each sighting lies on")
-    place: Array = array("J", "along that curve, px")
-    ccd: NDArray[np.int64] = array("J", "CCD of each sighting")
-    cov_coordinates: Array = array("J, 3, 3", "of the coordinates, m²; of stars µrad²")
-    is_star: Bools = array("J", "targets that are stars")
-    earth: str = scalar("prediction of Earth orientation at the strip's date; empty: measured")
-
-
-@record
 class SharedUnknowns:
     """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
 
-    knots: tuple[Knot, ...] = scalar("of the camera's distortion: along x, then along y")
-    targets: tuple[str, ...] = array("T", "ids of the targets, three unknowns each")
-    cov_targets: Array = array("T, 3, 3", "prior covariance of their coordinates, m²; of stars µrad²")
-    n_treated_independent: int = scalar("targets in several strips beyond the limit")
-    heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
-    biases: tuple[str, ...] = scalar("of `orbit_bias.BIASES`, where ground and sky are seen", default=())
-    earth: tuple[str, ...] = scalar("predictions of Earth orientation, three unknowns each", default=())
-    interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
+    knots: tuple[Knot, ...] = scalar("of the cameras' distortion: along x, then along y", default=())
     ccds: tuple[int, ...] = scalar("CCDs with a residual distortion of their own, along x and y", default=())
+    interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
+    errors: tuple[SharedError, ...] = scalar("all others; alignments of heads are the last", default=())
+    targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
+    references: tuple[ReferenceField, ...] = scalar("offsets of ground references", default=())
+    heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
+    n_treated_independent: int = scalar("targets in several strips beyond the limit", default=0)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
         interior = self.interior.unknowns if self.interior else ()
         of_camera = unknown_names(self.knots, self.ccds) + interior
-        of_ground = coordinate_names(self.targets) + self.biases + earth_names(self.earth)
-        return of_camera + of_ground + head_names(self.heads)
+        return of_camera + tuple(name for error in self.errors for name in error.names)
 
     def prior_information(self) -> Array:
-        """Inverse prior covariance (n, n), distortion and interior orientation in units of their priors,
-        coordinates in metres or µrad, biases in units of the stated errors of a strip, rotations of the
-        Earth in units of their 1-sigma, alignments in radians.
-        """
-        alignments = np.eye(3 * len(self.heads)) / SIGMA_ALIGNMENT_RAD**2
-        interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
+        """Inverse prior covariance (n, n), each error in its unit."""
         camera = prior_information(unknown_names(self.knots, self.ccds))
-        parts = [camera, interior, *np.linalg.inv(self.cov_targets)]
-        parts += [bias_prior(self.biases), prior_of_predictions(earth_names(self.earth)), alignments]
-        parts = [part for part in parts if part.size]
+        interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
+        parts = [part for part in (camera, interior, *(e.prior for e in self.errors)) if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+
+    def columns_s(self, strip: PreparedStrip) -> Array:
+        """Change (J, 3, T) of v_s by the unknowns of `errors`."""
+        none = np.zeros((len(strip.ccd), 3, 0))
+        return np.concatenate([none, *(error.columns(strip) for error in self.errors)], axis=2)
 
 
 def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
@@ -115,7 +122,7 @@ def coordinate_covariance(cov_target_i: Array, t_s: Array, u_i: Array, is_star: 
 
 
 def find_shared(
-    strips: Sequence[SeenTargets],
+    strips: Sequence[PreparedStrip],
     settings: CalibrationSettings,
     heads: tuple[str, ...] = (),
     interior: InteriorModel | None = None,
@@ -126,12 +133,11 @@ def find_shared(
     Of targets in several strips, those seen most often come first.
     """
     knots: set[Knot] = set()
-    if settings.distortion_scope == "camera" and settings.sigma_distortion_rad > 0.0:
-        for strip in strips:
-            knots.update(knots_touched(strip.curve, strip.place, settings.distortion_length_px))
     ccds: set[int] = set()
-    if settings.distortion_scope == "camera" and settings.has_ccd_modes:
-        ccds.update(int(ccd) for strip in strips for ccd in np.unique(strip.ccd))
+    for strip in strips if settings.distortion_scope == "camera" else ():
+        curved = strip.distortion_rad > 0.0
+        knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
+        ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
     count: dict[str, int] = {}
     covariance: dict[str, Array] = {}
     for strip in strips:
@@ -142,16 +148,67 @@ def find_shared(
     often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
-    covariances = np.array([covariance[name] for name in kept]).reshape(-1, 3, 3)
     mixed = any(s.is_star.any() for s in strips) and any(not s.is_star.all() for s in strips)
+    earth = tuple(sorted({strip.earth for strip in strips if strip.earth}))
+    fields = fields_of(strips)
     return SharedUnknowns(
         knots=tuple(sorted(knots)),
-        targets=kept,
-        cov_targets=covariances,
-        n_treated_independent=len(often) - len(kept),
-        heads=heads,
-        biases=BIASES if mixed else (),
-        earth=tuple(sorted({strip.earth for strip in strips if strip.earth})),
-        interior=interior,
         ccds=tuple(sorted(ccds)),
+        interior=interior,
+        errors=(
+            _coordinates(kept, [covariance[name] for name in kept]),
+            _biases(BIASES if mixed else ()),
+            _earth(earth),
+            *(SharedError(one.names, np.eye(len(one.names)), one.columns) for one in fields),
+            _alignments(heads),
+        ),
+        targets=kept,
+        references=fields,
+        heads=heads,
+        n_treated_independent=len(often) - len(kept),
     )
+
+
+def _coordinates(targets: tuple[str, ...], covariances: Sequence[Array]) -> SharedError:
+    number = {name: n for n, name in enumerate(targets)}
+
+    def columns(strip: PreparedStrip) -> Array:
+        return _of_each(
+            [number.get(name, -1) for name in strip.target_id.tolist()], len(targets), strip.coordinates_s
+        )
+
+    prior = block_diag(*np.linalg.inv(covariances)) if targets else np.zeros((0, 0))
+    return SharedError(coordinate_names(targets), prior, columns)
+
+
+def _biases(names: tuple[str, ...]) -> SharedError:
+    which = [BIASES.index(name) for name in names]
+    return SharedError(names, bias_prior(names), lambda strip: strip.bias_s[:, :, which])
+
+
+def _earth(predictions: tuple[str, ...]) -> SharedError:
+    def columns(strip: PreparedStrip) -> Array:
+        n = predictions.index(strip.earth) if strip.earth else -1
+        return _of_each([n] * len(strip.ccd), len(predictions), strip.earth_s)
+
+    names = earth_names(predictions)
+    return SharedError(names, prior_of_predictions(names), columns)
+
+
+def _alignments(heads: tuple[str, ...]) -> SharedError:
+    """Of all heads targets see only the one that carries the strip, as an error of all its attitudes."""
+
+    def columns(strip: PreparedStrip) -> Array:
+        n = heads.index(strip.carrier) if strip.carrier else -1
+        return _of_each([n] * len(strip.ccd), len(heads), -cross_matrices(strip.v_s))
+
+    names = head_names(heads)
+    return SharedError(names, np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2, columns)
+
+
+def _of_each(number: Sequence[int], count: int, change: Array) -> Array:
+    """Changes (J, 3, 3) by the three unknowns of an error, `number` of each target, as columns of all `count`
+    errors; -1: of none.
+    """
+    own = np.array(number, dtype=np.int64)[:, None] == np.arange(count)
+    return np.asarray((own[:, None, :, None] * change[:, :, None, :]).reshape(len(change), 3, 3 * count))

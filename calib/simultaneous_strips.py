@@ -66,7 +66,7 @@ def moved_in_passes(
     by_id = {strip.strip_id: strip for strip in strips}
     directions, turns = dict(moved.directions_i), dict(moved.turns_s)
     for one in passes:
-        members = [by_id[name] for name, _ in one.parts]
+        members = [by_id[name] for name, _, _ in one.parts]
         if any(strip.strip_id in directions for strip in members):
             own = [directions.get(s.strip_id, np.zeros((len(s.ground.t_s), 3))) for s in members]
             directions[one.strip_id] = np.concatenate(own)
@@ -128,7 +128,7 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
         attitudes=ExposureAttitudes.together([_attitudes(strip) for strip in strips]).take(rows),
         others=tuple(_record_of(head, strips) for head in heads),
-        parts=tuple((strip.strip_id, len(strip.ground.t_s)) for strip in strips),
+        joined=tuple(part for strip in strips for part in strip.parts),
     )
 
 
@@ -145,15 +145,23 @@ def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:
 
 def _first_of_each(t_s: Floats) -> Ints:
     """Rows, in order of time, of the first that has each instant."""
-    return np.asarray(np.unique(np.round(t_s / INSTANT_S), return_index=True)[1], dtype=np.int64)
+    return np.asarray(np.unique(_instants(t_s), return_index=True)[1], dtype=np.int64)
+
+
+def _instants(t_s: Floats) -> Ints:
+    """Number, in order of time, of the instant of each row (N,)."""
+    order = np.argsort(t_s, kind="stable")
+    number = np.zeros(len(t_s), dtype=np.int64)
+    number[order[1:]] = np.cumsum(np.diff(t_s[order]) > INSTANT_S)
+    return number
 
 
 def _check_same(strips: Sequence[StripSightings], rows: Ints) -> None:
     """`ValueError` where exposures of one instant hold other stars."""
     listed = [(strip.strip_id, exposure) for strip in strips for exposure in strip.exposures]
-    first = {round(listed[n][1].t_s / INSTANT_S): listed[n] for n in rows}
-    for strip_id, exposure in listed:
-        other_id, other = first[round(exposure.t_s / INSTANT_S)]
+    number = _instants(np.array([exposure.t_s for _, exposure in listed]))
+    for (strip_id, exposure), n in zip(listed, rows[number].tolist()):
+        other_id, other = listed[n]
         if exposure is not other and not np.array_equal(exposure.u_s, other.u_s):
             raise ValueError(
                 f"exposure {exposure.exposure_id} of strip {strip_id} and {other.exposure_id} of strip "

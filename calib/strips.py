@@ -18,28 +18,27 @@ and is done once. Strips with equal numbers of exposures, targets and unknowns a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
-    Knot,
-    ccd_modes,
+    columns_of_ccds,
     correlation,
     knot_weights,
-    knots_touched,
-    places_on_curves,
+    residual_distortion,
+    unit_numbers,
 )
 from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
-from boresight.calib.orbit_bias import BIASES, bias_columns
+from boresight.calib.orbit_bias import bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import (
     MICRORADIAN,
-    SeenTargets,
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
+    find_shared,
 )
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, missed_covariance, motion_of
 from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
@@ -72,13 +71,16 @@ class PreparedStrip:
     used: Bools = array("K", "exposures whose attitudes are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
     target_id: Texts = array("J", "target")
+    camera: Ints = array("J", "number of the camera, of those that are calibrated")
     ccd: Ints = array("J", "CCD of the camera, from 0")
     sample: Floats = array("J", "position along the CCD, px")
     line: Floats = array("J", "row, px")
     t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
     weights: Floats = array("J, U", "of the attitudes of the exposures used in that at the target's instant")
     curve: Ints = array("J", "curve of the residual distortion that holds there")
-    place: Floats = array("J", "position along that curve, px")
+    place: Floats = array("J", "position along that curve, correlation lengths")
+    distortion_rad: Floats = array("J", "1-sigma of that curve, per axis")
+    modes_rad: Floats = array("J, 3", "change of the look by shift, slope and bend of its CCD, 1-sigma each")
     u_c: Floats = array("J, 3", "measured look directions, frame c")
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
@@ -90,6 +92,10 @@ class PreparedStrip:
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
     bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
+    reference: Texts = array("J", "ground reference of each target; empty: none")
+    reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
+    reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
+    reference_place: Floats = array("J, 3", "place of the target in correlation lengths of that offset")
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
@@ -101,17 +107,10 @@ class PreparedStrip:
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
 
-    def seen(self) -> SeenTargets:
-        """The strip's targets, as far as other strips may share unknowns with them."""
-        return SeenTargets(
-            target_id=self.target_id,
-            curve=self.curve,
-            place=self.place,
-            ccd=self.ccd,
-            cov_coordinates=self.cov_coordinates,
-            is_star=self.is_star,
-            earth=self.earth,
-        )
+    @property
+    def unit(self) -> Ints:
+        """CCD (J,) of each target, numbered over all cameras."""
+        return unit_numbers(self.ccd, self.camera)
 
 
 @record(kw_only=True)
@@ -120,6 +119,7 @@ class StripGroup:
 
     place: Ints = array("S", "which strips of the calibration these are")
     inside: Bools = array("S, J", "as in `PreparedStrip`")
+    which: Ints = array("S, J", "number of the camera, of those that are calibrated")
     u_c: Floats = array("S, J, 3", "as in `PreparedStrip`")
     cov_c: Floats = array("S, J, 3, 3", "as in `PreparedStrip`")
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
@@ -141,7 +141,7 @@ class LinearStrips:
     """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
 
     r: Floats  # (S, 2 J) residuals
-    X_theta: Floats  # (S, 2 J, 3) change of r by theta
+    X_theta: Floats  # (S, 2 J, 3 C) change of r by theta of C cameras
     X_shared: Floats  # (S, 2 J, g) change of r by unknowns of the calibration: knots, coordinates
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
@@ -151,20 +151,26 @@ class LinearStrips:
     tie_q: Floats  # (S, h, n)
 
 
-def prepare_strips(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[PreparedStrip]:
-    """The strips, with the motion between exposures that all of them show."""
+def prepare_strips(
+    strips: Sequence[StripSightings], settings: CalibrationSettings, cameras: Sequence[str] = ("",)
+) -> list[PreparedStrip]:
+    """The strips of `cameras`, with the motion between exposures that all of them show."""
     fitted = with_attitudes(strips, settings.attitudes)
     motion = motion_of(fitted, settings)
     return [
-        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST) for strip in fitted
+        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST, cameras)
+        for strip in fitted
     ]
 
 
 def prepare_strip(
-    strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion = AT_REST
+    strip: StripSightings,
+    settings: CalibrationSettings,
+    motion: SlowMotion = AT_REST,
+    cameras: Sequence[str] = ("",),
 ) -> PreparedStrip:
     """The strip with every target in frame s at its own instant, and the unknowns common to its targets;
-    `motion` is what the satellite does between the exposures.
+    `motion` is what the satellite does between the exposures. The rows of each of `cameras` have a clock.
 
     Attitudes of exposures are fitted where the strip has none.
     """
@@ -188,10 +194,16 @@ def prepare_strip(
     position = move_s * settings.sigma_position_m
     rate_s = _rotation_rate(nodes)
     late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
+    camera = np.array(
+        [cameras.index(name) if cameras[1:] else 0 for name in strip.camera_of_target.tolist()], int
+    )
     clock = late * settings.sigma_clock_s
+    clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     ties = _ties(strip, nodes, root, settings)
-    curve, place = places_on_curves(ground.ccd, ground.xy_px[:, 0], ground.u_c, settings.distortion_pixel_rad)
+    references = ground.referenced()
+    models = [settings.of(name) for name in cameras]
+    curve, place, distortion_rad, modes_rad = residual_distortion(ground, camera, models)
     names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
     motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PreparedStrip(
@@ -201,6 +213,7 @@ def prepare_strip(
         used=used,
         inside=inside,
         target_id=ground.target_id,
+        camera=camera,
         ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
@@ -208,15 +221,21 @@ def prepare_strip(
         weights=weights @ nodes.share,
         curve=curve,
         place=place,
+        distortion_rad=distortion_rad,
+        modes_rad=modes_rad,
         u_c=ground.u_c,
         cov_c=ground.cov_c,
         R_si=R_si,
         v_s=v_s,
-        shared_s=np.concatenate([phi, moved, position, clock], axis=2),
-        unknowns=(*names, *motions, "position/x", "position/y", "position/z", "clock"),
+        shared_s=np.concatenate([phi, moved, position, clocks], axis=2),
+        unknowns=(*names, *motions, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
         coordinates_s=_by_coordinates(ground, R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
+        reference=references.name,
+        reference_s=-move_s @ references.axes_i,
+        reference_sigma_m=references.sigma_m,
+        reference_place=references.place,
         earth_s=R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
@@ -272,8 +291,8 @@ def group_strips(
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        n = 2 * len(_own_knots(strip, settings)) + 6 * len(_own_ccds(strip, settings))
-        n += 3 * len(_seen_again(strip, shared))
+        own = _own(strip, settings)
+        n = 2 * len(own.knots) + 6 * len(own.ccds) + 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
         size = strip.n_phi, strip.shared_s.shape[2]
         shapes.setdefault((*size, len(strip.ccd), n, h), []).append(place)
@@ -287,9 +306,8 @@ def linearise(
 
     `scale_c` is a factor of the image measurements' standard deviations.
     """
-    C = R_cs.as_matrix()
-    S = len(group.place)
-    w = group.v_s @ C.T  # (S, J, 3)
+    C, S = matrix_of_each(R_cs, group.which), len(group.place)
+    w = turned(C, group.v_s)  # (S, J, 3)
     tangent = tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
     measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
@@ -301,7 +319,7 @@ def linearise(
     own = _along_axes(tangent, group.own)
     parts = (
         rows @ (tangent @ difference[..., None]),
-        rows @ (tangent @ cross_matrices(w)),
+        rows @ _by_theta(R_cs, group.which, tangent @ cross_matrices(w)),
         rows @ np.concatenate(_by_shared(tangent, tangent_s, group), axis=3),
         rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
     )
@@ -322,6 +340,24 @@ def linearise(
         tie_shared=np.concatenate([np.zeros((S, h, others)), by_heads], axis=2),
         tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
     )
+
+
+def matrix_of_each(R_cs: Rotation, camera: Ints) -> Floats:
+    """Matrix (..., 3, 3) of the camera of each target (...); of a single camera (3, 3)."""
+    return R_cs.as_matrix() if R_cs.single else R_cs.as_matrix()[camera]
+
+
+def turned(C: Floats, v_s: Floats) -> Floats:
+    """Vectors (..., 3) of frame s in the frame of each target's camera, by `matrix_of_each`."""
+    return v_s @ C.T if C.ndim == 2 else (C @ v_s[..., None])[..., 0]
+
+
+def _by_theta(R_cs: Rotation, camera: Ints, change: Floats) -> Floats:
+    """Changes (S, J, 2, 3) by theta of each target's own camera as columns of the theta of all cameras."""
+    if R_cs.single:
+        return change
+    own = camera[:, :, None] == np.arange(len(R_cs))
+    return np.asarray((own[:, :, None, :, None] * change[:, :, :, None, :]).reshape(*change.shape[:3], -1))
 
 
 def _by_shared(tangent: Floats, tangent_s: Floats, group: StripGroup) -> list[Floats]:
@@ -350,15 +386,16 @@ def _group(
     members = [strips[n] for n in place]
     camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
-    across, again, white = zip(*(_coordinates(strip, shared) for strip in members))
-    fields = ("inside", "u_c", "cov_c", "v_s")
+    again, white = zip(*(_coordinates(strip, shared) for strip in members))
+    names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
     return StripGroup(
         place=place,
+        which=np.stack([strip.camera for strip in members]),
         shared_s=shared_s,
         white_s=np.stack(white),
-        targets_s=np.stack([_after_knots(*one, shared) for one in zip(members, across)]),
+        targets_s=np.stack([shared.columns_s(strip) for strip in members]),
         camera=np.stack(camera),
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
@@ -367,7 +404,7 @@ def _group(
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
-        **{name: np.stack([getattr(strip, name) for strip in members]) for name in fields},
+        **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
@@ -379,22 +416,6 @@ def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> F
         for tie in strip.ties
     ]
     return np.concatenate([none, *rows])
-
-
-def _after_knots(strip: PreparedStrip, coordinates: Floats, shared: SharedUnknowns) -> Floats:
-    """Columns (J, 3, T) of shared coordinates, biases, rotations of the Earth and alignments: of the last
-    targets see only the one of the head that carries the strip, as an error of all its attitudes.
-    """
-    biases = strip.bias_s[:, :, [BIASES.index(name) for name in shared.biases]]
-    alignments = np.zeros((len(coordinates), 3, 3 * len(shared.heads)))
-    if strip.carrier:
-        first = 3 * shared.heads.index(strip.carrier)
-        alignments[:, :, first : first + 3] = -cross_matrices(strip.v_s)
-    earth = np.zeros((len(coordinates), 3, 3 * len(shared.earth)))
-    if strip.earth:
-        first = 3 * shared.earth.index(strip.earth)
-        earth[:, :, first : first + 3] = strip.earth_s
-    return np.concatenate([coordinates, biases, earth, alignments], axis=2)
 
 
 def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:
@@ -453,37 +474,31 @@ def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
     return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
 
 
-def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats, Floats]:
-    """Targets' own coordinates: columns (J, 3, 3 t) of the shared ones, (J, 3, 3 m) of those seen again in
-    this strip, whitened, and the white noise (J, 3, 3) of the rest, rad².
+def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
+    """Targets' own coordinates: columns (J, 3, 3 m) of those seen again in this strip alone, whitened, and
+    the white noise (J, 3, 3) of the rest, rad².
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
     again = _seen_again(strip, shared)
-    across = np.zeros((len(move), 3, 3 * len(shared.targets)))
     own = np.zeros((len(move), 3, 3 * len(again)))
-    for row in np.flatnonzero(np.isin(strip.target_id, [*shared.targets])):
-        place = 3 * shared.targets.index(str(strip.target_id[row]))
-        across[row, :, place : place + 3] = move[row]
-        white[row] = 0.0
+    white[np.isin(strip.target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):
         rows = strip.target_id == name
         values, vectors = np.linalg.eigh(covariance[rows][0])
         own[rows, :, 3 * n : 3 * n + 3] = move[rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         white[rows] = 0.0
-    return across, own, white
+    for field in shared.references:
+        left = strip.reference_s * field.sigma_m
+        white = white + field.rest(strip)[:, None, None] * (left @ np.swapaxes(left, 1, 2))
+    return own, white
 
 
-def _own_knots(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Knot, ...]:
-    if settings.distortion_scope == "camera" or settings.sigma_distortion_rad == 0.0:
-        return ()
-    return knots_touched(strip.curve, strip.place, settings.distortion_length_px)
-
-
-def _own_ccds(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[int, ...]:
-    if settings.distortion_scope == "camera" or not settings.has_ccd_modes:
-        return ()
-    return tuple(np.unique(strip.ccd).tolist())
+def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
+    """Unknowns of the distortion that the strip has for itself."""
+    if settings.distortion_scope == "camera":
+        return find_shared([], settings)
+    return find_shared([strip], replace(settings, distortion_scope="camera"))
 
 
 def _distortion(
@@ -492,26 +507,23 @@ def _distortion(
     """Weights of the camera's knots and CCDs (J, g/2), whitened weights of the strip's own (J, m), white
     variance (J,), rad².
     """
-    sigma, length = settings.sigma_distortion_rad, settings.distortion_length_px
-    J, knots = len(strip.ccd), _own_knots(strip, settings)
-    camera: Floats = np.zeros((J, len(shared.knots)))
-    own: Floats = np.zeros((J, len(knots)))
-    missed: Floats = np.full(J, sigma**2)
-    if shared.knots:
-        camera = knot_weights(strip.curve, strip.place, shared.knots, length)
-        missed = sigma**2 * (1.0 - np.einsum("jk,kl,jl->j", camera, correlation(shared.knots), camera))
-    if knots:
-        own = knot_weights(strip.curve, strip.place, knots, length) @ np.linalg.cholesky(correlation(knots))
-        missed = sigma**2 * (1.0 - np.einsum("jk,jk->j", own, own))
-    of_ccds = [_by_ccds(strip, ccds, settings) for ccds in (shared.ccds, _own_ccds(strip, settings))]
-    camera, own = (np.column_stack([sigma * part, of]) for part, of in zip((camera, own), of_ccds))
-    return camera, own, missed
-
-
-def _by_ccds(strip: PreparedStrip, ccds: tuple[int, ...], settings: CalibrationSettings) -> Floats:
-    """Change (J, 3 C), rad, of the look direction by the modes of CCDs in units of their prior sigma."""
-    return ccd_modes(strip.ccd, strip.sample, ccds, settings.ccd_px) * np.repeat(
-        settings.sigma_ccd_rad, len(ccds)
+    own = _own(strip, settings)
+    curved, sigma = strip.distortion_rad > 0.0, strip.distortion_rad[:, None]
+    columns, missed = [], strip.distortion_rad**2
+    for unknowns in (shared, own):
+        weights: Floats = np.zeros((len(curved), len(unknowns.knots)))
+        if unknowns.knots:
+            weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], unknowns.knots)
+            explained = np.einsum("jk,kl,jl->j", weights, correlation(unknowns.knots), weights)
+            missed = strip.distortion_rad**2 * (1.0 - explained)
+        of_ccds = columns_of_ccds(strip.modes_rad, strip.unit, unknowns.ccds)
+        columns.append((weights, of_ccds))
+    white = np.linalg.cholesky(correlation(own.knots)) if own.knots else np.zeros((0, 0))
+    camera, of_strip = columns
+    return (
+        np.column_stack([sigma * camera[0], camera[1]]),
+        np.column_stack([sigma * (of_strip[0] @ white), of_strip[1]]),
+        missed,
     )
 
 

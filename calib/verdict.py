@@ -240,7 +240,8 @@ def assess(
     settings : VerdictSettings, optional
         False-alarm rate and tolerances.
     sigma_installation_rad : (3,) array, optional
-        1-sigma of the starting matrix about the axes of frame c, rad; without it that check is not made.
+        1-sigma of the starting matrix about the axes of frame c, rad, of several cameras one after another;
+        without it that check is not made.
     reliability : Reliability, optional
         Tests of the inputs (`reliability.examine`), whose causes decide with the checks.
     target_files : str
@@ -271,7 +272,8 @@ def assess(
     no_sky = estimate.bias is None
     limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS) - no_sky)
     found = [replace(check, limit=limit) for check in found]
-    values, vectors = np.linalg.eigh(estimate.cov_theta)
+    of_cameras = [estimate.of_camera(name)[1] for name in estimate.cameras]
+    values, vectors = np.linalg.eigh(max(of_cameras, key=lambda one: float(np.linalg.eigvalsh(one)[-1])))
     verdict = Verdict(
         outcome=Outcome.CONSISTENT,
         checks=tuple(found),
@@ -366,20 +368,21 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
 def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
     """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
     S, n = right.shape
-    if n == 3:  # nothing is shared: each strip by itself, in a time that grows with their number
+    t = n - len(prior)  # components of theta
+    if n == t:  # nothing is shared: each strip by itself, in a time that grows with their number
         each = [_explained(F[k], right[k]) for k in range(S)]
         free, dof_free = float(sum(gain for gain, _ in each)), sum(dof for _, dof in each)
         one, dof_one = _explained(F.sum(axis=0), right.sum(axis=0))
         return max(free - one, 0.0), dof_free - dof_one
-    apart = np.zeros((3 * S + n - 3, 3 * S + n - 3))
-    b = np.concatenate([right[:, :3].ravel(), right[:, 3:].sum(axis=0)])
-    apart[3 * S :, 3 * S :] = F[:, 3:, 3:].sum(axis=0) + prior
+    apart = np.zeros((t * S + n - t, t * S + n - t))
+    b = np.concatenate([right[:, :t].ravel(), right[:, t:].sum(axis=0)])
+    apart[t * S :, t * S :] = F[:, t:, t:].sum(axis=0) + prior
     for k in range(S):
-        own = slice(3 * k, 3 * k + 3)
-        apart[own, own], apart[own, 3 * S :], apart[3 * S :, own] = F[k, :3, :3], F[k, :3, 3:], F[k, 3:, :3]
-    together = np.zeros((n, 3 * S + n - 3))  # one theta for all strips
-    together[:3, : 3 * S] = np.tile(np.eye(3), S)
-    together[3:, 3 * S :] = np.eye(n - 3)
+        own = slice(t * k, t * k + t)
+        apart[own, own], apart[own, t * S :], apart[t * S :, own] = F[k, :t, :t], F[k, :t, t:], F[k, t:, :t]
+    together = np.zeros((n, t * S + n - t))  # one theta for all strips
+    together[:t, : t * S] = np.tile(np.eye(t), S)
+    together[t:, t * S :] = np.eye(n - t)
     free, dof_free = _explained(apart, b)
     one, dof_one = _explained(together @ apart @ together.T, together @ b)
     return max(free - one, 0.0), dof_free - dof_one
@@ -419,8 +422,9 @@ def _explained(N: Floats, b: Floats) -> tuple[float, int]:
 def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: VerdictSettings) -> Check:
     covariance = estimate.cov_theta + np.diag(np.asarray(sigma_rad, dtype=float) ** 2)
     statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
-    p_value = float(chdtrc(3, statistic / settings.sigma_overstated**2))
-    return _check(CheckKind.START_MATRIX, statistic, 3, 3, p_value, settings)
+    dof = len(estimate.theta)
+    p_value = float(chdtrc(dof, statistic / settings.sigma_overstated**2))
+    return _check(CheckKind.START_MATRIX, statistic, dof, dof, p_value, settings)
 
 
 def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:

@@ -16,6 +16,7 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",
+    "GroundReference",
     "Image",
     "StripMatches",
     "Target",
@@ -50,12 +51,24 @@ class Chip:
 
 
 @record
+class GroundReference:
+    """A mosaic, or a survey, whose points have an offset in common."""
+
+    name: str = scalar("identifier")
+    sigma_m: Floats = array("3", "1-sigma of the offset east, north, up, m")
+    length_m: float = scalar("correlation length of the offset; 0: one offset everywhere")
+
+
+@record
 class Target:
     """A ground calibration target: a surveyed point, best near the middle of its chip."""
 
     target_id: str = scalar("identifier")
     p_e: Floats = array("3", "position, ITRS, m")
-    sigma_m: Floats = array("3", "standard error east, north, up, m")
+    sigma_m: Floats = array("3", "standard error east, north, up, m, beside that of its reference")
+    reference: GroundReference | None = scalar(
+        "what its place is taken from, if that is stated", default=None
+    )
 
 
 def not_matched(

@@ -63,7 +63,9 @@ class Subject:
     def words(self) -> str:
         """What it is, in words: "CCD 2 in strip s01"; without identifiers all of the kind."""
         if self.kind is Kind.CCD:
-            where = f" in strip {self.strip}" if self.strip else ""
+            where = (
+                f" in strip {self.strip}" if self.strip else f" of camera {self.camera}" * bool(self.camera)
+            )
             return (f"CCD {self.ccd}" if self.ccd >= 0 else "all CCDs") + where
         if self.kind in (Kind.TARGET, Kind.STAR):
             return f"{self.kind.value} {self.id}" + (f" (strip {self.strip})" if self.strip else "")

@@ -20,6 +20,7 @@ from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record,
 
 __all__ = [
     "ExposureAttitudes",
+    "GroundReferences",
     "GroundSightings",
     "HeadAttitudes",
     "StarSightings",
@@ -89,6 +90,16 @@ class ExposureAttitudes:
         )
 
 
+@record
+class GroundReferences:
+    """The references (a mosaic, a survey) of targets, whose offset is an error that their targets share."""
+
+    name: Texts = array("N", "id of the reference of each target; empty: none")
+    axes_i: Floats = array("N, 3, 3", "east, north and up at the target (columns), GCRS axes")
+    sigma_m: Floats = array("N, 3", "1-sigma of the offset along them, m")
+    place: Floats = array("N, 3", "of the target on the Earth, in correlation lengths; zero: one offset")
+
+
 @record(kw_only=True)
 class GroundSightings:
     """Calibration targets measured in one strip. Row n of every array is the same measurement.
@@ -118,6 +129,7 @@ class GroundSightings:
         "change of u_i (columns) by rotations of the Earth about the axes of e, each of the 1-sigma of "
         "predicted Earth orientation, rad; zero for measured values and for a star",
     )
+    references: GroundReferences | None = scalar("references of the targets; None: none", default=None)
 
     @property
     def is_star(self) -> Bools:
@@ -126,12 +138,27 @@ class GroundSightings:
 
     def take(self, rows: Ints) -> GroundSightings:
         """The measurements with indices (M,), in that order."""
-        return GroundSightings(**{name: getattr(self, name)[rows] for name in _columns(GroundSightings)})
+        of = self.references
+        return GroundSightings(
+            **{name: getattr(self, name)[rows] for name in _columns(GroundSightings)},
+            references=of and GroundReferences(*(getattr(of, n)[rows] for n in _columns(GroundReferences))),
+        )
+
+    def referenced(self) -> GroundReferences:
+        """The references of all targets, without a name where they have none."""
+        n = len(self.target_id)
+        none = np.zeros(n, dtype=str), np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        return self.references or GroundReferences(*none)
 
     @classmethod
     def together(cls, parts: Sequence[GroundSightings]) -> GroundSightings:
         """The measurements of several, part after part."""
-        return cls(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in _columns(cls)})
+        of = [part.referenced() for part in parts if any(part.references for part in parts)]
+        columns = [np.concatenate([getattr(one, n) for one in of]) for n in _columns(GroundReferences) if of]
+        return cls(
+            **{n: np.concatenate([getattr(part, n) for part in parts]) for n in _columns(cls)},
+            references=GroundReferences(*columns) if of else None,
+        )
 
 
 @record(kw_only=True)
@@ -195,17 +222,29 @@ class StripSightings:
         "prediction of Earth orientation (`EarthRotation.prediction`) of `ground.earth_i`; empty: measured",
         default="",
     )
-    parts: tuple[tuple[str, int], ...] = scalar(
-        "of strips joined to one (`calib.simultaneous_strips`): their ids, each with the number of its rows "
-        "in `ground`, in order; none: the strip itself",
+    camera: str = scalar("remote-sensing camera that took it, of several; empty: the only one", default="")
+    joined: tuple[tuple[str, str, int], ...] = scalar(
+        "of strips joined to one (`calib.simultaneous_strips`): their ids, each with its camera and the "
+        "number of its rows in `ground`, in order; none: the strip itself",
         default=(),
     )
 
     @property
+    def parts(self) -> tuple[tuple[str, str, int], ...]:
+        """The strips that are joined, or this one: id, camera, number of rows."""
+        return self.joined or ((self.strip_id, self.camera, len(self.ground.target_id)),)
+
+    @property
     def strip_of_target(self) -> Texts:
         """Strip (J,) of each target."""
-        names, counts = zip(*(self.parts or ((self.strip_id, len(self.ground.target_id)),)))
+        names, _, counts = zip(*self.parts)
         return np.repeat(np.array(names, dtype=str), counts)
+
+    @property
+    def camera_of_target(self) -> Texts:
+        """Camera (J,) of each target."""
+        _, cameras, counts = zip(*self.parts)
+        return np.repeat(np.array(cameras, dtype=str), counts)
 
     def later(self, seconds: float) -> StripSightings:
         """The strip with all its instants so much later."""

@@ -1,7 +1,8 @@
 """From dumps to finished result folders: what `boresight calibrate` does once everything has been opened.
 
-One dump fills the folder. Of several, each fills a folder of its own in it, by its name, and the folder
-itself gets what is joint: the matrix from all of them, and the drift between them.
+One dump fills the folder. Of several, or of several cameras of one dump, each fills a folder of its own in
+it, by its name, and the folder itself gets what is joint: the matrix from all of them, a matrix for each
+camera, and the drift between dumps.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
-from boresight.pipeline.results.reading import read_findings, read_saved_result
+from boresight.pipeline.results.reading import read_findings, read_installation
 from boresight.pipeline.results.requirement import (
     Requirement,
     is_met,
@@ -59,6 +60,7 @@ from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
@@ -137,7 +139,8 @@ def run_dumps(
     """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
     counted and does not stop the others.
     """
-    with claimed(out, [one.dump.root for one in dumps], request.settings, overwrite=request.overwrite):
+    roots = list(dict.fromkeys(one.dump.root for one in dumps))
+    with claimed(out, roots, request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
         required = _keep_stated(out, request)
         if _is_finished(out, inputs, request):
@@ -159,6 +162,7 @@ def _jointly_calibrated(
     write_dumps(out, [named.name for named in dumps])
     calibrated: list[tuple[NamedDump, DumpCalibration]] = []
     failed: list[Entry] = []
+    stores: dict[Path, Path] = {}  # folder of the first camera of each dump: all share its star exposures
     for named in dumps:
 
         def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
@@ -169,7 +173,9 @@ def _jointly_calibrated(
             make_own_folder(folder)
             with claimed(folder, [root], request.settings, overwrite=request.overwrite):
                 own = inputs_of([named.dump], request.settings)
-                found = _calibrated(folder, named.dump, str(root), own, request, executor, report_progress)
+                store = store_of(stores.setdefault(root, folder).resolve())
+                of_dump = folder, named.dump, str(root)
+                found = _calibrated(*of_dump, own, request, executor, report_progress, store)
         except DataNotSufficientError as error:
             subject = Subject(Kind.DUMP, dump=named.name)
             failed.append(Entry(subject, Reason.NOT_CALIBRATED, str(error)))
@@ -178,7 +184,7 @@ def _jointly_calibrated(
     joint = calibrate_jointly(calibrated, failed, request.settings)
     of_dumps = {named.name: found for named, found in calibrated}
     text = joint_summary(of_dumps, joint)
-    if len(calibrated) > 1:
+    if len({named.dump.root for named, _ in calibrated}) > 1 and len(joint.estimate.cameras) == 1:
         text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
     write_joint_result(out, joint, of_dumps, request.settings)
     roots = {named.name: str(named.dump.root) for named in dumps}
@@ -199,11 +205,13 @@ def _calibrated(
     request: RunRequest,
     executor: Executor,
     progress: Progress,
+    store: UnitStore | None = None,
 ) -> DumpCalibration:
     begin_result(out)
     make_own_folder(out / "work")
+    store = store or store_of(out.resolve())
     try:
-        found = calibrate_dump(dump, request.settings, store_of(out.resolve()), executor, progress)
+        found = calibrate_dump(dump, request.settings, store, executor, progress)
     except DataNotSufficientError as error:
         if request.report:
             write_no_result(out, dump, error)
@@ -225,11 +233,11 @@ def _draw(out: Path, executor: Executor) -> None:
 
 def _required(out: Path) -> list[str]:
     """Whether the matrix in a folder meets the accuracy that is required of it."""
-    return requirement_lines(saved_requirement(out), read_saved_result(out).installation)
+    return requirement_lines(saved_requirement(out), read_installation(out))
 
 
 def _is_met(out: Path) -> bool:
-    return is_met(saved_requirement(out), read_saved_result(out).installation)
+    return is_met(saved_requirement(out), read_installation(out))
 
 
 def _is_finished(out: Path, inputs: RunInputs, request: RunRequest) -> bool:
@@ -248,7 +256,7 @@ def _finished(out: Path) -> RunOutcome:
     lines = [f"nothing to do: {out} holds the finished result of these inputs and settings"]
     outcomes = set()
     for result in {out, *results_in(out)}:
-        verdict = read_saved_result(result).installation["verdict"]
+        verdict = read_installation(result)["verdict"]
         outcomes.add(outcome := Outcome(verdict["outcome"]))
         lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
         lines += finding_lines(read_findings(result))

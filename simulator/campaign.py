@@ -9,6 +9,7 @@ the velocity, z to nadir), c = o but for the waves, s by the installation matrix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,7 @@ __all__ = [
     "StripTruth",
     "draw_exposures",
     "draw_frames",
+    "draw_other_camera",
     "draw_strips",
     "installation_by_tilt",
     "looks_across",
@@ -133,6 +135,9 @@ class StripTruth:
     R_ci: tuple[Rotation, ...] = array("S", "(J,) at the rows' recorded times, without vibration")
     look_c: tuple[Array, ...] = array("S", "(J, 3) true look vectors, with distortion, without noise")
     motion: tuple[DrawnStripMotion, ...] = array("S", "orbit and attitude of each strip against time")
+    position_m: tuple[Array, ...] = array(
+        "S", "(3,) true less recorded position, frame i, constant over a strip"
+    )
 
 
 def draw_strips(
@@ -160,7 +165,30 @@ def draw_strips(
         tuple(R_ci for _, truth in drawn for R_ci in truth.R_ci),
         tuple(look_c for _, truth in drawn for look_c in truth.look_c),
         tuple(motion for _, truth in drawn for motion in truth.motion),
+        tuple(error_m for _, truth in drawn for error_m in truth.position_m),
     )
+
+
+def draw_other_camera(
+    strips: Sequence[StripSightings],
+    truth: StripTruth,
+    plan: StripPlan,
+    cameras: CameraPair,
+    name: str,
+    rng: np.random.Generator,
+) -> list[StripSightings]:
+    """What another camera of the satellite sees while `strips` are taken: the same exposures, attitudes and
+    position, a row clock and a distortion of its own. Matrix and field are those of `cameras`.
+    """
+    curve, drawn = DistortionCurve.draw(plan, cameras, rng), []
+    turn = cameras.R_cs * truth.R_cs.inv()
+    for strip, motion, error_m in zip(strips, truth.motion, truth.position_m):
+        of_other, strip_id = replace(motion, turn=turn), f"{strip.strip_id}-{name}"
+        t = motion.begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+        rows = t, of_other.R_oi(t), of_other.R_ci(t)
+        ground, *_ = _draw_targets(strip_id, rows, plan, cameras, of_other, (curve, None), rng, error_m)
+        drawn.append(replace(strip, strip_id=strip_id, ground=ground, R_oi_targets=rows[1], camera=name))
+    return drawn
 
 
 def strip_every_s(plan: StripPlan) -> float:
@@ -232,6 +260,7 @@ class DrawnStripMotion:
     amplitude: Array  # (3,)
     omega: Array  # (3,)
     phase: Array  # (3,)
+    turn: Rotation | None = None  # from the camera whose axes oscillate to another one
 
     @classmethod
     def draw(cls, plan: StripPlan, begin_s: float, rng: np.random.Generator) -> DrawnStripMotion:
@@ -270,7 +299,8 @@ class DrawnStripMotion:
 
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
-        return self.R_co(t) * self.R_oi(t)
+        R_ci = self.R_co(t) * self.R_oi(t)
+        return R_ci if self.turn is None else self.turn * R_ci
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -327,7 +357,8 @@ def _draw_strip(
     t = begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
     R_oi = motion.R_oi(t)
     rows = t, R_oi, motion.R_co(t) * R_oi
-    ground, wrong_rows, look_c = _draw_targets(name, rows, plan, cameras, motion, (curve, survey_i), rng)
+    shared = curve, survey_i
+    ground, wrong_rows, look_c, error_m = _draw_targets(name, rows, plan, cameras, motion, shared, rng)
     strip = StripSightings(
         strip_id=name,
         exposures=exposures,
@@ -337,7 +368,7 @@ def _draw_strip(
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     return strip, StripTruth(
-        cameras.R_cs, frozenset(wrong_stars), wrong_targets, (rows[2],), (look_c,), (motion,)
+        cameras.R_cs, frozenset(wrong_stars), wrong_targets, (rows[2],), (look_c,), (motion,), (error_m,)
     )
 
 
@@ -380,8 +411,11 @@ def _draw_targets(
     motion: DrawnStripMotion,
     shared: tuple[DistortionCurve, Array | None],
     rng: np.random.Generator,
-) -> tuple[GroundSightings, list[int], Array]:
-    """Targets at rows of recorded times (J,), of which R_oi and R_ci are known."""
+    error_m: Array | None = None,
+) -> tuple[GroundSightings, list[int], Array, Array]:
+    """Targets at rows of recorded times (J,), of which R_oi and R_ci are known; the error of the position is
+    drawn unless it is given.
+    """
     t, R_oi, R_ci = rows
     J, px = len(t), cameras.pixel_rad
     curve, survey_i = shared
@@ -391,7 +425,8 @@ def _draw_targets(
     R_ic = (Rotation.from_rotvec(vibration(t - motion.begin_s, plan, rng)) * R_ci_true).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
-    recorded_i = motion.position_i(t) - rng.normal(0.0, plan.sigma_position_m, 3)
+    error_m = rng.normal(0.0, plan.sigma_position_m, 3) if error_m is None else error_m
+    recorded_i = motion.position_i(t) - error_m
     bias_o = np.array(plan.orbit_bias_m) * [1.0, 1.0, -1.0]
     recorded_i = recorded_i + R_oi.inv().apply(np.tile(bias_o, (J, 1)))
     own_i = rng.normal(0.0, plan.sigma_target_m, (J, 3)) if survey_i is None else survey_i
@@ -417,7 +452,7 @@ def _draw_targets(
         cov_target_i=np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
         earth_i=np.zeros((J, 3, 3)),
     )
-    return ground, wrong.tolist(), look_c
+    return ground, wrong.tolist(), look_c, error_m
 
 
 def looks_across(place: Array, cameras: CameraPair) -> tuple[NDArray[np.int64], Array, Array, Array]:

@@ -12,6 +12,7 @@ from boresight.features.exports.formats import FORMATS, OF_STRIPS, ExportRequest
 from boresight.features.exports.formats import export as made
 from boresight.features.exports.spice_frame import SpiceFrames
 from boresight.pipeline.console.arguments import (
+    CameraOption,
     DumpOption,
     ResultArgument,
     StaleEop,
@@ -35,6 +36,7 @@ def export_command(
     ],
     out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
     dump: DumpOption = None,
+    camera: CameraOption = "",
     strip: Annotated[
         list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
     ] = None,
@@ -66,6 +68,7 @@ def export_command(
     request = ExportRequest(
         result=result,
         dump=dump,
+        camera=camera,
         strips=tuple(strip or ()),
         frames=frames,
         creation_utc=now,
@@ -73,7 +76,7 @@ def export_command(
         object_id=object_id,
         allow_stale_eop=allow_stale_eop,
     )
-    folder = out if out is not None else result / "exports"
+    folder = out if out is not None else result / "exports" / camera
     folder.mkdir(parents=True, exist_ok=True)
     for remark in strips_left_out(request) if set(names) & set(OF_STRIPS) else ():
         say(remark.text)

@@ -80,6 +80,7 @@ class ExportRequest:
 
     result: Path = scalar("folder that `calibrate` wrote")
     dump: Path | None = scalar("its dump; None: where it was")
+    camera: str = scalar("which of several cameras; empty: the only one", default="")
     strips: tuple[str, ...] = scalar("ids of strips; empty: all that star exposures cover")
     frames: SpiceFrames = scalar("names and ids for SPICE")
     creation_utc: str = scalar("date written into the files, ISO 8601")
@@ -107,7 +108,8 @@ def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
 
 
 def _spice(request: ExportRequest) -> Made:
-    result = read_saved_result(request.result)
+    of = request.result, request.dump, request.camera
+    result = read_for_dump(*of)[1] if request.camera else read_saved_result(request.result)
     sigma = ", ".join(f"{value:.3e}" for value in np.sqrt(np.diag(result.cov_theta)))
     comment = (
         f"Installation matrix between star camera and remote-sensing camera, boresight {__version__}.\n"
@@ -256,7 +258,7 @@ def _geojson(request: ExportRequest) -> Made:
 
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    folder, _ = read_for_dump(request.result, request.dump)
+    folder, _ = read_for_dump(request.result, request.dump, request.camera)
     read_sightings(folder, "stars", "exposure_id t_s hip xy_px u_s u_i cov_s")  # names damage
     file = pq.ParquetFile(folder / "sightings" / "stars.parquet")
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
@@ -268,7 +270,7 @@ def _operator(request: ExportRequest) -> Made:
     """The correction of each strip in operators' parameters; with rate and scale where points allow them."""
     calibrated, notes = _opened(request), _notes(request).items()
     dump = calibrated.dump
-    folder, _ = read_for_dump(request.result, request.dump)
+    folder, _ = read_for_dump(request.result, request.dump, request.camera)
     table = read_sightings(folder, "targets", "strip_id t_s kept u_c u_i")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     kept, t_s = column(table, "kept").astype(bool), column(table, "t_s")
@@ -343,7 +345,9 @@ def _image(calibrated: Calibrated, strip: Strip, ccd: int) -> tuple[Path, tuple[
 
 
 def _opened(request: ExportRequest) -> Calibrated:
-    return open_calibrated(request.result, request.dump, allow_stale_eop=request.allow_stale_eop)
+    return open_calibrated(
+        request.result, request.dump, camera=request.camera, allow_stale_eop=request.allow_stale_eop
+    )
 
 
 def _image_name(strip: Strip, ccd: int) -> str:
@@ -407,7 +411,7 @@ def _optional(table: pa.Table, name: str) -> Floats | None:
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Matched targets, one record per CCD of each strip."""
     calibrated = _opened(request)
-    folder, _ = read_for_dump(request.result, request.dump)
+    folder, _ = read_for_dump(request.result, request.dump, request.camera)
     table = read_sightings(folder, "targets", "strip_id target_id ccd kept xy_px cov_px")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)

@@ -13,7 +13,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.ownership import origin_of
-from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import read_sightings
 
 __all__ = ["Notes", "notes_of"]
@@ -50,7 +50,7 @@ class Notes:
 
 def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
     """The notes of a finished result; what it does not say is "not known". `RawDataError` where damaged."""
-    installation, origin = read_saved_result(result).installation, origin_of(result)
+    installation, origin = read_installation(result), origin_of(result)
     identity, about = identity_of_result(result), saved_about(result)
     verdict = installation.get("verdict")
     outcome = str(verdict.get("outcome", UNKNOWN)) if isinstance(verdict, dict) else UNKNOWN

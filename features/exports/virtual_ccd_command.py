@@ -9,7 +9,7 @@ import typer
 
 from boresight.features.exports.virtual_strip import write_virtual_strip
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.console.arguments import DumpOption
+from boresight.pipeline.console.arguments import CameraOption, DumpOption
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
 from boresight.pipeline.files.terrain_files import surface_of
@@ -23,6 +23,7 @@ def virtual_ccd_command(
     strip: Annotated[str, typer.Option(help="Id of the strip.", autocompletion=strips_of)],
     out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
     dump: DumpOption = None,
+    camera: CameraOption = "",
     height_m: Annotated[
         float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
     ] = None,
@@ -31,7 +32,7 @@ def virtual_ccd_command(
 
     Example: boresight virtual-ccd result --strip S01 --out S01.tif
     """
-    calibrated = open_calibrated(result, dump)
+    calibrated = open_calibrated(result, dump, camera=camera)
     model = whole_strip_model(calibrated, strip)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
     lines, samples, error = write_virtual_strip(model, surface, out)

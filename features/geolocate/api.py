@@ -31,6 +31,7 @@ def geolocate(
     sample: ArrayLike,
     *,
     dump: PathLike | None = None,
+    camera: str = "",
     height_m: float | None = None,
 ) -> pd.DataFrame:
     """Where on the ground pixels of a strip look, with 1-sigma along and across the track.
@@ -47,6 +48,8 @@ def geolocate(
         The image point, px; (0, 0) is the centre of the first pixel. Arrays and numbers are broadcast.
     dump : path, optional
         The dump; default: the one that the result names.
+    camera : str
+        Which camera, of a result of several.
     height_m : float, optional
         Ellipsoidal height of the ground, m; default: the dump's terrain model.
 
@@ -68,11 +71,13 @@ def geolocate(
     """
     if not isinstance(strip, str):
         raise wrong("strip", strip, "the id of a strip")
+    if not isinstance(camera, str):
+        raise wrong("camera", camera, "the id of a camera")
     folder = path_of(result, "result")
     place = None if dump is None else dump_folder(source_of(dump, "dump"))
     pixels = _pixels(ccd, line, sample)
     height = None if height_m is None else number_of(height_m, "height_m", -MOST_HEIGHT_M, MOST_HEIGHT_M)
-    calibrated = open_calibrated(folder, place)
+    calibrated = open_calibrated(folder, place, camera=camera)
     surface = surface_of(calibrated.dump.terrain) if height is None else ConstantHeight(height)
     found = positions_of(calibrated, strip_model(calibrated, strip), pixels, surface)
     columns = ("lat_deg", "lon_deg", "height_m", "sigma_along_m", "sigma_across_m")

@@ -10,6 +10,7 @@ import typer
 from boresight.features.geolocate.positions import ground_places, places_csv, read_pixels
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import (
+    CameraOption,
     DumpOption,
     ResultArgument,
     StaleEop,
@@ -28,6 +29,7 @@ def geolocate_command(
     strip: Annotated[str, typer.Option(help="Id of the strip.", autocompletion=strips_of)],
     pixels: Annotated[Path, typer.Option(help="CSV file with the columns ccd, sample, line.")],
     dump: DumpOption = None,
+    camera: CameraOption = "",
     out: Annotated[Path | None, typer.Option(help="CSV file to write; default: standard output.")] = None,
     height_m: Annotated[
         float | None, typer.Option(help="Take this ellipsoidal height instead of the terrain model.")
@@ -38,7 +40,7 @@ def geolocate_command(
 
     Example: boresight geolocate result --strip S01 --pixels pixels.csv
     """
-    calibrated = open_calibrated(result, dump, allow_stale_eop=allow_stale_eop)
+    calibrated = open_calibrated(result, dump, camera=camera, allow_stale_eop=allow_stale_eop)
     model = strip_model(calibrated, strip)
     read = read_pixels(pixels, calibrated)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)

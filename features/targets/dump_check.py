@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,16 +88,43 @@ class DumpCheck:
 
 def check_dump(root: Path, settings: Settings, executor: Executor | None = None) -> DumpCheck:
     """Check a dump: its text files; if these are sound, its images and what its strips see."""
-    dump = dump_or_faults(root)
-    if not isinstance(dump, Dump):
-        return DumpCheck(root=str(root), faults=dump, facts=(), omissions=(), footprints={}, targets=())
+    found = dump_or_faults(root)
+    faults = tuple(one for one in found if isinstance(one, RawDataError))
+    if faults:
+        return DumpCheck(root=str(root), faults=faults, facts=(), omissions=(), footprints={}, targets=())
+    views = [_checked(one, settings, executor) for one in found if isinstance(one, Dump)]
+    return views[0] if len(views) == 1 else _of_cameras(views)
+
+
+def _of_cameras(views: Sequence[DumpCheck]) -> DumpCheck:
+    """What is known of the dump of several cameras: each target as the camera sees it that sees it best."""
+    best: dict[str, TargetCheck] = {}
+    for target in (target for one in views for target in one.targets):
+        before = best.get(target.target_id, target)
+        ordered = sorted((before, target), key=lambda one: (not one.seen_by, one.worth_a_look[1]))
+        seen_by = tuple(dict.fromkeys(name for one in (before, target) for name in one.seen_by))
+        best[target.target_id] = replace(ordered[0], seen_by=seen_by)
+    entries = {(entry.subject, entry.text): entry for one in views for entry in one.omissions}
+    return replace(
+        views[0],
+        facts=tuple(dict.fromkeys(fact for one in views for fact in one.facts)),
+        omissions=tuple(entries.values()),
+        sky_strips=sum(one.sky_strips for one in views),
+        footprints={name: outline for one in views for name, outline in one.footprints.items()},
+        targets=tuple(sorted(best.values(), key=lambda one: one.worth_a_look)),
+    )
+
+
+def _checked(dump: Dump, settings: Settings, executor: Executor | None) -> DumpCheck:
+    """The check of a dump as one of its cameras sees it."""
     tasks, omissions = strips_to_match(dump, settings, executor)
     outlines = _outlines(dump, tasks)
     first, last = dump.epoch.utc_from_seconds(dump.orbit.t_s[[0, -1]])
     facts = (
         f"mission {dump.mission}, orbit from {first[:19]} to {last[:19]} UTC",
         f"{len(dump.heads)} star camera(s) with {len(dump.exposures)} exposures",
-        f"{len(dump.strips)} strips of {dump.line_camera.n_ccds} CCD(s), {len(tasks)} of them can be used",
+        f"{len(dump.strips)} strips of {dump.line_camera.n_ccds} CCD(s), {len(tasks)} of them can be used"
+        + (f" (camera {dump.camera})" if dump.camera else ""),
         f"{len(dump.targets)} targets, {len(dump.points)} strips with measured image points",
         *((f"{len(dump.sky_strips)} strips of the sky",) if dump.sky_strips else ()),
     )
@@ -112,7 +140,7 @@ def check_dump(root: Path, settings: Settings, executor: Executor | None = None)
         for n, (one, chip) in enumerate(zip(dump.targets, dump.chips))
     ]
     return DumpCheck(
-        root=str(root),
+        root=str(dump.root),
         faults=(),
         facts=facts,
         omissions=(*omissions, *unreadable_chips(dump.chips)),

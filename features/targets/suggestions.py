@@ -28,9 +28,10 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.dump_schema import GroundReferenceFile
 from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.tiff import write_tiff
-from boresight.pipeline.files.text_tables import write_csv
+from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
@@ -131,8 +132,12 @@ def suggestion_lines(found: Suggestion) -> list[str]:
     return lines
 
 
-def write_targets(targets: Sequence[Candidate], out: Path, size_px: int) -> Path:
-    """Write chips/ and targets.csv into the folder `out`; the path of the table."""
+def write_targets(
+    targets: Sequence[Candidate], out: Path, size_px: int, reference: GroundReferenceFile | None = None
+) -> Path:
+    """Write chips/ and targets.csv into the folder `out`; the path of the table. With a `reference`, of whose
+    offset all targets have a part, the table names it, and ground_references.toml has it for dump.toml.
+    """
     (out / "chips").mkdir(parents=True, exist_ok=True)
     rows = []
     for one in targets:
@@ -140,7 +145,11 @@ def write_targets(targets: Sequence[Candidate], out: Path, size_px: int) -> Path
         _write_chip(out / name, one, size_px)
         place = [f"{one.lat_deg:.10f}", f"{one.lon_deg:.10f}", f"{one.height_m:.3f}", one.height_kind]
         rows.append([one.target_id, *place, *(f"{value:.3f}" for value in one.sigma_m), name])
-    write_csv(out / "targets.csv", TARGET_COLUMNS, rows)
+    columns = list(TARGET_COLUMNS)
+    if reference is not None:
+        columns, rows = [*columns, "reference"], [[*row, reference.id] for row in rows]
+        write_toml(out / "ground_references.toml", {"ground_references": [reference.model_dump()]})
+    write_csv(out / "targets.csv", columns, rows)
     return out / "targets.csv"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from pydantic import ValidationError
 from rasterio.errors import RasterioError
 
 from boresight.features.targets.ortho_files import HeightModel, band_count, read_heights, read_ortho
@@ -19,6 +20,7 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.dump_schema import GroundReferenceFile
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
 
@@ -58,6 +60,12 @@ def targets_suggest_command(
     ] = None,
     sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
     sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
+    offset_m: Annotated[
+        float | None,
+        typer.Option(help="1-sigma of an offset east, north that all these images share.", min=0.0),
+    ] = None,
+    offset_up_m: Annotated[float, typer.Option(help="The same of the heights.", min=0.0)] = 0.0,
+    reference: Annotated[str, typer.Option(help="Id of these images as a ground reference.")] = "ortho",
     settings: Annotated[Path | None, typer.Option(help="TOML file of settings, for --dump.")] = None,
 ) -> Answer:
     """Choose ground targets in ortho-images; write their chips and the list that goes into a dump.
@@ -72,9 +80,21 @@ def targets_suggest_command(
     request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
     images = [read_ortho(path, band) for path in orthos]
     found = suggest_in(images, model, request, opened, read_settings(settings))
-    table = write_targets(found.targets, out, size_px)
+    shared = None if offset_m is None else _reference(reference, offset_m, offset_up_m)
+    table = write_targets(found.targets, out, size_px, shared)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
+    if shared is not None:
+        lines.append(f"reference {reference} -> {out / 'ground_references.toml'}: add it to dump.toml")
     return Answer(text="\n".join(lines), files=(table,))
+
+
+def _reference(name: str, offset_m: float, offset_up_m: float) -> GroundReferenceFile:
+    try:
+        return GroundReferenceFile(
+            id=name, sigma_east_m=offset_m, sigma_north_m=offset_m, sigma_up_m=offset_up_m, correlation_km=0.0
+        )
+    except ValidationError as error:
+        raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
 
 
 def _bands_of(context: typer.Context, incomplete: str) -> list[str]:

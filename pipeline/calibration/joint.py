@@ -1,16 +1,17 @@
-"""Several dumps of one mission, months apart: each calibrated by itself, and all of them together.
+"""Several dumps of one mission, or several cameras of one dump: each calibrated by itself, and all together.
 
-The joint matrix is `calib.calibrate` over the strips of all dumps at once. They have unknowns in common: the
-camera's distortion, and the coordinates of targets that several dumps list with one id, place and sigma.
-Ids get the name of their dump before them, times count from the earliest dump's epoch, and everything is done
-in the order of time: the same bits in whatever order dumps are named.
+The joint matrix, of several cameras a matrix each, is `calib.calibrate` over all strips at once. They have
+unknowns in common: the attitudes of strips that were taken at the same time, a camera's distortion, and the
+coordinates of targets that several dumps list with one id, place and sigma. Ids get the name of their dump
+before them, times count from the earliest dump's epoch, and everything is done in the order of time: the same
+bits in whatever order dumps are named.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,17 +27,27 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry
-from boresight.geometry.record import record, scalar
+from boresight.geometry.line_camera import LineSensor
+from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings, StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows_together
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.same_content import same_exposure
+from boresight.pipeline.files.star_side import Exposure, SolvedAttitudes, StarImages
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 
-__all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "open_dumps"]
+__all__ = [
+    "JointCalibration",
+    "NamedDump",
+    "calibrate_jointly",
+    "dump_names",
+    "named_cameras",
+    "open_dumps",
+]
 
 # Relative difference, and the absolute one in SI units, up to which numbers of two dumps are the same:
 # rounding of conversions (pixels of 120 µm times their number) leaves 5e-17 m.
@@ -49,10 +60,10 @@ class NamedDump:
     """A dump with a name."""
 
     name: str = scalar("of its result's folder, and prefix of its strips' ids")
-    dump: Dump = scalar("the open dump")
+    dump: Dump = scalar("the open dump, as one of its cameras sees it")
 
 
-@record
+@record(kw_only=True)
 class JointCalibration:
     """One matrix from all dumps that could be calibrated."""
 
@@ -60,6 +71,9 @@ class JointCalibration:
     verdict: Verdict = scalar("whether the data contradict themselves")
     strips: tuple[StripSightings, ...] = scalar('of all dumps, ids "dump/strip", t_s since the first epoch')
     settings: CalibrationSettings = scalar("of the estimate")
+    cameras: tuple[LineSensor, ...] = scalar("models of the estimate's remote-sensing cameras")
+    sigma_installation_rad: Floats = scalar("1-sigma (3 C,) of their pre-launch matrices, axes of each")
+    rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
     omissions: tuple[Entry, ...] = scalar("dumps without a result, observations that the fit rejects")
 
 
@@ -74,13 +88,25 @@ def open_dumps(
         raise RawDataError(str(twice[0]), "DUMP", "named twice", "each dump once")
     names = dump_names(roots)
     dumps = [
-        NamedDump(name, open_dump(root, allow_stale_eop=allow_stale_eop)) for name, root in zip(names, roots)
+        named
+        for name, root in zip(names, roots)
+        for named in named_cameras(open_cameras(root, allow_stale_eop=allow_stale_eop), name)
     ]
-    dumps.sort(key=lambda one: (min(_instants(one)[0], default=0), one.name))
+    dumps.sort(key=lambda one: (min((sensor[1] for sensor, *_ in _images(one)), default=0), one.name))
+    first = {named.dump.camera: named for named in reversed(dumps)}
     for other in dumps[1:]:
-        _check_one_mission(dumps[0], other, settings)
+        _check_one_mission(dumps[0], first[other.dump.camera], other, settings)
     _check_nothing_twice(dumps)
     return tuple(dumps)
+
+
+def named_cameras(views: Sequence[Dump], name: str = "") -> list[NamedDump]:
+    """A dump called `name` as its cameras see it, each with its own name behind that of the dump.
+    `RawDataError` for the name of a folder that every result has.
+    """
+    if any(view.camera in OF_RESULTS for view in views):
+        raise RawDataError("dump.toml", "cameras.id", "a name of a result's folders", "another name")
+    return [NamedDump("-".join(filter(None, (name, view.camera))), view) for view in views]
 
 
 def dump_names(roots: Sequence[Path]) -> list[str]:
@@ -110,23 +136,29 @@ def calibrate_jointly(
         raise DataNotSufficientError(f"none of {len(failed)} dumps could be calibrated: {reasons}")
     first, one = calibrated[0]
     epoch = first.dump.epoch
+    of_cameras = {named.dump.camera: named.dump for named, _ in reversed(calibrated)}
+    models = {named.dump.camera: found.settings for named, found in reversed(calibrated)}
+    of_cameras = {name: of_cameras[name] for name in sorted(of_cameras)}
+    several = tuple((name, models[name]) for name in of_cameras) if len(of_cameras) > 1 else ()
+    model = replace(one.settings, of_cameras=several)
     target_names = _names_of_targets([named for named, _ in calibrated])
     strips = tuple(
         _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.strips
     )
-    estimate = calibrate_strips(strips, first.dump.R_cs0, one.settings)
+    estimate = calibrate_strips(strips, {name: dump.R_cs0 for name, dump in of_cameras.items()}, model)
     if isinstance(estimate, NotObservable):
         raise DataNotSufficientError(f"all dumps together: {estimate.reason}")
     estimate = estimate.with_reference(first.dump.heads[0].name)
-    sigma = first.dump.sigma_installation_rad
+    sigma = np.concatenate([dump.sigma_installation_rad for dump in of_cameras.values()])
+    pixel_rad = {name: dump.line_camera.pixel_rad for name, dump in of_cameras.items()}
     sighted = [
         _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.sighted
     ]
     reliability = examine(
         estimate,
         sighted,
-        one.settings,
-        pixel_rad=first.dump.line_camera.pixel_rad,
+        model,
+        pixel_rad=pixel_rad if several else first.dump.line_camera.pixel_rad,
         star_camera=first.dump.star_camera,
         inputs=_joined_inputs(calibrated),
         target_files=first.dump.target_files,
@@ -140,7 +172,20 @@ def calibrate_jointly(
         reliability=reliability,
         target_files=first.dump.target_files,
     )
-    return JointCalibration(estimate, verdict, strips, one.settings, (*failed, *estimate.rejected))
+    cameras = tuple(dump.line_camera for dump in of_cameras.values())
+    views: dict[Path, list[tuple[Rows, ...]]] = {}
+    for named, found in calibrated:
+        views.setdefault(named.dump.root, []).append(found.rows)
+    return JointCalibration(
+        estimate=estimate,
+        verdict=verdict,
+        strips=strips,
+        settings=model,
+        cameras=cameras,
+        sigma_installation_rad=sigma,
+        rows=rows_together([rows_of_cameras(own) for own in views.values()]),
+        omissions=(*failed, *estimate.rejected),
+    )
 
 
 def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> list[MovedInput]:
@@ -161,11 +206,12 @@ def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> l
     return list(joined.values())
 
 
-Place = tuple[str, bytes, bytes]
+Place = tuple[str, bytes, bytes, str]
 
 
 def _place(target: Any) -> Place:
-    return target.target_id, target.p_e.tobytes(), target.sigma_m.tobytes()
+    of = target.reference.name if target.reference else ""
+    return target.target_id, target.p_e.tobytes(), target.sigma_m.tobytes(), of
 
 
 def _names_of_targets(dumps: Iterable[NamedDump]) -> dict[Place, str]:
@@ -192,44 +238,59 @@ def _renamed(
     return replace(
         strip,
         strip_id=f"{named.name}/{strip.strip_id}",
+        camera=named.dump.camera,
         exposures=tuple(map(seen, strip.exposures)),
         others=tuple(replace(other, t_s=other.t_s + later_s) for other in strip.others),
         ground=replace(strip.ground, target_id=targets, t_s=strip.ground.t_s + later_s),
     )
 
 
-def _instants(named: NamedDump) -> tuple[list[int], list[str]]:
-    """When each strip and each exposure was taken, TAI nanoseconds, and what they are called."""
-    dump = named.dump
-    t_s = [(s.t_first_row_s, f"strip {s.strip_id}") for s in dump.strips]
-    t_s += [(e.t_s, f"exposure {e.exposure_id}") for e in dump.exposures]
-    tai_ns = [dump.epoch.tai_s * 10**9 + round(t * 1e9) for t, _ in t_s]
-    return tai_ns, [name for _, name in t_s]
+Image = tuple[tuple[str, int], str, tuple[StarImages, Exposure] | None]  # sensor and TAI ns; name; exposure
+
+
+def _images(named: NamedDump) -> Iterator[Image]:
+    """Each image of a CCD and of a star camera, by what took it and when."""
+    dump, epoch_ns = named.dump, named.dump.epoch.tai_s * 10**9
+    for strip in dump.strips:
+        for ccd in strip.ccd_lines:
+            sensor = f"CCD {ccd} {strip.camera}", epoch_ns + round(strip.t_first_row_s * 1e9)
+            yield sensor, f"strip {strip.strip_id}", None
+    for head in dump.heads:
+        if not isinstance(images := head.source, StarImages):
+            continue
+        for one in images.exposures:
+            sensor = head.name, epoch_ns + round(one.t_s * 1e9)
+            yield sensor, f"exposure {one.exposure_id}", (images, one)
 
 
 def _check_nothing_twice(dumps: Sequence[NamedDump]) -> None:
-    """`RawDataError` where two dumps hold the same image: a camera takes one image at a time."""
-    seen: dict[tuple[str, int], tuple[NamedDump, str]] = {}
+    """`RawDataError` where two dumps hold the image of one CCD, or other images of one exposure: a sensor
+    takes one image at a time. An exposure that two dumps hold is counted once.
+    """
+    seen: dict[tuple[str, int], tuple[NamedDump, str, tuple[StarImages, Exposure] | None]] = {}
     for named in dumps:
-        for tai_ns, name in zip(*_instants(named)):
-            kind = name.split()[0]
-            other, its_name = seen.setdefault((kind, tai_ns), (named, name))
-            if other is not named:
-                found = f"the same instant as {its_name} of {other.dump.root}"
-                raise RawDataError(str(named.dump.root), name, found, "each image in one dump only")
+        for sensor, name, own in _images(named):
+            other, its_name, its = seen.setdefault(sensor, (named, name, own))
+            if other.dump.root == named.dump.root or (own and its and same_exposure(own[0], own[1], its[1])):
+                continue
+            found = f"the same instant as {its_name} of {other.dump.root}"
+            raise RawDataError(str(named.dump.root), name, found, "each image in one dump only")
 
 
-def _check_one_mission(first: NamedDump, other: NamedDump, settings: Settings) -> None:
-    """`RawDataError` with file and field where a dump is not of the first one's cameras."""
-    files = read_toml(other.dump.root / "dump.toml", DumpFile, "dump.toml").files
-    a, b = first.dump, other.dump
+def _check_one_mission(mission: NamedDump, first: NamedDump, other: NamedDump, settings: Settings) -> None:
+    """`RawDataError` with file and field where a dump is not of the mission's star cameras, or another of the
+    `first` one's remote-sensing camera.
+    """
+    head = read_toml(other.dump.root / "dump.toml", DumpFile, "dump.toml")
+    files, a, b = head.files, first.dump, other.dump
     of_a, of_b = (calibration_settings(settings, dump.errors, dump.line_camera) for dump in (a, b))
     compared: tuple[tuple[str, str, Any, Any, str], ...] = (
-        ("dump.toml", "mission", a.mission, b.mission, ""),
-        (files.star_camera or "dump.toml", "star camera", a.star_camera, b.star_camera, ""),
+        ("dump.toml", "mission", mission.dump.mission, b.mission, ""),
+        (files.star_camera or "dump.toml", "star camera", mission.dump.star_camera, b.star_camera, ""),
         ("dump.toml", "star cameras", _of_heads(a), _of_heads(b), ""),
-        (files.remote_camera, "remote camera", a.line_camera, b.line_camera, ""),
+        (head.remote_cameras[b.camera], "remote camera", a.line_camera, b.line_camera, ""),
         (files.installation or "dump.toml", "pre-launch installation matrix", a.R_cs0, b.R_cs0, ""),
+        ("dump.toml", "ground_references", *_of_references(mission.dump, b), ""),
         ("dump.toml", "errors", of_a, of_b, "; [calibration] in a file of --settings states them for all"),
     )
     for file, what, mine, theirs, hint in compared:
@@ -243,6 +304,16 @@ def _of_heads(dump: Dump) -> tuple[tuple[Any, ...], ...]:
     cameras = [None if isinstance(h.source, SolvedAttitudes) else h.source.camera for h in dump.heads]
     matrices = [dump.heads[0].name, *(head.R_cs0 for head in dump.heads[1:])]
     return tuple((h.name, h.noise, *both) for h, *both in zip(dump.heads, cameras, matrices))
+
+
+def _of_references(a: Dump, b: Dump) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The ground references that the points of both dumps name."""
+    of_a, of_b = (
+        {of.name: of for target in dump.ground_targets.values() if (of := target.reference)}
+        for dump in (a, b)
+    )
+    both = sorted(of_a.keys() & of_b.keys())
+    return tuple(of_a[name] for name in both), tuple(of_b[name] for name in both)
 
 
 def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:

@@ -11,6 +11,7 @@ from boresight.pipeline.files.object_store import dump_folder
 
 __all__ = [
     "AboutFile",
+    "CameraOption",
     "DumpArgument",
     "DumpOption",
     "DumpsArgument",
@@ -49,6 +50,7 @@ DumpOption = Annotated[
         help="The dump it was made from, if it is no longer where it was.",
     ),
 ]
+CameraOption = Annotated[str, typer.Option(help="Which camera, of a result of several.")]
 SettingsFile = Annotated[Path | None, typer.Option(help="TOML file of settings; unknown keys are refused.")]
 ResultArgument = Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")]
 StaleEop = Annotated[

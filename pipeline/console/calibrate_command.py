@@ -17,7 +17,7 @@ import typer
 
 from boresight.calib.verdict import Outcome
 from boresight.pipeline import __version__
-from boresight.pipeline.calibration.joint import open_dumps
+from boresight.pipeline.calibration.joint import named_cameras, open_dumps
 from boresight.pipeline.calibration_run import (
     RunOutcome,
     RunRequest,
@@ -48,7 +48,7 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
-from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import read_settings
@@ -117,7 +117,8 @@ def calibrate_command(
     accept: Accept = None,
     overwrite: Overwrite = False,
 ) -> Answer:
-    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all.
+    """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all; of
+    several cameras, of each.
 
     Example: boresight calibrate dump --out result
     """
@@ -190,13 +191,16 @@ def _run(
     allow_stale_eop: bool,
 ) -> RunOutcome:
     """Open one dump or several, and carry them through."""
-    if len(dumps) == 1:
-        with _warnings_reported():
-            one = open_dump(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
+    with _warnings_reported():
+        if len(dumps) == 1:
+            views = open_cameras(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
+            several = tuple(named_cameras(views))
+        else:
+            several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
+    if len(several) == 1:
+        (one,) = (named.dump for named in several)
         with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
             return run_dump(out, one, str(dumps[0]), request, executor, progress)
-    with _warnings_reported():
-        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
     opened = [named.dump for named in several]
     with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
         return run_dumps(out, several, request, executor, progress)

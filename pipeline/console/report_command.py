@@ -18,7 +18,7 @@ from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.pdf import print_page
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import write_about
-from boresight.pipeline.results.reading import read_saved_result
+from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.requirement import (
     Requirement,
     requirement_lines,
@@ -47,5 +47,5 @@ def report_command(
     if pdf:
         printed = print_page(path)
         lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
-    lines += requirement_lines(saved_requirement(result), read_saved_result(result).installation)
+    lines += requirement_lines(saved_requirement(result), read_installation(result))
     return Answer(text="\n".join(lines))

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.pipeline.console.arguments import CameraOption
 from boresight.pipeline.console.kept_validation import kept_validation
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import (
@@ -34,6 +35,7 @@ def validate_command(
             help="The simulated dump it was made from, with its truth/ folder.",
         ),
     ],
+    camera: CameraOption = "",
     max_error_sigma: Annotated[
         float | None, typer.Option(help="Limit: error of each axis over its stated sigma, at most.", min=0.0)
     ] = None,
@@ -52,8 +54,8 @@ def validate_command(
     Example: boresight validate result --dump dump --max-error-sigma 4 --max-nees 16 --max-ground-m 6
     """
     begun_s = time.perf_counter()
-    _, saved = read_for_dump(result, dump)
-    found = validation_of(saved, open_dump(dump))
+    _, saved = read_for_dump(result, dump, camera)
+    found = validation_of(saved, open_dump(dump, camera=camera or None))
     files = kept_validation(result, found)
     limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
     return held(

@@ -93,10 +93,10 @@ def examined(
     )
 
 
-def _pivots(camera: LineSensor) -> dict[int, float]:
+def _pivots(camera: LineSensor) -> dict[tuple[str, int], float]:
     """Samples about which CCDs are rotated; none where the camera states look angles."""
     ccds = camera.ccds if isinstance(camera, LineCamera) else ()
-    return {n: ccd.principal_sample for n, ccd in enumerate(ccds)}
+    return {("", n): ccd.principal_sample for n, ccd in enumerate(ccds)}
 
 
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
 __all__ = [
     "Rows",
+    "rows_of_cameras",
     "rows_together",
     "rows_used",
     "unneeded_exposures",
@@ -44,6 +46,7 @@ class Rows:
     name: str = scalar("what the rows are: targets, points, strips, exposures")
     used: int = scalar("rows that the result depends on")
     listed: int = scalar("all rows")
+    ids: frozenset[Any] = scalar("what is used", default=frozenset())
 
     def __str__(self) -> str:
         return f"{self.used} of {self.listed} {self.name}"
@@ -56,13 +59,29 @@ def rows_used(
     kept = estimate.targets.kept
     seen = set(zip(estimate.targets.strip_id[kept].tolist(), estimate.targets.target_id[kept].tolist()))
     measured = {(one.strip_id, target.target_id) for one in dump.points for target in one.targets}
-    used = {
-        "targets": len({name for _, name in seen} & {target.target_id for target in dump.targets}),
-        "points": len(seen & measured),
-        "strips": len({strip_id for strip_id, _ in seen}),
-        "exposures": len({one.exposure_id for strip in strips for one in strip.exposures}),
+    used: dict[str, set[Any]] = {
+        "targets": {name for _, name in seen} & {target.target_id for target in dump.targets},
+        "points": seen & measured,
+        "strips": {strip_id for strip_id, _ in seen},
+        "exposures": {one.exposure_id for strip in strips for one in strip.exposures},
     }
-    return tuple(Rows(name, used[name], n) for name, n in dump.listed.items() if n)
+    return tuple(
+        Rows(name, len(used[name]), n, frozenset(used[name])) for name, n in dump.listed.items() if n
+    )
+
+
+def rows_of_cameras(views: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
+    """Rows of the tables of one dump, from those of its cameras: they have its targets and exposures in
+    common, and each its own strips and points.
+    """
+    joined: dict[str, Rows] = {}
+    for one in (row for rows in views for row in rows):
+        before = joined.get(one.name, Rows(one.name, 0, 0))
+        ids = before.ids | one.ids
+        listed = (before.listed, one.listed)
+        n = sum(listed) if one.name in ("strips", "points") else max(listed)
+        joined[one.name] = Rows(one.name, len(ids), n, ids)
+    return tuple(joined.values())
 
 
 def rows_together(of_dumps: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import html
 import os
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
@@ -31,7 +33,7 @@ from boresight.pipeline.files.star_tables import StarTable
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles
 
-__all__ = ["Dump", "dump_or_faults", "open_dump"]
+__all__ = ["Dump", "dump_or_faults", "open_cameras", "open_dump"]
 
 MOST_NAMED = 8  # strips, and items not used, in the text of a dump
 
@@ -45,6 +47,7 @@ class Dump:
     satellite: str = scalar("name of the satellite; may be empty")
     epoch: Epoch = scalar("zero of all times")
     heads: tuple[Head, ...] = scalar("star cameras; the first is the reference head, of frame s")
+    camera: str = scalar("name of the remote-sensing camera, of several; empty: the only one", default="")
     line_camera: LineCamera | LookAngleCamera = scalar("camera of frame c")
     remote_bit_depth: int = scalar("bits of a count of the strips; 0 where no strip has an image")
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
@@ -141,6 +144,7 @@ class Dump:
 def open_dump(
     root: str | os.PathLike[str] | Dump,
     *,
+    camera: str | None = None,
     allow_stale_eop: bool = False,
     sky_alone: bool = False,
 ) -> Dump:
@@ -151,6 +155,8 @@ def open_dump(
     root : path, str or Dump
         Folder with a dump.toml (docs/dump-format.md), or its address in a store (`s3://bucket/dump`); an open
         dump is returned as it is.
+    camera : str, optional
+        Which of several remote-sensing cameras: its strips, matrix and model; needed where there are several.
     allow_stale_eop : bool
         Accept dates after the end of the Earth-orientation table, with a warning.
     sky_alone : bool
@@ -179,26 +185,56 @@ def open_dump(
     """
     if isinstance(root, Dump):
         return root
-    return _dump_of(DumpParts(_existing(root), allow_stale_eop=allow_stale_eop, sky_alone=sky_alone))
+    views = open_cameras(root, allow_stale_eop=allow_stale_eop, sky_alone=sky_alone)
+    names = [one.camera for one in views]
+    if len(views) > 1 and camera is None and sky_alone:
+        return views[0]
+    if camera is None and len(views) == 1:
+        return views[0]
+    if camera not in names:
+        expected = f"one of {', '.join(names)}" if names[0] else "none: the dump has one camera"
+        raise RawDataError("dump.toml", "camera", camera or f"{len(names)} cameras", expected)
+    return views[names.index(camera)]
 
 
-def dump_or_faults(root: Path) -> Dump | tuple[RawDataError, ...]:
-    """A dump as `open_dump` gives it, or all that is wrong in its text files, each checked by itself."""
+def open_cameras(
+    root: str | os.PathLike[str] | Dump, *, allow_stale_eop: bool = False, sky_alone: bool = False
+) -> tuple[Dump, ...]:
+    """A dump as each of its remote-sensing cameras sees it, as `open_dump` reads and checks it: that camera's
+    model, strips and matrices, and the star cameras that all share. Cameras without a strip are left out.
+    """
+    if isinstance(root, Dump):
+        return (root,)
+    return _views(DumpParts(_existing(root), allow_stale_eop=allow_stale_eop, sky_alone=sky_alone))
+
+
+def dump_or_faults(root: Path) -> tuple[Dump, ...] | tuple[RawDataError, ...]:
+    """A dump as `open_cameras` gives it, or all that is wrong in its text files, each checked by itself."""
     parts = DumpParts(root)
     every = {str(fault): fault for first in parts.faults() for fault in (first, *first.others)}
-    return tuple(every.values()) or _dump_of(parts)
+    return tuple(every.values()) or _views(parts)
 
 
-def _dump_of(parts: DumpParts) -> Dump:
-    """The dump of its parts; what is wrong in the first one that is wrong."""
+def _views(parts: DumpParts) -> tuple[Dump, ...]:
+    """The dump of its parts, by camera; what is wrong in the first one that is wrong."""
     for fault in parts.faults():
         raise fault
-    head, (line_camera, remote) = parts.head, parts.remote_camera
+    seen = {strip.camera for strip in parts.listed_strips[0]} or set(parts.remote_cameras)
+    return tuple(_view(parts, name) for name in parts.remote_cameras if name in seen)
+
+
+def _view(parts: DumpParts, camera: str) -> Dump:
+    """The dump as one camera sees it."""
+    head, (line_camera, remote) = parts.head, parts.remote_cameras[camera]
     every_strip, unreadable = parts.listed_strips
-    strips, sky_strips, strips_twice = parts.strips
+    others = {strip.strip_id for strip in every_strip if strip.camera != camera}
+    strips, sky_strips = (tuple(s for s in part if s.camera == camera) for part in parts.strips[:2])
+    strips_twice = parts.strips[2]
     heads, exposures_twice = parts.heads
+    heads = _mounted(heads, parts.installations.get(camera))
     surveyed, chips = parts.targets
     points, points_twice = parts.points
+    points = tuple(measured for measured in points if measured.strip_id not in others)
     of_images = not isinstance(heads[0].source, SolvedAttitudes)
     return Dump(
         root=parts.root,
@@ -206,6 +242,7 @@ def _dump_of(parts: DumpParts) -> Dump:
         satellite=head.satellite,
         epoch=parts.epoch,
         heads=heads,
+        camera=camera,
         line_camera=line_camera,
         remote_bit_depth=remote.bit_depth or 0,
         errors=head.errors,
@@ -221,14 +258,27 @@ def _dump_of(parts: DumpParts) -> Dump:
         terrain=parts.terrain,
         star_catalogue=parts.star_catalogue,
         orbit_covers=parts.orbit_covers,
-        omissions=(*unreadable, *strips_twice, *exposures_twice, *points_twice),
+        omissions=(
+            *(entry for entry in (*unreadable, *strips_twice) if entry.subject.strip not in others),
+            *exposures_twice,
+            *(entry for entry in points_twice if entry.subject.strip not in others),
+        ),
         listed={
             "targets": len(surveyed.targets),
-            "points": sum(len(measured.ccd) for measured in parts.listed_points[0]),
-            "strips": len(every_strip) + sum(entry.subject.kind is Kind.STRIP for entry in unreadable),
+            "points": sum(len(m.ccd) for m in parts.listed_points[0] if m.strip_id not in others),
+            "strips": len(every_strip) - len(others) + sum(e.subject.kind is Kind.STRIP for e in unreadable),
             "exposures": parts.listed_heads[0].n_exposures if of_images else 0,
         },
     )
+
+
+def _mounted(heads: tuple[Head, ...], own: schema.InstallationFile | None) -> tuple[Head, ...]:
+    """The heads with matrices to a camera in which the matrix of the reference head is its `own`."""
+    if own is None:
+        return heads
+    turn = Rotation.from_quat(own.quaternion_cs) * heads[0].R_cs0.inv()
+    first = replace(heads[0], sigma_installation_rad=np.array(own.sigma_rad))
+    return tuple(replace(one, R_cs0=turn * one.R_cs0) for one in (first, *heads[1:]))
 
 
 def _existing(root: object) -> Path:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from boresight.gct_match.records import GroundReference
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry
@@ -40,7 +41,13 @@ from boresight.pipeline.files.orbit_file import Ephemeris
 from boresight.pipeline.files.remote_camera import RemoteCamera, read_remote_camera
 from boresight.pipeline.files.repeats import heads_once, points_once, strips_once
 from boresight.pipeline.files.spice_kernels import NO_KERNELS, Kernels
-from boresight.pipeline.files.star_side import Head, SolvedAttitudes, check_attitudes, open_heads
+from boresight.pipeline.files.star_side import (
+    Head,
+    SolvedAttitudes,
+    check_attitudes,
+    open_heads,
+    read_installation,
+)
 from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
 from boresight.pipeline.files.terrain_files import NO_TERRAIN, TargetHeights, TerrainFiles, surface_of
@@ -73,9 +80,18 @@ class DumpParts:
         return read_toml(self.root / "dump.toml", schema.DumpFile, "dump.toml")
 
     @cached_property
-    def remote_camera(self) -> RemoteCamera:
-        """The camera of frame c, and what its file says."""
-        return read_remote_camera(self.root, self._path("remote_camera"), self.head.files.remote_camera)
+    def remote_cameras(self) -> dict[str, RemoteCamera]:
+        """The remote-sensing cameras by name, and what their files say; the only one has no name."""
+        return {
+            name: read_remote_camera(self.root, self._inside(file, name and "cameras"), file)
+            for name, file in self.head.remote_cameras.items()
+        }
+
+    @cached_property
+    def installations(self) -> dict[str, schema.InstallationFile]:
+        """Installation matrices of the reference head in cameras that have files of their own."""
+        stated = {one.id: one.installation for one in self.head.cameras if one.installation is not None}
+        return {name: read_installation(self._inside(file, "cameras"), file) for name, file in stated.items()}
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -105,11 +121,9 @@ class DumpParts:
     @cached_property
     def listed_strips(self) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
         """All strips in order of time, and images that are not used."""
-        files = self.head.files
-        remote = self.remote_camera[1]
-        return read_strips(
-            self.root, self._path("strips"), files.strips, self.epoch, remote, files.remote_camera
-        )
+        file, names = self.head.files.strips, self.head.remote_cameras
+        cameras = {name: (remote, names[name]) for name, (_, remote) in self.remote_cameras.items()}
+        return read_strips(self.root, self._path("strips"), file, self.epoch, cameras)
 
     @cached_property
     def ephemeris(self) -> tuple[Ephemeris, str]:
@@ -137,7 +151,8 @@ class DumpParts:
         """The targets, and the files of their chips."""
         if self._is_without("targets"):
             return NO_TARGETS, ()
-        return read_targets(self.root, self._path("targets"), str(self.head.files.targets))
+        file = str(self.head.files.targets)
+        return read_targets(self.root, self._path("targets"), file, self.ground_references)
 
     @cached_property
     def listed_heads(self) -> tuple[Head, ...]:
@@ -174,7 +189,7 @@ class DumpParts:
         if self._is_without("points"):
             return (), ()
         file = str(self.head.files.points)
-        points, surveyed = read_points(self._path("points"), file)
+        points, surveyed = read_points(self._path("points"), file, self.ground_references)
         known = {strip.strip_id: strip for strip in self.listed_strips[0] if strip.kind == "ground"}
         for measured in points:
             if measured.strip_id not in known:
@@ -220,6 +235,15 @@ class DumpParts:
         return table
 
     @property
+    def ground_references(self) -> dict[str, GroundReference]:
+        """The mosaics and surveys whose points have an offset in common."""
+        found = {}
+        for one in self.head.ground_references:
+            sigma_m = np.array([one.sigma_east_m, one.sigma_north_m, one.sigma_up_m])
+            found[one.id] = GroundReference(one.id, sigma_m, 1e3 * one.correlation_km)
+        return found
+
+    @property
     def epoch(self) -> Epoch:
         """Zero of all times, that of the orbit."""
         with suppress(RawDataError):
@@ -235,6 +259,9 @@ class DumpParts:
 
     def _path(self, key: str) -> Path:
         return path_inside(self.root, self.head.files.single[key], file="dump.toml", field=f"files.{key}")
+
+    def _inside(self, file: str, table: str) -> Path:
+        return path_inside(self.root, file, file="dump.toml", field=table or "files.remote_camera")
 
     def _is_without(self, key: str) -> bool:
         """Whether the targets, or the points, are not stated or not needed."""

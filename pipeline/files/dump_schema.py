@@ -128,7 +128,7 @@ def _listed(value: Any) -> Any:
 class Files(_Strict):
     """Paths of the other files, relative to the dump."""
 
-    remote_camera: RelativePath
+    remote_camera: RelativePath | None = None  # unless [[cameras]] say it
     orbit: RelativePath
     strips: RelativePath
     targets: RelativePath | None = None
@@ -295,6 +295,26 @@ class HeadFile(_Strict):
             )
 
 
+class CameraFile(_Strict):
+    """One table of [[cameras]] in dump.toml: one of several remote-sensing cameras"""
+
+    id: Id
+    file: RelativePath
+    installation: RelativePath | None = None  # of the reference head; None: that of the star camera's table
+
+
+class GroundReferenceFile(_Strict):
+    """One table of [[ground_references]] in dump.toml: an offset that points of a mosaic or a survey share"""
+
+    id: Id
+    sigma_east_m: float = within(0.0, 1e4, "1-sigma of the offset to the east, m")
+    sigma_north_m: float = within(0.0, 1e4, "to the north, m")
+    sigma_up_m: float = within(0.0, 1e4, "of the heights, m")
+    correlation_km: Annotated[
+        float, within(0.0, 1e5, "distance at which the offsets' correlation is 1/e; 0: one offset")
+    ] = 0.0
+
+
 class DumpFile(_Strict):
     """dump.toml"""
 
@@ -310,6 +330,13 @@ class DumpFile(_Strict):
     light: Light = Light()
     spice: SpiceFile | None = None
     star_cameras: Annotated[list[HeadFile], Field(max_length=16)] = []
+    cameras: Annotated[list[CameraFile], Field(max_length=64)] = []
+    ground_references: Annotated[list[GroundReferenceFile], Field(max_length=1000)] = []
+
+    @property
+    def remote_cameras(self) -> dict[str, str]:
+        """File of each remote-sensing camera; the only one has no name."""
+        return {one.id: one.file for one in self.cameras} or {"": str(self.files.remote_camera)}
 
     @property
     def paths(self) -> dict[str, str]:
@@ -323,8 +350,14 @@ class DumpFile(_Strict):
             for key in keys
             if (name := getattr(head, key)) is not None
         }
+        cameras = {
+            f"cameras.{n}.{key}": name
+            for n, camera in enumerate(self.cameras)
+            for key in ("file", "installation")
+            if (name := getattr(camera, key)) is not None
+        }
         kernels = self.spice.kernels if self.spice else []
-        return files | heads | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
+        return files | heads | cameras | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
 
     @model_validator(mode="after")
     def _star_side_is_stated_once(self) -> Self:
@@ -337,6 +370,17 @@ class DumpFile(_Strict):
         names = [head.name for head in self.star_cameras]
         if len(set(names)) < len(names):
             raise ValueError("star_cameras: each name once")
+        return self
+
+    @model_validator(mode="after")
+    def _cameras_are_stated_once(self) -> Self:
+        if (self.files.remote_camera is not None) == bool(self.cameras):
+            both = "exclude one another" if self.cameras else "are both missing: one of them says it"
+            raise ValueError(f"files.remote_camera and [[cameras]] {both}")
+        for name in ("cameras", "ground_references"):
+            ids = [one.id.casefold() for one in getattr(self, name)]
+            if len(set(ids)) < len(ids):
+                raise ValueError(f"{name}: each id once")
         return self
 
     @model_validator(mode="after")
@@ -528,6 +572,7 @@ class StripRow(_Row):
     row_period_s: float = within(1e-9, 1.0, "from row to row, s; in 1 s a satellite moves 7 km")
     lines: Annotated[int, Field(ge=1, le=10_000_000)]
     kind: Annotated[Literal["ground", "sky"], Field(description="what the camera looks at")] = "ground"
+    camera: Annotated[str, StringConstraints(max_length=64), Field(description="id of [[cameras]]")] = ""
 
 
 class _Identified(_Row):
@@ -544,6 +589,9 @@ class _Surveyed(_Row):
     sigma_east_m: TargetSigma
     sigma_north_m: TargetSigma
     sigma_up_m: TargetSigma
+    reference: Annotated[
+        str, StringConstraints(max_length=64), Field(description="id of [[ground_references]]")
+    ] = ""
 
 
 class TargetRow(_Surveyed, _Identified):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from boresight.gct_match.records import Target
+from boresight.gct_match.records import GroundReference, Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 # Columns of a point, in the order of docs/dump-format.md.
-OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigma_up_m".split()
+OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigma_up_m reference".split()
 
 
 @record
@@ -89,8 +89,14 @@ NO_POINTS = StripPoints(
 )
 
 
-def read_targets(root: Path, path: Path, file: str) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
-    """The targets of targets.csv, and the file of each one's chip in the dump of folder `root`.
+References = Mapping[str, GroundReference]
+
+
+def read_targets(
+    root: Path, path: Path, file: str, references: References
+) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
+    """The targets of targets.csv, which name their `references`, and the file of each one's chip in the dump
+    of folder `root`.
 
     `RawDataError` for a table that is not valid, names a target twice, or has none.
     """
@@ -102,10 +108,12 @@ def read_targets(root: Path, path: Path, file: str) -> tuple[SurveyedPoints, tup
         ChipFile(row.id, row.chip, path_inside(root, row.chip, file=file, field=f"line {n + 2}, chip"))
         for n, row in enumerate(rows)
     )
-    return _surveyed(rows), chips
+    return _surveyed(rows, file, references), chips
 
 
-def read_points(path: Path, file: str) -> tuple[tuple[StripPoints, ...], SurveyedPoints]:
+def read_points(
+    path: Path, file: str, references: References
+) -> tuple[tuple[StripPoints, ...], SurveyedPoints]:
     """Measured image points strip by strip, and the points on the ground; `RawDataError` if not valid.
 
     The rows of one id are one point on the ground and must agree in its coordinates.
@@ -124,7 +132,7 @@ def read_points(path: Path, file: str) -> tuple[tuple[StripPoints, ...], Surveye
             found = f"{row.id} again in strip {row.strip}, CCD {row.ccd}"
             raise RawDataError(file, f"line {n + 2}, id", found, "each point once in a CCD of a strip")
         seen.add(key)
-    surveyed = _surveyed(list(first.values()))
+    surveyed = _surveyed(list(first.values()), file, references)
     place = {target.target_id: target for target in surveyed.targets}
     strips: dict[str, list[schema.PointRow]] = {}
     for row in rows:
@@ -144,8 +152,14 @@ def _of_strip(name: str, rows: list[schema.PointRow], place: dict[str, Target]) 
     )
 
 
-def _surveyed(rows: Sequence[schema.TargetRow | schema.PointRow]) -> SurveyedPoints:
+def _surveyed(
+    rows: Sequence[schema.TargetRow | schema.PointRow], file: str, references: References
+) -> SurveyedPoints:
     """Rows of a table as points with ITRS positions and ellipsoidal heights."""
+    for row in rows:
+        if row.reference and row.reference not in references:
+            expected = f"one of [[ground_references]]: {', '.join(references) or 'there are none'}"
+            raise RawDataError(file, f"reference of {row.id}", row.reference, expected)
     lat = np.radians([row.lat_deg for row in rows])
     lon = np.radians([row.lon_deg for row in rows])
     height = np.array([row.height_m for row in rows], dtype=float)
@@ -154,7 +168,12 @@ def _surveyed(rows: Sequence[schema.TargetRow | schema.PointRow]) -> SurveyedPoi
         height[orthometric] += egm96().undulation_m(lat[orthometric], lon[orthometric])
     p_e = ecef_from_geodetic(lat, lon, height, WGS84)
     targets = tuple(
-        Target(row.id, p, np.array([row.sigma_east_m, row.sigma_north_m, row.sigma_up_m]))
+        Target(
+            row.id,
+            p,
+            np.array([row.sigma_east_m, row.sigma_north_m, row.sigma_up_m]),
+            references.get(row.reference),
+        )
         for row, p in zip(rows, p_e)
     )
     return SurveyedPoints(targets, lat, lon, height)

@@ -139,8 +139,8 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
     def image(strip: Strip, ccd: int) -> Image:
         begin_s = strip.t_first_row_s + strip.first_row[ccd] * strip.row_period_s
         end_s = begin_s + strip.ccd_lines[ccd] * strip.row_period_s
-        entry = Entry(subject := strip.ccd_subject(ccd), file=strip.images.names.get(ccd, ""))
-        return Image(entry, (subject.camera, ccd), begin_s, end_s, strip.images.paths.get(ccd), strip)
+        entry = Entry(strip.ccd_subject(ccd), file=strip.images.names.get(ccd, ""))
+        return Image(entry, (strip.camera, ccd), begin_s, end_s, strip.images.paths.get(ccd), strip)
 
     def same(a: Image, b: Image) -> bool:
         ccd, common_s = a.sensor[1], (max(a.begin_s, b.begin_s), min(a.end_s, b.end_s))

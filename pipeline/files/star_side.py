@@ -184,7 +184,7 @@ def _head(
         return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
 
     installation, source = _each(
-        lambda: _installation(*inside("installation")),
+        lambda: read_installation(*inside("installation")),
         lambda: _source(root, head, inside, epoch, table, kernels),
     )
     return Head(
@@ -236,7 +236,8 @@ def _each(*reads: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def _installation(path: Path, file: str) -> schema.InstallationFile:
+def read_installation(path: Path, file: str) -> schema.InstallationFile:
+    """What an installation.toml says; `RawDataError` if it is not valid."""
     return read_toml(path, schema.InstallationFile, file)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ class Strip:
     first_row: dict[int, float] = scalar("row of the strip at which line 0 of a CCD's image lies, by CCD")
     ccd_lines: dict[int, int] = scalar("number of lines of each CCD of the table")
     kind: str = scalar("what the camera looks at: ground or sky", default="ground")
+    camera: str = scalar("remote-sensing camera, of several; empty: the only one", default="")
 
     @property
     def subject(self) -> Subject:
@@ -58,10 +59,10 @@ def read_strips(
     path: Path,
     file: str,
     epoch: Epoch,
-    remote: schema.RemoteCameraFile | schema.LookCameraFile,
-    remote_file: str,
+    cameras: Mapping[str, tuple[schema.RemoteCameraFile | schema.LookCameraFile, str]],
 ) -> tuple[tuple[Strip, ...], tuple[Entry, ...]]:
     """The strips of strips.csv in order of time, and entries for images and strips that cannot be used.
+    `cameras` is what the file of each remote-sensing camera says, with its name.
 
     `RawDataError` for a table that is not valid, or whose CCDs of one strip contradict one another.
     """
@@ -73,6 +74,10 @@ def read_strips(
     of_strip: dict[str, list[StripMember]] = {}
     for n, (row, t) in enumerate(zip(rows, t_s)):
         where = f"line {n + 2}"
+        if row.camera not in cameras:
+            expected = f"one of [[cameras]]: {', '.join(cameras)}" if "" not in cameras else "nothing"
+            raise RawDataError(file, f"{where}, camera", row.camera or "nothing", expected)
+        remote, _ = cameras[row.camera]
         if row.ccd >= len(remote.ccds):
             raise RawDataError(file, f"{where}, ccd", str(row.ccd), f"0 to {len(remote.ccds) - 1}")
         of_strip.setdefault(row.id, []).append((where, row, float(t)))
@@ -80,7 +85,7 @@ def read_strips(
     omitted: list[Entry] = []
     for strip_id, members in of_strip.items():
         _check_alike(members, file)
-        images, of_images = _strip_images(root, members, file, remote, remote_file)
+        images, of_images = _strip_images(root, members, file, *cameras[members[0][1].camera])
         omitted += of_images
         if not images.paths and all(row.file for _, row, _ in members):
             name = members[0][1].file
@@ -119,6 +124,7 @@ def _strip(strip_id: str, images: StripFiles, members: list[StripMember]) -> Str
         first_row=first_row,
         ccd_lines={row.ccd: row.lines for _, row, _ in members},
         kind=members[0][1].kind,
+        camera=members[0][1].camera,
     )
 
 
@@ -127,7 +133,7 @@ def _check_alike(members: list[StripMember], file: str) -> None:
     _, reference, _ = members[0]
     together = reference.kind == "sky"  # its stars are identified in all CCDs by one motion over the rows
     for where, row, _ in members:
-        same = ("kind", "row_period_s", *(("utc_first_row", "lines") if together else ()))
+        same = ("kind", "camera", "row_period_s", *(("utc_first_row", "lines") if together else ()))
         for key in same:
             if (got := getattr(row, key)) != (expected := getattr(reference, key)):
                 raise RawDataError(

@@ -1,4 +1,6 @@
-"""Report page of several dumps: joint matrix, matrix of each dump, and drift of the mounting."""
+"""Report page of several dumps: joint matrix, matrix of each dump, and drift of the mounting; of several
+cameras: a matrix each, and the rotations between them.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +31,10 @@ def write_dumps_report(result: Path) -> Path:
     """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
     installation = read_json(result / "installation.json")
     omissions = read_sightings(result, "ledger", "kind name reason").to_pylist()
+    path = result / "report.html"
+    if "cameras" in installation:
+        write_text(path, _cameras_page(result, installation, omissions))
+        return path
     joint = _matrix(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
     budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}
@@ -49,25 +55,55 @@ def write_dumps_report(result: Path) -> Path:
         about=saved_about(result),
         identity=identity_of_result(result).items(),
     )
-    path = result / "report.html"
     write_text(path, text)
     return path
+
+
+def _cameras_page(result: Path, installation: dict[str, Any], omissions: list[dict[str, Any]]) -> str:
+    """The page of several cameras."""
+    source, pages = "installation.json", {name: f"{name}/report.html" for name in dumps_in(result)}
+    cameras = [
+        {
+            "name": one["name"],
+            "page": page if (result / (page := pages.get(one["name"], ""))).is_file() else "",
+            "sigma_m": sigma_on_ground(installation, n),
+            **_matrix(installation, source, f"cameras.{n}."),
+        }
+        for n, one in enumerate(installation["cameras"])
+    ]
+    between = [
+        {"name": " to ".join(reversed(one["cameras"]))}
+        | _angles(
+            installation, source, f"between_cameras.{n}.theta_rad", f"between_cameras.{n}.covariance_rad2"
+        )
+        for n, one in enumerate(installation["between_cameras"])
+    ]
+    return template("cameras.html.j2").render(
+        cameras=cameras,
+        between=between,
+        verdict=verdict_view(installation),
+        counts={name: number_from(installation, source, name, ".0f") for name in COUNTS},
+        omissions=omissions,
+        version=str(installation.get("version")),
+        identity=identity_of_result(result),
+    )
 
 
 COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation.json
 
 
-def _matrix(content: dict[str, Any], source: str) -> dict[str, Any]:
+def _matrix(content: dict[str, Any], source: str, of: str = "") -> dict[str, Any]:
+    """The matrix at the top of a content, or under the key `of`, which ends with a dot."""
     return {
         "matrix": [
-            [number_from(content, source, f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
+            [number_from(content, source, f"{of}R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
         ],
-        "quaternion": [number_from(content, source, f"quaternion.{i}", "+.12f") for i in range(4)],
+        "quaternion": [number_from(content, source, f"{of}quaternion.{i}", "+.12f") for i in range(4)],
         "covariance": [
-            [number_from(content, source, f"covariance_rad2.{i}.{j}", "+.4e") for j in range(3)]
+            [number_from(content, source, f"{of}covariance_rad2.{i}.{j}", "+.4e") for j in range(3)]
             for i in range(3)
         ],
-        **_angles(content, source, "theta_rad", "covariance_rad2"),
+        **_angles(content, source, f"{of}theta_rad", f"{of}covariance_rad2"),
     }
 
 

@@ -18,7 +18,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -123,7 +123,10 @@ def write_evidence(
 def write_joint_evidence(result: Path, joint: JointCalibration) -> None:
     """Write `RESULT/evidence/budget.json` of several dumps jointly: the uncertainty budget alone."""
     make_own_folder(result / "evidence")
-    budget = _budget(joint.strips, joint.estimate.R_cs, joint.settings)
+    estimate = joint.estimate
+    matrices = {name: estimate.of_camera(name)[0] for name in estimate.cameras}
+    R_cs = matrices if len(matrices) > 1 else estimate.R_cs
+    budget = _budget(joint.strips, R_cs, joint.settings)
     write_json(result / JOINT_BUDGET, {"budget": budget})
 
 
@@ -204,7 +207,7 @@ def _accuracy(dump: Dump, calibration: DumpCalibration, ground: pa.Table) -> dic
 
 
 def _budget(
-    strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings
+    strips: Sequence[StripSightings], R_cs: Rotation | Mapping[str, Rotation], settings: CalibrationSettings
 ) -> list[dict[str, Any]]:
     return [
         {"source": one.source, "covariance_rad2": one.covariance.tolist()}

@@ -108,18 +108,21 @@ def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
     )
 
 
-def sigma_on_ground(installation: dict[str, Any]) -> tuple[Number, ...]:
-    """1-sigma about X, Y, Z as metres on the ground; not known where no strip sees it."""
+def sigma_on_ground(installation: dict[str, Any], camera: int = -1) -> tuple[Number, ...]:
+    """1-sigma about X, Y, Z as metres on the ground, of one of several cameras; not known where no strip sees
+    it.
+    """
+    matrix, of = (installation, "") if camera < 0 else (installation["cameras"][camera], f"cameras.{camera}.")
     return tuple(
         number_from(
             installation,
             "installation.json",
-            f"covariance_rad2.{i}.{i}",
+            f"{of}covariance_rad2.{i}.{i}",
             ".2f",
             scale=float("nan") if lever is None else lever,
             root=True,
         )
-        for i, lever in enumerate(installation["ground_m_per_rad"])
+        for i, lever in enumerate(matrix["ground_m_per_rad"])
     )
 
 

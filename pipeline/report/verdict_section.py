@@ -155,7 +155,7 @@ def _blind_row(installation: dict[str, Any], source: str, n: int) -> BlindRow:
         item=str(one["item"]),
         unit=str(one["unit"]),
         where=f"{one['file']} {one['field']}".strip(),
-        axis="XYZ"[axis],
+        axis="XYZ"[axis % 3],
         effect_arcsec=number(f"effect_rad.{axis}", f"+{two_digits(effect_arcsec)}", 1.0 / ARCSEC),
         detectable=number("detectable", two_digits(found)),
         hidden_sigma=number("hidden_sigma", ".1f"),

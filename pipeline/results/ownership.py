@@ -75,7 +75,9 @@ def dump_identity(root: Path) -> str:
     """Digest of dump.toml and of the files of cameras, orbit, kernels and tables that it names."""
     head = read_toml(root / "dump.toml", DumpFile, "dump.toml")
     kernels = head.spice.kernels if head.spice else []
-    return digest([root / "dump.toml", *(root / name for name in (*head.files.single.values(), *kernels))])
+    cameras = [name for one in head.cameras for name in (one.file, one.installation) if name]
+    names = (*head.files.single.values(), *cameras, *kernels)
+    return digest([root / "dump.toml", *(root / name for name in names)])
 
 
 def origin_of(result: Path) -> Origin | None:

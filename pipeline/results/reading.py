@@ -181,12 +181,29 @@ def _earth(content: dict[str, Any], file: str) -> SavedEarth:
     )
 
 
-def read_for_dump(result: Path, dump: Path | None) -> tuple[Path, SavedResult]:
-    """The folder with the sightings of `dump`, and its result; where `result` is of several dumps, with the
-    joint matrix instead of its own.
+def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Path, SavedResult]:
+    """The folder with the sightings of `dump`, and its result; where `result` is of several dumps, or of
+    several cameras, with the joint matrix, that of `camera`, instead of its own.
 
-    `RawDataError` where the result is not made from `dump`, or is of several dumps and none is given.
+    `RawDataError` where the result is not made from `dump`, or is of several dumps or cameras and none is
+    given.
     """
+    cameras = read_json(result / "installation.json").get("cameras") if camera or dumps_in(result) else None
+    if cameras is not None or camera:
+        matrices = {str(one.get("name")): one for one in cameras or ()}
+        folders = [name for name in dumps_in(result) if name in (camera, f"{dump and dump.name}-{camera}")]
+        if camera not in matrices or not folders:
+            expected = f"one of {', '.join(matrices)}" if matrices else "none: it is of one camera"
+            raise RawDataError(str(result), "--camera", camera or "nothing", expected)
+        folder, matrix, name = result / folders[0], matrices[camera], f"{result}: camera {camera}"
+        if dump is not None:
+            check_dump_of(folder, dump)
+        return folder, dataclasses.replace(
+            read_saved_result(folder),
+            R_cs=Rotation.from_quat(_numbers(matrix, "quaternion", (4,), name)),
+            theta=_numbers(matrix, "theta_rad", (3,), name),
+            cov_theta=_numbers(matrix, "covariance_rad2", (3, 3), name),
+        )
     if not (names := dumps_in(result)):
         if dump is not None:
             check_dump_of(result, dump)
@@ -237,15 +254,17 @@ def read_mounting(result: Path, name: str) -> InformationPairs:
     alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
     biases = tuple(unknown for unknown in own if unknown in BIASES)
     earth = tuple(unknown for unknown in own if is_earth(unknown))
-    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth]
+    offsets = tuple(unknown for unknown in own if unknown.startswith("reference/"))
+    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth + offsets]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
     weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
     try:
         of_earth = prior_of_predictions(earth)
-        prior = block_diag(_prior_of_targets(result, targets), bias_prior(biases), of_earth, weak)
-        return pairs.as_one(name, coordinate_names(targets) + biases + earth + alignments, prior)
+        of_ground = _prior_of_targets(result, targets), bias_prior(biases), of_earth, np.eye(len(offsets))
+        eliminated = coordinate_names(targets) + biases + earth + offsets + alignments
+        return pairs.as_one(name, eliminated, block_diag(*of_ground, weak))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

@@ -62,15 +62,17 @@ class StripModel:
     track: AttitudeTrack = scalar("attitudes of the strip's exposures")
 
 
-def open_calibrated(result: Path, dump: Path | None, *, allow_stale_eop: bool = False) -> Calibrated:
+def open_calibrated(
+    result: Path, dump: Path | None, *, camera: str = "", allow_stale_eop: bool = False
+) -> Calibrated:
     """A finished result with its dump: the one given, or else the one that the run's notes name. Of several
-    dumps, one must be given; it comes with the joint matrix.
+    dumps, one must be given, of several cameras one must be named; it comes with the joint matrix.
     """
-    folder, saved = read_for_dump(result, dump)
+    folder, saved = read_for_dump(result, dump, camera)
     run = run_settings_of(saved, str(result / "installation.json"))
-    root = dump if dump is not None else _noted_dump(result)
+    root = dump if dump is not None else _noted_dump(folder if camera else result)
     check_dump_of(folder, root)
-    opened = open_dump(root, allow_stale_eop=allow_stale_eop)
+    opened = open_dump(root, camera=camera or None, allow_stale_eop=allow_stale_eop)
     return Calibrated(
         result=saved,
         dump=opened,

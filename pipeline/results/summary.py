@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,15 +14,18 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.ledger import Kind, Reason
-from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.unused_rows import rows_together
 from boresight.pipeline.diagnosis.words import doubts
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
-from boresight.pipeline.results.writing import blind_spots_json, ground_m_per_rad, verdict_json
+from boresight.pipeline.results.writing import (
+    blind_spots_json,
+    ground_m_per_rad,
+    joint_ground_m_per_rad,
+    verdict_json,
+)
 
 __all__ = [
     "REASON_WORDS",
@@ -61,24 +64,25 @@ def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, 
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
     lines += blind_lines(blind_spots_json(found.verdict))
-    lines += _estimate_lines(found.estimate, found.strips, found.camera)
+    grounds = [ground_m_per_rad(found.strips, found.camera)]
+    lines += _estimate_lines(found.estimate, found.strips, grounds)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
     return "\n".join(lines + omission_lines([entry.row for entry in found.omissions]))
 
 
 def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibration) -> str:
     """A line for each dump, then the joint result as that of one dump."""
-    together = rows_together([one.rows for one in of_dumps.values()])
-    lines = verdict_lines(verdict_json(joint.verdict, together))
+    lines = verdict_lines(verdict_json(joint.verdict, joint.rows))
     for name, one in of_dumps.items():
         if one.verdict.outcome is Outcome.REFUTED:
             lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
     lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
     lines += blind_lines(blind_spots_json(joint.verdict))
-    lines.append(f"jointly from {len(of_dumps)} dumps:")
-    camera = next(iter(of_dumps.values())).camera
-    lines += _estimate_lines(joint.estimate, joint.strips, camera)
+    several = len(joint.estimate.cameras) > 1
+    lines.append("all cameras together:" if several else f"jointly from {len(of_dumps)} dumps:")
+    sigma_rad = joint.sigma_installation_rad
+    lines += _estimate_lines(joint.estimate, joint.strips, joint_ground_m_per_rad(joint), sigma_rad)
     lines += _doubt_lines(joint.estimate, ())
     return "\n".join(lines + omission_lines([entry.row for entry in joint.omissions]))
 
@@ -122,7 +126,7 @@ def unit_effect(one: Mapping[str, Any]) -> str:
     effect = np.abs(np.array(one["effect_rad"])) / ARCSEC
     axis = int(np.argmax(effect))
     amount = "all of it" if one["unit"] == "times" else f"1 {one['unit']}"
-    return f"{amount}: {effect[axis]:{two_digits(effect[axis])}}″ {'XYZ'[axis]}"
+    return f"{amount}: {effect[axis]:{two_digits(effect[axis])}}″ {'XYZ'[axis % 3]}"
 
 
 def two_digits(value: float) -> str:
@@ -135,21 +139,41 @@ def _equal_names(group: Sequence[str]) -> str:
     return " = ".join(group[:3]) + (f" = ... ({len(group)} in all)" if len(group) > 3 else "")
 
 
-def _estimate_lines(
-    estimate: InstallationEstimate, strips: Sequence[StripSightings], camera: LineSensor
-) -> list[str]:
-    """Matrix, angles in arc-seconds, their 1 sigma in metres on the ground, and what they come from."""
-    m_per_rad = ground_m_per_rad(strips, camera)
-    matrix, sigma = estimate.R_cs.as_matrix(), estimate.sigma_theta
-    lines = ["R_cs ="]
-    lines += ["  [" + "  ".join(f"{value:+.12f}" for value in row) + "]" for row in matrix]
+def _matrix_lines(estimate: InstallationEstimate, n: int, m_per_rad: Array) -> list[str]:
+    """Matrix of a camera, angles in arc-seconds, their 1 sigma in metres on the ground."""
+    name, own = estimate.cameras[n], slice(3 * n, 3 * n + 3)
+    R_cs, _ = estimate.of_camera(name)
+    theta, sigma = estimate.theta[own], estimate.sigma_theta[own]
+    lines = [f"R_cs of camera {name} =" if name else "R_cs ="]
+    lines += ["  [" + "  ".join(f"{value:+.12f}" for value in row) + "]" for row in R_cs.as_matrix()]
     lines += [
-        _row("theta, arcsec", estimate.theta / ARCSEC, "+.3f"),
-        _row("Z-X-Y angles, arcsec", euler_zxy_from_theta(estimate.theta) / ARCSEC, "+.3f"),
+        _row("theta, arcsec", theta / ARCSEC, "+.3f"),
+        _row("Z-X-Y angles, arcsec", euler_zxy_from_theta(theta) / ARCSEC, "+.3f"),
         _row("1 sigma, arcsec", sigma / ARCSEC, ".4f"),
     ]
     if np.isfinite(m_per_rad).all():  # scans of the sky see no ground
         lines.append(_row("1 sigma on the ground, m", sigma * m_per_rad, ".2f"))
+    return lines
+
+
+def _between_lines(estimate: InstallationEstimate, sigma_rad: Array | None) -> Iterator[str]:
+    """The rotations between cameras: their deviation from those before launch, its 1 sigma and verdict."""
+    for one in estimate.between(sigma_rad):
+        yield _row(f"{one.cameras[1]} to {one.cameras[0]}"[:25], one.theta / ARCSEC, "+.3f")
+        yield _row("  1 sigma, arcsec", one.sigma / ARCSEC, ".4f")
+        told = "as before launch, within its stated error" if one.as_before_launch else "not as before launch"
+        yield f"{'':26s}{told} (p {one.p_value:.2g})"
+
+
+def _estimate_lines(
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    grounds: Sequence[Array],
+    sigma_rad: Array | None = None,
+) -> list[str]:
+    """The matrix of each camera, the rotations between them, and what they come from."""
+    lines = [line for n, ground in enumerate(grounds) for line in _matrix_lines(estimate, n, ground)]
+    lines += _between_lines(estimate, sigma_rad)
     n = estimate.n_strips
     lines += [
         f"{'from':26s}{estimate.n_exposures} exposures with {estimate.n_stars} stars, "
@@ -162,6 +186,10 @@ def _estimate_lines(
         lines.append(_row("  1 sigma, arcsec", sigma, ".4f"))
     if estimate.bias is not None:
         lines.append(f"{'bias, stated less true':26s}{', '.join(estimate.bias.texts())}")
+    for one in estimate.references:
+        axes = zip(("east", "north", "up"), one.value_m, one.sigma_m)
+        text = ", ".join(f"{axis} {value:+.2f} ± {sigma:.2f} m" for axis, value, sigma in axes)
+        lines.append(f"{f'reference {one.name}'[:25]:26s}{text}, stated less true")
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
 from boresight.calib.information import InformationPairs
@@ -29,7 +30,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.unused_rows import Rows, rows_together
+from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
@@ -43,6 +44,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
 __all__ = [
     "blind_spots_json",
+    "joint_ground_m_per_rad",
     "verdict_json",
     "write_dumps",
     "write_installation",
@@ -72,6 +74,7 @@ FIELDS = (
     "settings",
     "version",
 )
+OF_CAMERAS = ("cameras", "between_cameras", "cameras_covariance_rad2")  # of several, in place of a matrix
 
 
 def write_result(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
@@ -102,7 +105,7 @@ def write_installation(result: Path, calibration: DumpCalibration, settings: Set
         calibration.verdict,
         calibration.rows,
         (calibration.settings, settings),
-        ground_m_per_rad(calibration.strips, calibration.camera),
+        [ground_m_per_rad(calibration.strips, calibration.camera)],
     )
     content["earth_orientation"] = plain(calibration.earth_table)
     write_json(result / "installation.json", content)
@@ -122,13 +125,13 @@ def write_joint_result(
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "ledger.parquet", [_ledger_table(joint.omissions)])
     _write_groups(tables / "reliability.parquet", [_tests_table(joint.verdict)])
-    camera = next(iter(of_dumps.values())).camera
     content = _installation(
         estimate,
         joint.verdict,
-        rows_together([found.rows for found in of_dumps.values()]),
+        joint.rows,
         (joint.settings, settings),
-        ground_m_per_rad(joint.strips, camera),
+        joint_ground_m_per_rad(joint),
+        joint.sigma_installation_rad,
     )
     write_json(result / "installation.json", content)
 
@@ -184,12 +187,22 @@ def ground_m_per_rad(strips: Sequence[StripSightings], camera: LineSensor) -> Fl
     return mean_m * np.array([1.0, 1.0, edge_tangent(camera)])
 
 
+def joint_ground_m_per_rad(joint: JointCalibration) -> list[Floats]:
+    """`ground_m_per_rad` (3,) of each camera of a joint calibration."""
+    several = len(joint.estimate.cameras) > 1
+    return [
+        ground_m_per_rad([one for one in joint.strips if not several or one.camera == name], camera)
+        for name, camera in zip(joint.estimate.cameras, joint.cameras)
+    ]
+
+
 def _installation(
     estimate: InstallationEstimate,
     verdict: Verdict,
     rows: Sequence[Rows],
     given: tuple[CalibrationSettings, Settings],
-    ground: Floats,
+    grounds: Sequence[Floats],
+    sigma_installation_rad: Floats | None = None,
 ) -> dict[str, Any]:
     error_model, settings = given
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
@@ -198,12 +211,7 @@ def _installation(
     values = {
         "verdict": verdict_json(verdict, rows),
         "blind_spots": blind_spots_json(verdict),
-        "R_cs": estimate.R_cs.as_matrix().tolist(),
-        "quaternion": estimate.R_cs.as_quat(canonical=True).tolist(),
-        "theta_rad": estimate.theta.tolist(),
-        "euler_zxy_deg": np.degrees(euler_zxy_from_theta(estimate.theta)).tolist(),
-        "covariance_rad2": estimate.cov_theta.tolist(),
-        "ground_m_per_rad": ground.tolist(),
+        **_matrices(estimate, grounds, sigma_installation_rad),
         "frames": estimate.n_exposures,
         "stars": estimate.n_stars,
         "targets": estimate.n_targets,
@@ -218,7 +226,46 @@ def _installation(
     groups = [[f"{each.strip}/{each.id}" for each in group] for group in estimate.targets.doubtful]
     doubtful = {"doubtful_targets": groups} if groups else {}
     earth = _predicted_earth(estimate)
-    return {field: values[field] for field in FIELDS} | several | bias | earth | doubtful
+    if estimate.references:
+        earth = earth | {"ground_references": [plain(one) for one in estimate.references]}
+    matrices = [field for field in values if field in OF_CAMERAS]
+    first, last = FIELDS.index("R_cs"), FIELDS.index("frames")
+    fields = (*FIELDS[:first], *matrices, *FIELDS[last:]) if matrices else FIELDS
+    return {field: values[field] for field in fields} | several | bias | earth | doubtful
+
+
+def _matrices(
+    estimate: InstallationEstimate, grounds: Sequence[Floats], sigma_rad: Floats | None
+) -> dict[str, Any]:
+    """The matrix; of several cameras that of each, their covariance, and the rotations between them."""
+    cameras = []
+    for n, (name, ground) in enumerate(zip(estimate.cameras, grounds)):
+        R_cs, covariance = estimate.of_camera(name)
+        theta = estimate.theta[3 * n : 3 * n + 3]
+        matrix = {
+            **_rotation(R_cs, "R_cs", theta, covariance),
+            "euler_zxy_deg": np.degrees(euler_zxy_from_theta(theta)).tolist(),
+            "ground_m_per_rad": ground.tolist(),
+        }
+        cameras.append({"name": name} | matrix)
+    if len(cameras) == 1:
+        return cameras[0]
+    between = [
+        {"cameras": list(one.cameras), **_rotation(one.R_ab, "R_ab", one.theta, one.covariance)}
+        | {"p_value": one.p_value, "as_before_launch": one.as_before_launch}
+        for one in estimate.between(sigma_rad)
+    ]
+    full = estimate.cov_theta.tolist()
+    return {"cameras": cameras, "between_cameras": between, "cameras_covariance_rad2": full}
+
+
+def _rotation(R: Rotation, name: str, theta: Floats, covariance: Floats) -> dict[str, Any]:
+    return {
+        name: R.as_matrix().tolist(),
+        "quaternion": R.as_quat(canonical=True).tolist(),
+        "theta_rad": theta.tolist(),
+        "covariance_rad2": covariance.tolist(),
+    }
 
 
 def _predicted_earth(estimate: InstallationEstimate) -> dict[str, Any]:
@@ -331,7 +378,7 @@ def _tests_table(verdict: Verdict) -> pa.Table:
     }
     numbers = ("value", "sigma", "statistic", "p_value", "detectable", "redundancy", "effect_sigma")
     values = {name: arrow_array([getattr(one, name) for one in tests], pa.float64()) for name in numbers}
-    effect = fixed_list(np.array([one.effect_rad for one in tests]).reshape(-1, 3))
+    effect = fixed_list(np.array([one.effect_rad for one in tests]).reshape(len(tests), -1 if tests else 3))
     return pa.table(texts | values | {"effect_rad": effect})
 
 

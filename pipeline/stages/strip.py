@@ -33,7 +33,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar, shape_of
-from boresight.geometry.sightings import GroundSightings
+from boresight.geometry.sightings import GroundReferences, GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.coordinate_slips import contradiction
@@ -398,6 +398,21 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
         v_rel_i=np.einsum("nij,nj->ni", R_ie, task.orbit.velocities_e(t_s)),
         cov_target_i=(axes_i * sigma_m[:, None, :] ** 2) @ np.swapaxes(axes_i, 1, 2),
         earth_i=_by_earth_orientation(task.orbit, p_e, t_s, u_i, range_m),
+        references=_references(rows, p_e, axes_i),
+    )
+
+
+def _references(targets: Sequence[Target], p_e: Floats, axes_i: Floats) -> GroundReferences | None:
+    """The references of targets (N,) at places (N, 3), with their axes east, north and up (N, 3, 3)."""
+    of = [target.reference for target in targets]
+    if not any(of):
+        return None
+    length_m = np.array([one.length_m if one else 0.0 for one in of])[:, None]
+    return GroundReferences(
+        name=np.array([one.name if one else "" for one in of], dtype=str),
+        axes_i=axes_i,
+        sigma_m=np.array([one.sigma_m if one else np.zeros(3) for one in of]),
+        place=np.divide(p_e, length_m, out=np.zeros_like(p_e), where=length_m > 0.0),
     )
 
 

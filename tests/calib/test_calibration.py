@@ -159,9 +159,8 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
     for strip in strips:
         rows = np.zeros(12, dtype=int)  # twelve times the same sighting
         g = strip.ground
-        fields = {n: getattr(g, n)[rows] for n in g.__dataclass_fields__}
-        fields["target_id"] = g.target_id
-        spot.append(replace(strip, ground=type(g)(**fields), R_oi_targets=strip.R_oi_targets[rows]))
+        ground = replace(g.take(rows), target_id=g.target_id)
+        spot.append(replace(strip, ground=ground, R_oi_targets=strip.R_oi_targets[rows]))
     spot = spot[:1]
     result = calibrate_strips(spot, R_CS0, CalibrationSettings(sigma_distortion_rad=0.0))
     assert isinstance(result, NotObservable)

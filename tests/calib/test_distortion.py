@@ -7,6 +7,7 @@ import numpy as np
 from boresight.calib.distortion import (
     MODES,
     ccd_modes,
+    columns_of_ccds,
     correlation,
     knot_weights,
     knots_touched,
@@ -123,7 +124,8 @@ def test_two_ccds_that_see_the_same_direction_share_the_curve_there():
 def test_modes_of_a_ccd_are_orthonormal_over_it_and_zero_on_others():
     ccd_px, ccds = (300, 512), (0, 1)
     sample = np.linspace(0.0, 511.0, 2001)
-    modes = ccd_modes(np.ones(2001, dtype=np.int64), sample, ccds, ccd_px)
+    of_one = np.ones(2001, dtype=np.int64)
+    modes = columns_of_ccds(ccd_modes(of_one, sample, ccd_px), of_one, ccds)
     own, other = modes[:, 1::2], modes[:, 0::2]
     np.testing.assert_allclose(own.T @ own / 2001, np.eye(3), atol=3e-3)  # the sum's ends: 2 / 2001
     assert not other.any()
@@ -141,7 +143,7 @@ def test_simulated_ccds_have_the_stated_shift_slope_and_bend():
     )
     rng, found = np.random.default_rng(2), []
     table = camera.ccds[0].distortion_samples
-    modes = ccd_modes(np.zeros(len(table), dtype=np.int64), table, (0,), (settings.samples,))
+    modes = ccd_modes(np.zeros(len(table), dtype=np.int64), table, (settings.samples,))
     for _ in range(100):
         true = distorted_line_camera(camera, errors, rng)
         for t, c in zip(true.ccds, camera.ccds):

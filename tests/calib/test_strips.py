@@ -25,7 +25,7 @@ CAMERAS = CameraPair(BOLD)
 NONE = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
-NOTHING = SharedUnknowns((), (), np.zeros((0, 3, 3)), 0)
+NOTHING = SharedUnknowns()
 
 
 def strips_of(plan, seed=1):
@@ -202,7 +202,7 @@ def test_distortion_has_the_stated_variance_between_knots_too(scope):
     sigma = 3e-7  # rad
     settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0, distortion_scope=scope)
     prepared = prepare_strip(strips_of(StripPlan(strips=1))[0], settings)
-    knots = knots_touched(prepared.curve, prepared.place, 2000.0)
+    knots = knots_touched(prepared.curve, prepared.place)
     shared = replace(NOTHING, knots=knots if scope == "camera" else ())
     group = group_strips([prepared], shared, settings)[0]
     weights = group.camera[0] @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]

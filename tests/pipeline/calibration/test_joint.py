@@ -28,6 +28,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.installation import theta_between
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
+from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import (
     _check_nothing_twice,
@@ -37,6 +38,8 @@ from boresight.pipeline.calibration.joint import (
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.images.tiff import write_tiff
+from boresight.pipeline.files.star_side import Exposure, StarImages
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -367,19 +370,28 @@ def test_a_dump_named_twice_or_copied_is_refused(dumps: list[Path], tmp_path: Pa
         open_dumps([dumps[0], copy], Settings())
 
 
-def test_one_image_in_dumps_of_other_epochs_is_found() -> None:
-    """Instants count from the epoch of their dump."""
+def test_other_images_of_one_instant_in_dumps_of_other_epochs_are_found(tmp_path: Path) -> None:
+    """Instants count from the epoch of their dump; the same image in two dumps is one exposure."""
 
-    def named(name: str, epoch: int, **exposures: float) -> SimpleNamespace:
-        exposed = [SimpleNamespace(exposure_id=key, t_s=t_s) for key, t_s in exposures.items()]
-        return SimpleNamespace(
-            name=name, dump=SimpleNamespace(root=name, epoch=Epoch(epoch), strips=(), exposures=exposed)
-        )
+    def named(name: str, epoch: int, **exposures: tuple[float, str]) -> SimpleNamespace:
+        exposed = []
+        for key, (t_s, content) in exposures.items():
+            (path := tmp_path / f"{name}-{key}.tif").write_bytes(starred(content))
+            exposed.append(Exposure(exposure_id=key, file=path.name, path=path, t_s=t_s, exposure_s=0.1))
+        camera = StarCamera(focal_m=0.1, pixel_m=1e-5, width_px=8, height_px=8, principal_px=(4.0, 4.0))
+        head = SimpleNamespace(name="s", source=StarImages(camera, 8, tuple(exposed)))
+        dump = SimpleNamespace(root=name, epoch=Epoch(epoch), strips=(), camera="", heads=(head,))
+        return SimpleNamespace(name=name, dump=dump)
 
-    first = named("may", 1_000, e1=5.5, e2=7.25)
-    _check_nothing_twice([first, named("june", 1_003, e1=5.5, e2=7.25)])
+    def starred(content: str) -> bytes:
+        write_tiff(tmp_path / "one.tif", np.full((8, 8), ord(content), dtype=np.uint8))
+        return (tmp_path / "one.tif").read_bytes()
+
+    first = named("may", 1_000, e1=(5.5, "a"), e2=(7.25, "b"))
+    _check_nothing_twice([first, named("june", 1_003, e1=(5.5, "c"), e2=(7.25, "d"))])
+    _check_nothing_twice([first, named("june", 1_003, e8=(0.5, "c"), e9=(4.25, "b"))])
     with pytest.raises(RawDataError, match="exposure e9: found the same instant as exposure e2 of may"):
-        _check_nothing_twice([first, named("june", 1_003, e8=0.5, e9=4.25)])
+        _check_nothing_twice([first, named("june", 1_003, e8=(0.5, "c"), e9=(4.25, "d"))])
 
 
 def test_names_tell_dumps_apart_in_whatever_order_they_stand() -> None:
@@ -401,12 +413,14 @@ def visits(place: np.ndarray) -> list:
     out = []
     for n, (epoch, site) in enumerate(zip(days, sites)):
         targets = {
-            name: SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0))
+            name: SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0), reference=None)
             for name in strips[0].ground.target_id.tolist()
         }
         sigma = np.full(3, 3e-3)
         head = SimpleNamespace(name="s")
         dump = SimpleNamespace(
+            root=Path(f"d{n}"),
+            camera="",
             epoch=epoch,
             ground_targets=targets,
             R_cs0=BOLD,
@@ -417,7 +431,7 @@ def visits(place: np.ndarray) -> list:
             star_camera=None,
         )
         own = strips[4 * n : 4 * n + 4]
-        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=())
+        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=(), rows=())
         out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
     return [out, strips]
 

@@ -44,12 +44,16 @@ def calibration(**changed: Any) -> Any:
         "converged": True,
         "heads": (),
         "bias": None,
+        "cameras": ("",),
+        "between": lambda sigma_rad: (),
+        "references": (),
         "targets": SimpleNamespace(doubtful=()),
     } | changed
     ranges_m = [
         np.array([510e3, np.nan, 560e3]),
         np.array([640e3]),
     ]  # one look sees none; mean 570 km
+    estimate["of_camera"] = lambda name: (estimate["R_cs"], None)
     return SimpleNamespace(
         estimate=SimpleNamespace(**estimate),
         verdict=SimpleNamespace(checks=()),

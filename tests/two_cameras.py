@@ -1,0 +1,33 @@
+"""The mission of `fixtures/mini` with its four CCDs as two cameras of two CCDs each."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import tomllib
+from pathlib import Path
+
+from boresight.pipeline.files.text_tables import write_csv, write_toml
+
+__all__ = ["two_cameras"]
+
+NAMES = ("left", "right")
+
+
+def two_cameras(mini: Path, dump: Path) -> Path:
+    """A dump in the new folder `dump` whose images are those of `mini`: strips "a-left", "a-right", ..."""
+    unlike = shutil.ignore_patterns("dump.toml", "strips.csv", "remote_camera.toml", "truth")
+    shutil.copytree(mini, dump, ignore=unlike)
+    head = tomllib.loads((mini / "dump.toml").read_text())
+    del head["files"]["remote_camera"]
+    write_toml(dump / "dump.toml", head | {"cameras": [{"id": n, "file": f"{n}.toml"} for n in NAMES]})
+    camera = tomllib.loads((mini / "remote_camera.toml").read_text())
+    for n, name in enumerate(NAMES):
+        write_toml(dump / f"{name}.toml", camera | {"ccds": camera["ccds"][2 * n : 2 * n + 2]})
+    with open(mini / "strips.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        which, ccd = divmod(int(row["ccd"]), 2)
+        row.update(id=f"{row['id']}-{NAMES[which]}", ccd=str(ccd), camera=NAMES[which])
+    write_csv(dump / "strips.csv", list(rows[0]), [list(row.values()) for row in rows])
+    return dump
