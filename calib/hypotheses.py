@@ -32,7 +32,36 @@ PERCENT = 1e-2
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
+# Usual size of an error, in its unit, by the beginning of its cause: larger ones are rarer, a size x is less
+# likely than a usual one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure
+# that warms and cools; an orbit's velocity is known as its positions are. The first row that fits counts.
+USUAL = {
+    "clock of the exposures": 10.0,
+    "clock of the rows, bent": 1.0,
+    "clock of the rows": 10.0,
+    "row period": 0.05,
+    "lines": 1.0,
+    "orbit or targets": 3.0,
+    "velocity of the orbit": 1e-3,
+    "attitude": 10.0,
+    "mounting drifts": 1.0,
+    "mounting": 10.0,
+    "place of": 0.5,
+    "rotation of a CCD": 0.5,
+    "length of a CCD": 0.5,
+    "bend of a CCD": 0.5,
+    "image of a CCD": 0.5,
+    "focal length": 0.05,
+    "principal point": 1.0,
+    "radial distortion": 1.0,
+    "line of sight": 1.0,
+    "reference": 3.0,
+}
+RARE = ("mounting", "lines of a strip", "clock of the rows, bent", "length of a CCD", "bend of a CCD")
+RARER = 30.0  # times rarer than what is stated wrong by hand (set by hand)
 SIZES = ("too large", "too small")  # a positive and a negative size in words
+MOST_BREAKS = 5  # lines of a strip from which on lines may be missing
+MOST_JUMPS = 12  # passes from which on the mounting may have moved
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
@@ -59,6 +88,20 @@ class Hypothesis:
     def largest(self) -> float:
         """Largest possible size: `most`, or what its unit allows; inf: none."""
         return min(self.most, LARGEST.get(self.unit, np.inf))
+
+    @property
+    def usual(self) -> float:
+        """Usual size, in its unit; 1 where `USUAL` has none (effects that are there once or not)."""
+        return next((size for cause, size in USUAL.items() if self.cause.startswith(cause)), 1.0)
+
+    def price(self, size: float) -> float:
+        """Minus twice the logarithm of how likely this error is in this size, beside a usual one."""
+        return 2.0 * float(np.log1p(abs(size) / self.usual) + np.log(self.rarity))
+
+    @property
+    def rarity(self) -> float:
+        """How much rarer its cause is than others."""
+        return RARER if self.cause.startswith(RARE) else 1.0
 
     @property
     def remedy(self) -> str:
@@ -146,7 +189,8 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first is named."""
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
     if len(of.prepared) > 1:
-        found += [*_of_attitude(of), *_of_images(of)]
+        found += [*_of_attitude(of), *_of_mounting(of), *_of_images(of)]
+    found += [*_of_drift(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
     return [one for one in found if np.any(one.change_c)]
@@ -230,8 +274,15 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
         "row period", "%", ("too long", "too short"), "strips.csv", "row_period_s", PERCENT * since * late_c
     )
     of_all = replace(late, field="utc_first_row, time_of_row")
-    yield from _in_each(_all_strips(of.prepared), [of_all, long])
-    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long])
+    part = np.concatenate([_part_of_strip(one) for one in of.prepared])[:, None]
+    bent = replace(
+        late,
+        cause="clock of the rows, bent",
+        field="times",
+        change_c=4.0 * part * (1.0 - part) * late.change_c,
+    )
+    yield from _in_each(_all_strips(of.prepared), [of_all, long, bent])
+    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long, bent])
 
 
 def _since_first_row(strip: PreparedStrip) -> Floats:
@@ -244,6 +295,89 @@ def _since_first_row(strip: PreparedStrip) -> Floats:
             first, last = np.argmin(line), np.argmax(line)
             since[own] = line * ((t_s[last] - t_s[first]) / (line[last] - line[first]))
     return since
+
+
+def _part_of_strip(strip: PreparedStrip) -> Floats:
+    """Where (J,) targets lie in what their strip shows of the ground, 0 at its first and 1 at its last."""
+    part = np.zeros(len(strip.line))
+    for name in np.unique(strip.strip):
+        own = strip.strip == name
+        part[own] = (strip.line[own] - strip.line[own].min()) / max(float(np.ptp(strip.line[own])), 1.0)
+    return part
+
+
+def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
+    strip, ccd, line = of.column("strip"), of.column("ccd"), of.column("line")
+    since = np.concatenate([_since_first_row(one) for one in of.prepared])
+    period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
+    late_c = of.in_c(-of.column("late_s")) * period
+    for name in np.unique(strip).tolist():
+        own = strip == name
+        numbers = np.unique(ccd[own]).tolist()
+        places = [(own, Subject(Kind.STRIP, strip=name))]
+        places += [
+            (own & (ccd == n), Subject(Kind.CCD, strip=name, ccd=n)) for n in numbers if len(numbers) > 1
+        ]
+        for here, subject in places:
+            for first in _breaks(line[here]):
+                error = _InputError(
+                    "lines of a strip",
+                    "rows",
+                    ("missing", "too many"),
+                    "strips.csv",
+                    "file",
+                    -late_c * (line >= first)[:, None],
+                )
+                yield from _in_each(
+                    [(f"{subject.words} from line {first:.0f} on", (subject,), here)], [error]
+                )
+
+
+def _breaks(line: Floats) -> list[float]:
+    """Lines between which targets lie, a few of them, with two targets at least on either side."""
+    rows = np.unique(np.round(line))
+    middles = 0.5 * (rows[1:-2] + rows[2:-1])
+    chosen = np.unique(np.linspace(0, len(middles) - 1, min(len(middles), MOST_BREAKS)).astype(int))
+    return middles[chosen].tolist() if len(middles) else []
+
+
+def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """A jump of the mounting from one pass to the next, which stays."""
+    number = np.repeat(np.arange(len(of.prepared)), [len(one.ccd) for one in of.prepared])
+    when = np.array([float(one.t_s.min()) if len(one.t_s) else np.inf for one in of.prepared])
+    order = np.argsort(when, kind="stable")
+    later = np.argsort(order, kind="stable")[number]  # (J,) how many passes came before
+    for n in range(2, min(len(order) - 1, MOST_JUMPS)):  # before or after one pass it is the attitude of that
+        strip = of.prepared[order[n]].strip_id
+        subject = Subject(Kind.STRIP, strip=strip)
+        yield from _in_each(
+            [(f"from strip {strip} on", (subject,), later >= n)], _turns(of, "mounting moved")
+        )
+
+
+def _of_drift(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """A drift of the mounting over a pass: in each of them alike, or in one."""
+    part = np.concatenate(
+        [(one.t_s - one.t_s.min()) / max(float(np.ptp(one.t_s)), 1e-9) - 0.5 for one in of.prepared]
+    )
+    drift = [replace(one, change_c=part[:, None] * one.change_c) for one in _turns(of, "mounting drifts")]
+    yield from _in_each([*_all("every pass", of.prepared), *_passes(of.prepared)], drift)
+
+
+def _turns(of: HypothesisInputs, what: str) -> list[_InputError]:
+    """A rotation of the mounting by an arc-second about each axis of c."""
+    return [
+        _InputError(
+            f"{what}, about {axis} of c",
+            "″",
+            ("forward", "backward"),
+            "temperatures and manoeuvres",
+            "",
+            turn,
+        )
+        for axis, turn in zip("xyz", of.turns())
+    ]
 
 
 def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
@@ -328,7 +462,15 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
         arm = MILLI * pixel_rad * (sample - pivot)[:, None]
         turn = _InputError("rotation of a CCD", "mrad", SIZES, file, "rotation_mrad", arm * x)
         subject = Subject(Kind.CCD, camera=name, ccd=number)
-        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), turn])
+        half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
+        at = (sample - float(sample[here].min() + half))[:, None] / half
+        shapes = [
+            _InputError("length of a CCD", "px", SIZES, file, "pixel_pitch_um", -pixel_rad * at * y),
+            _InputError(
+                "bend of a CCD", "px", SIZES, file, "look directions", -pixel_rad * (at**2 - 1.0 / 3.0) * x
+            ),
+        ]
+        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), turn, *shapes])
     yield from _in_each(every, [_focal_length(u_c, across, file, "focal_length_m")])
 
 
@@ -342,12 +484,14 @@ def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> _InputE
 
 
 def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Attitude of a pass about the axes x and z of c; about y it is its clock."""
+    """Attitude of a pass about the axes of c; about y it is its clock, too."""
     attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
-    x, _, z = of.turns()
-    names = (("across the track", x), ("about the line of sight", z))
+    x, y, z = of.turns()
+    names = (("across the track", x), ("along the track", y), ("about the line of sight", z))
     file = f"{attitudes}, orbit"
-    turns = [_InputError(f"attitude {name}", "″", SIZES, file, "", change) for name, change in names]
+    turns = [
+        _InputError(f"attitude or mounting, {name}", "″", SIZES, file, "", change) for name, change in names
+    ]
     yield from _in_each(_passes(of.prepared), turns)
 
 

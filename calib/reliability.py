@@ -424,24 +424,31 @@ def _causes(
         trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
         trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
+        worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
         if not gain:
             break
-        most = max(gain.values())
-        left = NOT_LINEAR * most  # by which two linear forms of the same large error may differ
-        alike = [h for h in gain if most - gain[h] < EQUAL + left]
-        best = min(alike, key=lambda h: (-concerned[h], h))  # what concerns most, then the first of the table
-        p_value = float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2))
+        most = max(worth.values())
+        left = NOT_LINEAR * max(gain.values())  # by which two linear forms of the same large error may differ
+        alike = [h for h in gain if most - worth[h] < EQUAL + left]
+        decade = {h: np.floor((gain[h] - worth[h]) / (2.0 * np.log(10.0))) for h in alike}
+        # Of equals the most usual size, then what concerns most, then the first of the table.
+        best = min(alike, key=lambda h: (decade[h], -concerned[h], h))
+        p_value = (
+            float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2)) * one.table[best].rarity
+        )
         if p_value * (n - len(chosen)) > limits.probability_found:
             break
-        rivals = sorted(h for h in gain if most - gain[h] < AMBIGUOUS + left)
+        rivals = sorted(h for h in gain if most - worth[h] < AMBIGUOUS + left)
         further = _finding(one, best, trials, rivals, p_value * (n - len(chosen)), before, limits)
-        if most < NOT_LINEAR * strongest:  # what the linear form of a large error leaves is its own harm
+        if (
+            gain[best] < NOT_LINEAR * strongest
+        ):  # what the linear form of a large error leaves is its own harm
             findings[0] = replace(findings[0], refutes=findings[0].refutes or further.refutes)
             break
         chosen.append(best)
         findings.append(further)
         before = trials[best]
-        strongest = max(strongest, most, float((before.size[-1] / before.sigma[-1]) ** 2))
+        strongest = max(strongest, gain[best], float((before.size[-1] / before.sigma[-1]) ** 2))
     return findings, chosen, before
 
 
@@ -475,7 +482,9 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
         by_theta = np.einsum("ah,ab,bh->h", theta[:, k:], step.solution.information, theta[:, k:])
         seen = own > np.maximum(1e-9 * np.diag(S)[k:], NO_REDUNDANCY * (own + by_theta))
         gain = np.divide(right**2, own, out=np.zeros(len(own)), where=seen)
+        size = np.divide(right, own, out=np.zeros(len(own)), where=seen)
         rest = [h for h in range(len(one.table)) if h not in chosen]
+        gain -= [one.table[h].price(float(size[n])) for n, h in enumerate(rest)]
         found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED] if gain[n] > 0.0]
     return list(dict.fromkeys(found))
 
