@@ -60,7 +60,8 @@ USUAL = {
 RARE = ("mounting", "lines of a strip", "clock of the rows, bent", "length of a CCD", "bend of a CCD")
 RARER = 30.0  # times rarer than what is stated wrong by hand (set by hand)
 SIZES = ("too large", "too small")  # a positive and a negative size in words
-MOST_BREAKS = 5  # lines of a strip from which on lines may be missing
+# Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
+MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
@@ -312,7 +313,10 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     since = np.concatenate([_since_first_row(one) for one in of.prepared])
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
     late_c = of.in_c(-of.column("late_s")) * period
-    for name in np.unique(strip).tolist():
+    names = np.unique(strip).tolist()
+    cells = len(set(zip(strip.tolist(), ccd.tolist())))
+    of_strip, of_ccd = min(OF_STRIP, MOST_BREAKS // len(names)), min(OF_CCD, MOST_BREAKS // cells)
+    for name in names:
         own = strip == name
         numbers = np.unique(ccd[own]).tolist()
         places = [(own, Subject(Kind.STRIP, strip=name))]
@@ -320,7 +324,7 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
             (own & (ccd == n), Subject(Kind.CCD, strip=name, ccd=n)) for n in numbers if len(numbers) > 1
         ]
         for here, subject in places:
-            for first in _breaks(line[here]):
+            for first in _breaks(line[here], of_strip if here is own else of_ccd):
                 error = _InputError(
                     "lines of a strip",
                     "rows",
@@ -334,12 +338,12 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
                 )
 
 
-def _breaks(line: Floats) -> list[float]:
-    """Lines between which targets lie, a few of them, with two targets at least on either side."""
+def _breaks(line: Floats, most: int) -> list[float]:
+    """Lines between which targets lie, so many at most, with two targets at least on either side."""
     rows = np.unique(np.round(line))
     middles = 0.5 * (rows[1:-2] + rows[2:-1])
-    chosen = np.unique(np.linspace(0, len(middles) - 1, min(len(middles), MOST_BREAKS)).astype(int))
-    return middles[chosen].tolist() if len(middles) else []
+    chosen = np.unique(np.linspace(0, len(middles) - 1, min(len(middles), most)).astype(int))
+    return middles[chosen].tolist() if len(middles) and most else []
 
 
 def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:

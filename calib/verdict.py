@@ -33,6 +33,7 @@ from boresight.geometry.sightings import GroundSightings, StripSightings
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess"]
 
 SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
+LARGER, PROBABILITY_LARGER = 1.2, 1e-3  # residuals over the stated, and by chance, from which that is said
 FEWEST_DOF = 5  # of the targets' residuals: with four targets any one of them is checked by the others
 NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite instead of its curved one
 
@@ -285,7 +286,26 @@ def assess(
     )
     heads_told = [one for one in _head_findings(heads) if not any(one.subjects == c.subjects for c in causes)]
     told = heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias, target_files))
-    return verdict.with_findings(told)
+    return verdict.with_findings([*told, *_larger_than_stated(found)])
+
+
+def _larger_than_stated(checks: Sequence[Check]) -> Iterator[Finding]:
+    """That residuals are larger than stated by more than chance, though within what is tolerated: the
+    covariance is as much too small.
+    """
+    for check in checks:
+        if check.kind not in (CheckKind.STAR_RESIDUALS, CheckKind.TARGET_RESIDUALS) or check.n <= 0:
+            continue
+        ratio, p_value = float(np.sqrt(check.statistic / check.n)), float(chdtrc(check.n, check.statistic))
+        if check.holds and ratio > LARGER and p_value < PROBABILITY_LARGER:
+            yield Finding(
+                cause=check.kind.value,
+                item="all",
+                text=f"{ratio:.2f} times the stated errors, χ² {check.statistic:.0f} for {check.n}: check "
+                f"{check.look_at[-1].value}.",
+                is_fault=False,
+                p_value=p_value,
+            )
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:

@@ -208,6 +208,7 @@ def faults_of(root: Path, seed: int) -> Iterator[Fault]:
         _of_attitudes,
         _of_ground,
         _of_lists,
+        _of_measured_points,
     ):
         yield from maker(facts, rng)
 
@@ -679,6 +680,89 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
 def _oem_key(key: str, value: str, dump: Path) -> None:
     change(dump / "orbit.oem", rf"(?m)^{key} = .*$", f"{key} = {value}")
+
+
+def _of_measured_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
+    """Time profiles within strips, and what strips share, where only points were measured: lines lost or
+    twice, a row clock that bends, ground of one strip that is moved or too high, a mounting that moves.
+    """
+    if facts.images or facts.listed != "points.csv":
+        return
+    name = facts.strips[int(rng.integers(len(facts.strips)))]
+
+    def moved(edit: Callable[[dict[str, str], float], None], ccd: str, dump: Path) -> None:
+        header, *rows = table(dump / "points.csv")
+        cells = [dict(zip(header, row)) for row in rows]
+        lines = [float(one["line"]) for one in cells if one["strip"] == name]
+        for one in cells:
+            if one["strip"] == name and ccd in ("", one["ccd"]):
+                edit(one, (float(one["line"]) - min(lines)) / (max(lines) - min(lines)))
+        write(dump / "points.csv", [header, *([one[key] for key in header] for one in cells)])
+
+    def lost(n: float, one: dict[str, str], part: float) -> None:
+        one["line"] = repr(float(one["line"]) - n * (part > 0.45))
+
+    def bent(n: float, one: dict[str, str], part: float) -> None:
+        one["line"] = repr(float(one["line"]) + n * 4.0 * part * (1.0 - part))
+
+    def lifted(metres: float, one: dict[str, str], part: float) -> None:
+        one["height_m"] = repr(float(one["height_m"]) + metres)
+
+    def to_east(metres: float, one: dict[str, str], part: float) -> None:
+        wide = np.radians(1.0) * 6.37e6 * np.cos(np.radians(float(one["lat_deg"])))
+        one["lon_deg"] = repr(float(float(one["lon_deg"]) + metres / wide))
+
+    own = (name, *(f"CCD {n}" for n in range(facts.ccds)))
+    ccd = str(int(rng.integers(facts.ccds)))
+    for kind, edit, smallest, unit, only, words in (
+        ("lines lost", lost, 0.5, "px", "", (name, "lines|row|clock")),
+        ("lines lost in a CCD", lost, 1.0, "px", ccd, (f"ccd {ccd}\\b", "lines|image|place")),
+        ("rows bent", bent, 0.7, "px", "", (name, "bent|row|clock|drift")),
+        ("ground too high", lifted, 60.0, "m", "", (name, "height|height_m|orbit")),
+        ("ground moved", to_east, 3.0, "m", "", (name, "orbit or targets|attitude|clock|coordinates")),
+    ):
+        for times, size in _sized(smallest, rng, (1.0, 3.0, 10.0)):
+            make = partial(moved, partial(edit, size), only)
+            yield Fault(kind, name, size, unit, times, make, words, f"{name}|all", own)
+    first = {one[0]: one[3] for one in reversed(table(facts.root / "strips.csv")[1:])}
+
+    def turned(axis: int, arcsec: float, profile: str, dump: Path) -> None:
+        begins = sorted(first.values())
+        for head in facts.heads:
+
+            def edit(row: dict[str, str]) -> None:
+                utc = np.datetime64(row["utc"].removesuffix("Z"), "ns")
+                after = [(utc - np.datetime64(one, "ns")) / np.timedelta64(1, "s") for one in begins]
+                part = float(after[-1] > -5.0) if profile == "jump" else min(abs(s) for s in after) / 2.5
+                q = Rotation.from_quat([float(row[key]) for key in ("qx", "qy", "qz", "qw")])
+                turn = np.zeros(3)
+                turn[axis] = np.radians(arcsec / 3600.0) * part
+                row.update(
+                    zip(
+                        ("qx", "qy", "qz", "qw"),
+                        map(repr, (q * Rotation.from_rotvec(turn)).as_quat().tolist()),
+                    )
+                )
+
+            edited(f"{head}.csv", edit, dump)
+            if profile == "jump":
+                return  # the reference head alone
+
+    for profile, smallest in (("drift", 3.0),):
+        for times, size in _sized(smallest, rng, (1.0, 3.0, 10.0)):
+            make = partial(turned, int(rng.integers(2)), size, profile)
+            words = ("mounting|attitude|clock|row period|exposures|times",)
+            yield Fault(
+                f"mounting {profile}",
+                "",
+                size,
+                "arcsec",
+                times,
+                make,
+                words,
+                "mounting|attitude|clock|period|rotation",
+                ("*",),
+            )
 
 
 def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
