@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from boresight.gct_match.imaging.views import View, filled_with_mean, view_of, window
 from boresight.gct_match.records import TemplateMatch, not_matched
+from boresight.gct_match.refine.changed import fit_changed
 from boresight.gct_match.refine.least_squares import PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
     correlation_surface,
@@ -30,6 +31,7 @@ _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where i
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
+_UNCHANGED_PX = 0.1  # a larger standard error: what is left of the scene may have been chosen by the weights
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 # Default settings, for the functions of this module that take single ones.
@@ -131,12 +133,14 @@ def locate(
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
             break
-        fit = fit_position(
-            template, picture, peak + start_px - radius_px, reference_px, settings.mtf_at_nyquist
-        )
+        at = peak + start_px - radius_px
+        fit = fit_position(template, picture, at, reference_px, settings.mtf_at_nyquist)
         if fit.converged and (best is None or fit.correlation > best.correlation):
             best, best_peak = fit, np.round(peak)
-    if best is None:
+    if best is None or not _is_unchanged(best, settings):
+        best_peak = np.round(peaks.xy[0])
+        best = fit_changed(template, picture, peaks.xy[0] + start_px - radius_px, reference_px)
+    if not best.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
     wrong = probability_wrong(surface, best_peak, independent_values(template.normalised), _PRIOR_ABSENT)
     at_edge = bool(np.abs(best_peak - radius_px).max() >= radius_px)
@@ -154,6 +158,12 @@ def locate(
         residual=best.residual,
         surface=surface,
     )
+
+
+def _is_unchanged(fit: PositionFit, settings: MatchSettings) -> bool:
+    """Whether so much of the scene is as the template shows it that a fit to these parts is that of all."""
+    sigma = np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1]))
+    return bool(sigma <= _UNCHANGED_PX and fit.correlation >= settings.least_correlation)
 
 
 def _failed_test(

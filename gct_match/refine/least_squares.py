@@ -30,7 +30,7 @@ from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 
-__all__ = ["PositionFit", "fit_position"]
+__all__ = ["PositionFit", "fit_position", "usable_pixels"]
 
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
@@ -130,12 +130,26 @@ def fit_position(
     return _fit_of(pair, last)
 
 
+def usable_pixels(template_valid: Bools, valid: Bools, start_px: Floats) -> Image:
+    """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
+    x, y = np.round(start_px).astype(int)
+    h, w = template_valid.shape
+    rows, columns = valid.shape
+    usable = np.zeros((h, w), dtype=np.uint8)
+    inner = np.s_[max(0, -y) : rows - y, max(0, -x) : columns - x]
+    usable[inner] = valid[max(0, y) : y + h, max(0, x) : x + w] & template_valid[inner]
+    side = 2 * _RIM + 1
+    kernel = np.ones((side, side), dtype=np.uint8)
+    eroded = cv2.erode(usable, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,))
+    return eroded.astype(np.float32)
+
+
 def _approached(
     template: View, picture: View, start_px: Floats, reference_px: Floats, mtf_at_nyquist: float
 ) -> tuple[_Pair, _Warp, Image]:
     """The pair, the warp to a few hundredths of a pixel, and first weights (h, w)."""
     h, w = template.grey.shape
-    usable = _usable(template.valid, picture.valid, start_px)
+    usable = usable_pixels(template.valid, picture.valid, start_px)
     grey = template.grey - np.float32(cv2.mean(template.grey)[0])
     pair = _Pair(grey, picture.grey, usable, start_px + reference_px, reference_px, mtf_at_nyquist)
     first = np.eye(3)
@@ -261,20 +275,6 @@ def _correlation(weight: Image, image: Image, residual: Image) -> float:
     i = image - np.float32(np.vdot(weight, image) / (float(weight.sum()) + 1e-30))
     left = float(np.vdot(weight * residual, residual))
     return float(np.sqrt(max(0.0, 1.0 - left / (float(np.vdot(weight * i, i)) + 1e-30))))
-
-
-def _usable(template_valid: Bools, valid: Bools, start_px: Floats) -> Image:
-    """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
-    x, y = np.round(start_px).astype(int)
-    h, w = template_valid.shape
-    rows, columns = valid.shape
-    usable = np.zeros((h, w), dtype=np.uint8)
-    inner = np.s_[max(0, -y) : rows - y, max(0, -x) : columns - x]
-    usable[inner] = valid[max(0, y) : y + h, max(0, x) : x + w] & template_valid[inner]
-    side = 2 * _RIM + 1
-    kernel = np.ones((side, side), dtype=np.uint8)
-    eroded = cv2.erode(usable, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,))
-    return eroded.astype(np.float32)
 
 
 def _solved(normal: Floats, right: Floats) -> Floats:
