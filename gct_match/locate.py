@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
 from boresight.gct_match.refine.changed import fit_changed
-from boresight.gct_match.refine.least_squares import PositionFit, fit_position
+from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     independent_values,
@@ -33,7 +33,6 @@ _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where i
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
-_UNCHANGED_PX = 0.1  # a larger standard error: what is left of the scene may have been chosen by the weights
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 # Default settings, for the functions of this module that take single ones.
@@ -188,7 +187,7 @@ def _of_unchanged(
 def _is_unchanged(fit: PositionFit, settings: MatchSettings) -> bool:
     """Whether the parts that agree are so many that the weights cannot have chosen them to agree."""
     sigma = np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1]))
-    return bool(sigma <= _UNCHANGED_PX and fit.correlation >= settings.least_correlation)
+    return bool(sigma <= UNCHANGED_PX and fit.correlation >= settings.least_correlation)
 
 
 def _of_changed(
