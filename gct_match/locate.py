@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
-from boresight.gct_match.refine.changed import fit_changed
+from boresight.gct_match.refine.changed import REACH_PX, fit_changed
 from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
+    Peaks,
     correlation_surface,
     independent_values,
     peaks_of,
@@ -181,7 +182,7 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    return _found(best, surface, best_peak, float(peaks.value[0]), template)
+    return _found(best, surface, peaks, best_peak, template, None)
 
 
 def _is_unchanged(fit: PositionFit, settings: MatchSettings) -> bool:
@@ -205,7 +206,7 @@ def _of_changed(
     fit = fit_changed(template, picture, peaks.xy[0] + start_px - radius_px, reference_px)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
-    return _found(fit, surface, np.round(peaks.xy[0]), float(peaks.value[0]), template)
+    return _found(fit, surface, peaks, np.round(peaks.xy[0]), template, REACH_PX)
 
 
 def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
@@ -215,9 +216,12 @@ def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px
     return correlation_surface(template.normalised, window(picture.normalised, *around))
 
 
-def _found(fit: PositionFit, surface: Image, peak_xy: Floats, highest: float, template: View) -> _Found:
-    wrong = probability_wrong(surface, peak_xy, independent_values(template.normalised), _PRIOR_ABSENT)
-    return _Found(fit, surface, peak_xy, highest, wrong)
+def _found(
+    fit: PositionFit, surface: Image, peaks: Peaks, peak_xy: Floats, template: View, reach_px: int | None
+) -> _Found:
+    n = independent_values(template.normalised)
+    wrong = probability_wrong(surface, peak_xy, n, _PRIOR_ABSENT, reach_px)
+    return _Found(fit, surface, peak_xy, float(peaks.value[0]), wrong)
 
 
 def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSettings) -> Entry | None:

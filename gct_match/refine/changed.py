@@ -16,14 +16,16 @@ from boresight.gct_match.refine.least_squares import PositionFit, usable_pixels
 from boresight.gct_match.refine.template_blocks import blocks_of
 from boresight.geometry.record import Floats
 
-__all__ = ["fit_changed"]
+__all__ = ["REACH_PX", "fit_changed"]
 
 _STEPS = 12  # at most
+_ALONG_SIDE = 6  # blocks: of 21 px, as wide as a change of season is correlated, on a chip of 128 px
 _LONGEST_PX = 0.6  # a longer step is shortened: the picture is not linear beyond
 _AFFINE_PX = 0.25  # translations below this allow the test for an affine map
 _SETTLED_PX = 0.02  # a fifth of the standard error of such pairs, or less
 _SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate
 _FARTHEST_PX = 2.5  # from the start
+REACH_PX = 3  # from a whole pixel to where the fit may lie
 
 
 def fit_changed(template: View, picture: View, start_px: Floats, reference_px: Floats) -> PositionFit:
@@ -46,7 +48,7 @@ def fit_changed(template: View, picture: View, start_px: Floats, reference_px: F
         residual = found - np.float32(gain) * t
         cross = sum(float(np.vdot(usable * a, b)) for a, b in zip(slopes, gradient(found), strict=True))
         response = max(cross / own, 1e-3)
-        blocks = blocks_of(gx, gy, residual, usable, reference_px, 1.0)
+        blocks = blocks_of(gx, gy, residual, usable, reference_px, 1.0, _ALONG_SIDE)
         P = blocks.displacement(affine=affine) / response
         if not affine and np.abs(P).max() < _AFFINE_PX and blocks.show_affine(response):
             affine, P = True, blocks.displacement(affine=True) / response
