@@ -134,7 +134,7 @@ def _closure(images: Images) -> None:
 
 def _grid(images: Images, pair: tuple[str, str]) -> list[Place]:
     shape = np.min([images[year].shape for year in pair], axis=0)
-    rows, columns = (range(40, n - CHIP - 40, 64) for n in shape.tolist())
+    rows, columns = (range(40, n - CHIP - 40, 96) for n in shape.tolist())
     return [(x, y) for y, x in product(rows, columns)]
 
 

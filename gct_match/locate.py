@@ -34,6 +34,8 @@ _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where i
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
+_SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
+_PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 # Default settings, for the functions of this module that take single ones.
@@ -127,8 +129,10 @@ def locate(
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
     found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
-    if not found or not _is_unchanged(found.fit, settings):
-        found = _of_changed(template, picture, start_px, radius_px, reference_px)
+    if not found or not _is_sure(found.fit, settings):
+        changed = _of_changed(template, picture, start_px, radius_px, reference_px)
+        if not found or not _is_of_the_scene(found.fit, changed, settings):
+            found = changed
     if not found:
         return found
     best = found.fit
@@ -185,10 +189,19 @@ def _of_unchanged(
     return _found(best, surface, peaks, best_peak, template, None)
 
 
-def _is_unchanged(fit: PositionFit, settings: MatchSettings) -> bool:
-    """Whether the parts that agree are so many that the weights cannot have chosen them to agree."""
-    sigma = np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1]))
-    return bool(sigma <= UNCHANGED_PX and fit.correlation >= settings.least_correlation)
+def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
+    """Whether so much agrees with the template that its weights cannot have been chosen by a displacement."""
+    return fit.sigma_px < _SURE_PX and fit.correlation >= settings.least_correlation
+
+
+def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchSettings) -> bool:
+    """Whether a fit to parts of the template is that of the scene: these parts agree far better than all do
+    where all fit best. Shores of lakes that have risen, all on one side, agree no better.
+    """
+    if fit.sigma_px > UNCHANGED_PX or fit.correlation < settings.least_correlation:
+        return False
+    left = 1.0 - changed.fit.correlation**2 if isinstance(changed, _Found) else 1.0
+    return 1.0 - fit.correlation**2 < _PARTS_LEAVE * left
 
 
 def _of_changed(
@@ -227,7 +240,7 @@ def _found(
 def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSettings) -> Entry | None:
     """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
     fit, wrong = found.fit, found.wrong
-    sigma = float(np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1])))
+    sigma = fit.sigma_px
     if not sigma <= settings.sigma_px:
         return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if wrong > settings.probability_wrong:

@@ -66,6 +66,11 @@ class PositionFit:
     found: Image = array("H, W", "picture warped onto the template")
     residual: Image = array("H, W", "residual of the fit, filtered, in grey values of the picture")
 
+    @property
+    def sigma_px(self) -> float:
+        """Standard error of the less certain coordinate, px."""
+        return float(np.sqrt(max(self.cov_px[0, 0], self.cov_px[1, 1])))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
