@@ -6,13 +6,17 @@ kept. A result that fails a test is returned as an `Entry` with its reason.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.imaging.views import View, filled_with_mean, view_of, window
-from boresight.gct_match.records import TemplateMatch, not_matched
-from boresight.gct_match.refine.least_squares import PositionFit, fit_position
+from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, view_of, window
+from boresight.gct_match.records import Image, TemplateMatch, not_matched
+from boresight.gct_match.refine.changed import REACH_PX, fit_changed
+from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
+    Peaks,
     correlation_surface,
     independent_values,
     peaks_of,
@@ -30,6 +34,8 @@ _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where i
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
+_SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
+_PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 # Default settings, for the functions of this module that take single ones.
@@ -122,8 +128,51 @@ def locate(
     grey = window(picture.grey, *around)[window(picture.valid, *around)]
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
-    searched = window(picture.normalised, *around)
-    surface = correlation_surface(template.normalised, searched)
+    found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
+    if not found or not _is_sure(found.fit, settings):
+        changed = _of_changed(template, picture, start_px, radius_px, reference_px)
+        if not found or not _is_of_the_scene(found.fit, changed, settings):
+            found = changed
+    if not found:
+        return found
+    best = found.fit
+    at_edge = bool(np.abs(found.peak_xy - radius_px).max() >= radius_px)
+    refusal = _failed_test(found, radius_px if at_edge else 0, template, settings)
+    if refusal is not None:
+        return refusal
+    return TemplateMatch(
+        xy_px=best.xy_px,
+        cov_px=best.cov_px,
+        correlation=best.correlation,
+        probability_wrong=found.wrong,
+        affine=best.affine,
+        found=best.found,
+        residual=best.residual,
+        surface=found.surface,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A fit, and the correlation from which it began."""
+
+    fit: PositionFit
+    surface: Image  # (R, C) correlation in the search window
+    peak_xy: Floats  # (2,) peak of the fit, (column, row) of the surface, whole px
+    highest: float  # correlation of the highest peak
+    wrong: float  # probability that the true position is not under that peak
+
+
+def _of_unchanged(
+    template: View,
+    picture: View,
+    start_px: tuple[int, int],
+    radius_px: int,
+    reference_px: Floats,
+    settings: MatchSettings,
+) -> _Found | Entry:
+    """The best fit to those parts of the template that are as the picture shows them."""
+    surface = _surface(template, picture, start_px, radius_px)
     peaks = peaks_of(surface, 3, 3)
     if len(peaks.value) == 0:
         return not_matched(Reason.NO_CORRELATION)
@@ -131,40 +180,71 @@ def locate(
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < _SECOND_PEAK * peaks.value[0]:
             break
-        fit = fit_position(
-            template, picture, peak + start_px - radius_px, reference_px, settings.mtf_at_nyquist
-        )
+        at = peak + start_px - radius_px
+        fit = fit_position(template, picture, at, reference_px, settings.mtf_at_nyquist)
         if fit.converged and (best is None or fit.correlation > best.correlation):
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    wrong = probability_wrong(surface, best_peak, independent_values(template.normalised), _PRIOR_ABSENT)
-    at_edge = bool(np.abs(best_peak - radius_px).max() >= radius_px)
-    edge_px, highest = radius_px if at_edge else 0, float(peaks.value[0])
-    refusal = _failed_test(best, wrong, highest, edge_px, template, settings)
-    if refusal is not None:
-        return refusal
-    return TemplateMatch(
-        xy_px=best.xy_px,
-        cov_px=best.cov_px,
-        correlation=best.correlation,
-        probability_wrong=wrong,
-        affine=best.affine,
-        found=best.found,
-        residual=best.residual,
-        surface=surface,
-    )
+    return _found(best, surface, peaks, best_peak, template, None)
 
 
-def _failed_test(
-    fit: PositionFit, wrong: float, highest: float, edge_px: int, template: View, settings: MatchSettings
-) -> Entry | None:
+def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
+    """Whether so much agrees with the template that its weights cannot have been chosen by a displacement."""
+    return fit.sigma_px < _SURE_PX and fit.correlation >= settings.least_correlation
+
+
+def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchSettings) -> bool:
+    """Whether a fit to parts of the template is that of the scene: these parts agree far better than all do
+    where all fit best. Shores of lakes that have risen, all on one side, agree no better.
+    """
+    if fit.sigma_px > UNCHANGED_PX or fit.correlation < settings.least_correlation:
+        return False
+    left = 1.0 - changed.fit.correlation**2 if isinstance(changed, _Found) else 1.0
+    return 1.0 - fit.correlation**2 < _PARTS_LEAVE * left
+
+
+def _of_changed(
+    template: View, picture: View, start_px: tuple[int, int], radius_px: int, reference_px: Floats
+) -> _Found | Entry:
+    """The fit to the whole template by its strong edges; what it shows bright the picture may show dark."""
+    template, picture = band_passed(template), band_passed(picture)
+    surface = _surface(template, picture, start_px, radius_px)
+    inverted = bool(-surface.min() > surface.max())
+    if inverted:
+        template, surface = replace(template, normalised=-template.normalised), -surface
+    peaks = peaks_of(surface, 1, 3)
+    if len(peaks.value) == 0:
+        return not_matched(Reason.NO_CORRELATION)
+    fit = fit_changed(template, picture, peaks.xy[0] + start_px - radius_px, reference_px)
+    if not fit.converged:
+        return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
+    return _found(fit, surface, peaks, np.round(peaks.xy[0]), template, REACH_PX)
+
+
+def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
+    """Correlation (R, C) at whole pixels of the search window."""
+    (h, w), (x, y) = template.grey.shape, start_px
+    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
+    return correlation_surface(template.normalised, window(picture.normalised, *around))
+
+
+def _found(
+    fit: PositionFit, surface: Image, peaks: Peaks, peak_xy: Floats, template: View, reach_px: int | None
+) -> _Found:
+    n = independent_values(template.normalised)
+    wrong = probability_wrong(surface, peak_xy, n, _PRIOR_ABSENT, reach_px)
+    return _Found(fit, surface, peak_xy, float(peaks.value[0]), wrong)
+
+
+def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSettings) -> Entry | None:
     """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
-    sigma = float(np.sqrt(max(fit.cov_px[0, 0], fit.cov_px[1, 1])))
+    fit, wrong = found.fit, found.wrong
+    sigma = fit.sigma_px
     if not sigma <= settings.sigma_px:
         return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if wrong > settings.probability_wrong:
-        return not_matched(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (highest,))
+        return not_matched(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (found.highest,))
     if edge_px:
         return not_matched(Reason.AT_WINDOW_EDGE, limit=edge_px)
     if sigma > settings.sigma_self_similar_px:

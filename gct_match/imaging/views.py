@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, array, record
 
-__all__ = ["View", "filled_with_mean", "normalised", "view_of", "window"]
+__all__ = ["View", "band_passed", "filled_with_mean", "normalised", "view_of", "window"]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
+_STRONG_PX = 1.0, 4.0  # Gaussians whose difference is the pass band where contrast is left as it is
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture
 
 
@@ -25,12 +26,27 @@ class View:
 
     grey: Image = array("H, W", "grey values, single precision")
     valid: Bools = array("H, W", "pixels that may be used")
-    normalised: Image = array("H, W", "output of `normalised`")
+    normalised: Image = array("H, W", "what is compared: output of `normalised`, or of `band_passed`")
 
 
 def view_of(grey: Image, valid: Bools) -> View:
     """View of the picture `grey` (H, W), float32, of which only the pixels in `valid` (H, W) are used."""
     return View(grey, valid, normalised(grey, valid))
+
+
+def band_passed(view: View) -> View:
+    """The view with its grey values in a band of frequencies as what is compared: contrast as it is, so that
+    strong edges, which survive a change of season, have the largest part.
+    """
+    image, weight = filled_with_mean(view.grey, view.valid), view.valid.astype(np.float32)
+    image -= np.float32(cv2.mean(image)[0])
+    fine, wide = (cv2.GaussianBlur(image * weight, (0, 0), sigma_px) for sigma_px in _STRONG_PX)
+    if not view.valid.all():
+        fine, wide = (
+            part / (cv2.GaussianBlur(weight, (0, 0), sigma_px) + np.float32(1e-3))
+            for part, sigma_px in zip((fine, wide), _STRONG_PX, strict=True)
+        )
+    return View(view.grey, view.valid, (fine - wide) * weight)
 
 
 def filled_with_mean(image: NDArray, valid: Bools) -> Image:

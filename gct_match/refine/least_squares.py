@@ -30,7 +30,7 @@ from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 
-__all__ = ["PositionFit", "fit_position"]
+__all__ = ["UNCHANGED_PX", "PositionFit", "fit_position", "usable_pixels"]
 
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
@@ -42,6 +42,11 @@ _ROUNDS = 4
 _NEAR_PX = 0.05  # a coherence measured at a larger misalignment is biased
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error, from errors of the derivatives
 _SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate
+# A standard error below which weights are those of the noise and hold no fit, and the displacement with which
+# this is tried beyond it: about as large as the error, and less than the width of an edge.
+_FREE_PX, _TRIAL_PX = 0.03, 0.2
+UNCHANGED_PX = 0.1  # a larger standard error: the weights may have chosen what agrees with the template
+_LEAST_TAKEN_BACK = 0.3  # less is within the error of the trial
 _PIECE = 2048  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows only means over a pixel. The part of its
 # effect that the fit cannot model shifts the position where light and shadow lie on the same side of trees
@@ -60,6 +65,11 @@ class PositionFit:
     converged: bool = scalar("whether the last step was small and the position near the start")
     found: Image = array("H, W", "picture warped onto the template")
     residual: Image = array("H, W", "residual of the fit, filtered, in grey values of the picture")
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard error of the less certain coordinate, px."""
+        return float(np.sqrt(max(self.cov_px[0, 0], self.cov_px[1, 1])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +137,21 @@ def fit_position(
     if not warp.affine and last.blocks.show_affine(response):
         warp = _stepped(pair, warp, last.blocks.displacement(affine=True) / response)
         last = _round(pair, warp, weight)
-    return _fit_of(pair, last)
+    return _fit_of(pair, last, weight)
+
+
+def usable_pixels(template_valid: Bools, valid: Bools, start_px: Floats) -> Image:
+    """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
+    x, y = np.round(start_px).astype(int)
+    h, w = template_valid.shape
+    rows, columns = valid.shape
+    usable = np.zeros((h, w), dtype=np.uint8)
+    inner = np.s_[max(0, -y) : rows - y, max(0, -x) : columns - x]
+    usable[inner] = valid[max(0, y) : y + h, max(0, x) : x + w] & template_valid[inner]
+    side = 2 * _RIM + 1
+    kernel = np.ones((side, side), dtype=np.uint8)
+    eroded = cv2.erode(usable, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,))
+    return eroded.astype(np.float32)
 
 
 def _approached(
@@ -135,7 +159,7 @@ def _approached(
 ) -> tuple[_Pair, _Warp, Image]:
     """The pair, the warp to a few hundredths of a pixel, and first weights (h, w)."""
     h, w = template.grey.shape
-    usable = _usable(template.valid, picture.valid, start_px)
+    usable = usable_pixels(template.valid, picture.valid, start_px)
     grey = template.grey - np.float32(cv2.mean(template.grey)[0])
     pair = _Pair(grey, picture.grey, usable, start_px + reference_px, reference_px, mtf_at_nyquist)
     first = np.eye(3)
@@ -230,12 +254,16 @@ def _near_start(pair: _Pair, matrix: Floats) -> Floats:
     return out
 
 
-def _fit_of(pair: _Pair, last: _Round) -> PositionFit:
+def _fit_of(pair: _Pair, last: _Round, weight: Image) -> PositionFit:
+    """The fit after its last round, which began with the weights `weight` (h, w)."""
     equations, warp = last.equations, last.warp
     total = float(equations.weight.sum())
     cov = last.blocks.covariance(affine=warp.affine) / equations.response**2
     cov += _TONE_STRUCTURE_PX**2 / max(total, 1.0) * _tone_px2(equations, last.solution) * np.eye(2)
     far = np.abs(warp.matrix[:2, 2] - pair.start_px).max()
+    if equations.informative and warp.settled and _FREE_PX**2 < 0.5 * np.trace(cov) < UNCHANGED_PX**2:
+        freed = np.linalg.inv(_part_taken_back(pair, warp, weight))
+        cov = freed @ cov @ freed
     return PositionFit(
         xy_px=warp.matrix[:2, 2].copy(),
         cov_px=cov if equations.informative else np.diag([np.inf, np.inf]),
@@ -245,6 +273,22 @@ def _fit_of(pair: _Pair, last: _Round) -> PositionFit:
         found=last.found,
         residual=last.residual,
     )
+
+
+def _part_taken_back(pair: _Pair, warp: _Warp, weight: Image) -> Floats:
+    """Part (2, 2), symmetric, from `_LEAST_TAKEN_BACK` to one, of a displacement that a round takes back.
+
+    Weights and filter follow from the pair as it is displaced and hold it there in part: noise that displaces
+    a fit by d with weights that are given displaces it by d divided by this part.
+    """
+    back = np.empty((2, 2))
+    for k, axis in enumerate(np.eye(2)):
+        displaced = _stepped(pair, warp, np.column_stack([np.zeros((2, 2)), _TRIAL_PX * axis]))
+        after = _round(pair, displaced, weight).warp
+        back[:, k] = (after.matrix[:2, 2] - displaced.matrix[:2, 2]) / _TRIAL_PX
+    part, directions = np.linalg.eigh(0.5 * (back + back.T))
+    taken: Floats = (directions * np.clip(part, _LEAST_TAKEN_BACK, 1.0)) @ directions.T
+    return taken
 
 
 def _tone_px2(equations: _Equations, solution: Floats) -> float:
@@ -261,20 +305,6 @@ def _correlation(weight: Image, image: Image, residual: Image) -> float:
     i = image - np.float32(np.vdot(weight, image) / (float(weight.sum()) + 1e-30))
     left = float(np.vdot(weight * residual, residual))
     return float(np.sqrt(max(0.0, 1.0 - left / (float(np.vdot(weight * i, i)) + 1e-30))))
-
-
-def _usable(template_valid: Bools, valid: Bools, start_px: Floats) -> Image:
-    """One for the pixels (h, w) of a template where no filter reaches over an edge or a hole, else zero."""
-    x, y = np.round(start_px).astype(int)
-    h, w = template_valid.shape
-    rows, columns = valid.shape
-    usable = np.zeros((h, w), dtype=np.uint8)
-    inner = np.s_[max(0, -y) : rows - y, max(0, -x) : columns - x]
-    usable[inner] = valid[max(0, y) : y + h, max(0, x) : x + w] & template_valid[inner]
-    side = 2 * _RIM + 1
-    kernel = np.ones((side, side), dtype=np.uint8)
-    eroded = cv2.erode(usable, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0.0,))
-    return eroded.astype(np.float32)
 
 
 def _solved(normal: Floats, right: Floats) -> Floats:

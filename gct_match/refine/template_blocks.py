@@ -90,14 +90,21 @@ class Blocks:
 
 
 def blocks_of(
-    gx: Image, gy: Image, residual: Image, weight: Image, reference_px: Floats, pitch_px: float
+    gx: Image,
+    gy: Image,
+    residual: Image,
+    weight: Image,
+    reference_px: Floats,
+    pitch_px: float,
+    along_side: int = _ALONG_SIDE,
 ) -> Blocks:
     """Blocks of a template from gradients per px, residual and weight at every `pitch_px`-th pixel (h, w).
 
-    `reference_px` (x, y), in pixels of the template, is the point whose displacement is wanted.
+    `reference_px` (x, y), in pixels of the template, is the point whose displacement is wanted. Along the
+    shorter side lie `along_side` blocks, fewer where these would be too small.
     """
     h, w = residual.shape
-    side = max(_SMALLEST, min(h, w) // _ALONG_SIDE)
+    side = max(_SMALLEST, min(h, w) // along_side)
     columns, rows = w // side, h // side
     wx, wy, area = weight * gx, weight * gy, h * w / (rows * columns)
     sums = [

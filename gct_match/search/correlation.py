@@ -62,20 +62,26 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     return Peaks(xy.astype(float), value.astype(float))
 
 
-def probability_wrong(surface: Image, peak_xy: Floats, independent: float, absent: float) -> float:
+def probability_wrong(
+    surface: Image, peak_xy: Floats, independent: float, absent: float, reach_px: int | None = None
+) -> float:
     """Probability that the true position is not under the peak, given the whole correlation surface.
 
     Each position has the likelihood (1 - r²)^(-n/2) of being the true one, against 1 for chance. n is the
     geometric mean of the template's number of independent values, `independent`, and of one over the variance
     of r away from the peak: the first is too large for repeated patterns, the second counts the peak's side
     lobes as chance. Under the peak are positions joined to it at more than half its height, from which least
-    squares converges to it. `absent` is the prior probability that the surface does not contain the target.
+    squares converges to it: all of a ridge along a road, or what lies within `reach_px` of the peak. `absent`
+    is the prior probability that the surface does not contain the target.
     """
     column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
     _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))
     near = (labels == labels[row, column]).astype(np.uint8)
     near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = 1
     under = cv2.dilate(near, np.ones((5, 5), np.uint8)).astype(bool)
+    if reach_px is not None:
+        y, x = np.ogrid[: surface.shape[0], : surface.shape[1]]
+        under &= np.maximum(np.abs(x - column), np.abs(y - row)) <= reach_px
     away = surface[~under].astype(float)
     if away.size < 30:
         return 1.0
