@@ -1,4 +1,4 @@
-"""A mission's archive: what is asked of its results in one SQLite file, their information in Parquet beside it.
+"""A mission's archive: its results in one SQLite file, their information in Parquet files beside it.
 
     ARCHIVE/archive.gpkg               a GeoPackage: tables results, tracks, targets, unknowns, totals
     ARCHIVE/information/ID.parquet     information pair of theta and the camera's distortion
@@ -6,8 +6,8 @@
 A result is in the archive when its row is committed; nothing is ever changed or removed. Writers wait for one
 another. A Parquet file without a row was left by a process that was killed, and the next writer removes it.
 
-`results.pair` holds of each result's pair the rows of theta, and `totals` the sum of the rest over the results
-of a series that are not refuted, so that a course over years needs no other file.
+`results.pair` holds of each result's pair the rows of theta, and `totals` the sum of the rest over the
+results of a series that are not refuted, so that a course over years needs no other file.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from boresight.pipeline.results.identity import result_id
 from boresight.pipeline.results.reading import pairs_in
 from boresight.pipeline.results.writing import pairs_table
 
-__all__ = ["ArchivedSeries", "add_results", "series_of"]
+__all__ = ["ArchivedSeries", "add_mounting", "add_results", "series_of"]
 
 FILE, INFORMATION = "archive.gpkg", "information"
 SERIES = ("mission", "satellite", "camera", "head", "model")  # results alike in these are one series
@@ -74,8 +74,8 @@ CREATE TABLE IF NOT EXISTS totals (series TEXT NOT NULL, unknowns INTEGER NOT NU
   F BLOB NOT NULL, right BLOB NOT NULL, PRIMARY KEY (series, unknowns));
 CREATE TABLE IF NOT EXISTS results (fid INTEGER PRIMARY KEY, id TEXT NOT NULL UNIQUE, utc TEXT NOT NULL,
   t_s REAL NOT NULL, series TEXT NOT NULL, mission TEXT, satellite TEXT, camera TEXT, head TEXT, model TEXT,
-  star_camera TEXT, verdict TEXT, folder TEXT, program TEXT, inputs TEXT, dump TEXT, qx REAL, qy REAL, qz REAL,
-  qw REAL, covariance_rad2 TEXT, ground_m_per_rad TEXT, cos_u REAL, sin_u REAL, beta_rad REAL,
+  star_camera TEXT, verdict TEXT, folder TEXT, program TEXT, inputs TEXT, dump TEXT, qx REAL, qy REAL,
+  qz REAL, qw REAL, covariance_rad2 TEXT, ground_m_per_rad TEXT, cos_u REAL, sin_u REAL, beta_rad REAL,
   temperature_c REAL, reference TEXT, unknowns INTEGER, pair BLOB, added_utc TEXT);
 CREATE INDEX IF NOT EXISTS results_of_series ON results (series, t_s);
 CREATE TABLE IF NOT EXISTS tracks (fid INTEGER PRIMARY KEY, geom BLOB, result TEXT, strip TEXT, utc TEXT);
@@ -98,8 +98,8 @@ class ArchivedSeries:
 
 
 def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]]:
-    """Add finished results, each dump of a joint one by itself; each folder with what became of it: "added" or
-    "there already". `RawDataError` for a folder that holds no finished result, or a damaged one.
+    """Add finished results, each dump of a joint one by itself; each folder with what became of it: "added"
+    or "there already". `RawDataError` for a folder that holds no finished result, or a damaged one.
     """
     (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     told = []
@@ -112,6 +112,13 @@ def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]
             is_new = not there and _add(archive, database, read_saved_mounting(folder))
             told.append((folder, "added" if is_new else "there already"))
     return told
+
+
+def add_mounting(saved: SavedMounting, archive: Path) -> bool:
+    """Add one result; whether it was not there."""
+    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
+    with closing(_connected(archive)) as database:
+        return _add(archive, database, saved)
 
 
 def series_of(archive: Path) -> list[ArchivedSeries]:
@@ -222,7 +229,8 @@ def _targets(saved: SavedMounting) -> list[tuple[Any, ...]]:
     if not path.is_file():
         return []
     names = ("strip_id", "target_id", "state", "residual_m", "lon_deg", "lat_deg")
-    columns = [read_parquet(path).column(name).to_pylist() for name in names]
+    table = read_parquet(path)
+    columns = [table.column(name).to_pylist() for name in names]
     return [
         (_geometry([(lon, lat)]), saved.id, strip, target, state, _known(residual))
         for strip, target, state, residual, lon, lat in zip(*columns)
@@ -260,8 +268,11 @@ def _series(archive: Path, database: sqlite3.Connection, name: str) -> ArchivedS
         return None
     names = {row["fid"]: json.loads(row["names"]) for row in database.execute("SELECT * FROM unknowns")}
     shared = tuple(sorted({one for row in used for one in names[row["unknowns"]]}))
-    place = {fid: np.array([shared.index(one) for one in own], dtype=int) for fid, own in names.items()
-             if set(own) <= set(shared)}
+    place = {
+        fid: np.array([shared.index(one) for one in own], dtype=int)
+        for fid, own in names.items()
+        if set(own) <= set(shared)
+    }
     K, S = len(used), len(shared)
     F_shared, F, right = np.zeros((K, 3, S)), np.empty((K, 3, 3)), np.empty((K, 3))
     for k, row in enumerate(used):

@@ -27,8 +27,10 @@ from boresight.features.mission.saved_mounting import ORIGIN, SavedMounting
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.report.page import template
 from boresight.pipeline.results.reading import read_mounting
 
 __all__ = ["Comparison", "Differing", "compare_mountings"]
@@ -99,23 +101,68 @@ class Comparison(Result):
             f"{self.first.id} of {self.first.utc[:10]} and {self.second.id} of {self.second.utc[:10]}",
             f"{'':26s}{'X':>14s}{'Y':>14s}{'Z':>14s}",
         ]
-        rows = (
+        lines += [
+            f"{name:27s}" + "".join(f"{value:+14.4f}" for value in values) for name, values in self.rows
+        ]
+        lines += [f"shared, so not independent: {self.shared_words}", self.verdict]
+        return "\n".join([*lines, f"{len(self.differing)} inputs, settings or versions differ"])
+
+    @property
+    def rows(self) -> list[tuple[str, Floats]]:
+        """Difference in both frames with 1-sigma errors, and on the ground, about X, Y, Z."""
+        sigma_c, sigma_s = (np.sqrt(np.diag(C)) / ARCSEC for C in (self.covariance_c, self.covariance_s))
+        return [
             ("difference, frame c, arcsec", self.theta_c / ARCSEC),
-            ("1 sigma", np.sqrt(np.diag(self.covariance_c)) / ARCSEC),
+            ("1 sigma", sigma_c),
             ("on the ground, m", self.ground_m),
             ("difference, frame s, arcsec", self.theta_s / ARCSEC),
-            ("1 sigma", np.sqrt(np.diag(self.covariance_s)) / ARCSEC),
-        )
-        lines += [f"{name:27s}" + "".join(f"{value:+14.4f}" for value in values) for name, values in rows]
+            ("1 sigma", sigma_s),
+        ]
+
+    @property
+    def shared_words(self) -> str:
+        """What both results share."""
         shared = [f"{len(self.common_strips)} strips"] if self.common_strips else []
         shared += ["the camera's distortion"] if self.shares_camera and self.first.pair.shared else []
-        lines += [f"shared, so not independent: {' and '.join(shared) or 'nothing'}", self.verdict]
-        return "\n".join([*lines, f"{len(self.differing)} inputs, settings or versions differ"])
+        return " and ".join(shared) or "nothing"
 
     def table(self) -> pd.DataFrame:
         """One row something that is not the same in both results."""
         rows = [(one.what, one.first, one.second) for one in self.differing]
         return pd.DataFrame(rows, columns=["what", "first", "second"])
+
+    def content(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "first": self.first.id,
+            "second": self.second.id,
+            "theta_c_rad": self.theta_c.tolist(),
+            "covariance_c_rad2": self.covariance_c.tolist(),
+            "theta_s_rad": self.theta_s.tolist(),
+            "covariance_s_rad2": self.covariance_s.tolist(),
+            "ground_m": self.ground_m.tolist(),
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p_value": self.p_value,
+            "differs": self.differs,
+            "common_strips": list(self.common_strips),
+            "shares_camera": self.shares_camera,
+            "differing": [[one.what, one.first, one.second] for one in self.differing],
+        }
+
+    def card(self) -> str:
+        """One HTML page that needs no network."""
+        return template("compare.html.j2").render(
+            first=f"{self.first.id} of {self.first.utc[:10]}",
+            second=f"{self.second.id} of {self.second.utc[:10]}",
+            differs=self.differs,
+            tested=self.dof > 0,
+            sentence=self.verdict,
+            rows=[(name, [f"{value:+.4f}" for value in values]) for name, values in self.rows],
+            shared=f"Shared by both, so not independent: {self.shared_words}.",
+            differing=self.differing,
+            version=__version__,
+        )
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The difference about each axis of c with its 1-sigma."""
@@ -127,9 +174,7 @@ class Comparison(Result):
         return ax
 
 
-def compare_mountings(
-    first: SavedMounting, second: SavedMounting, false_alarm: float = 0.01
-) -> Comparison:
+def compare_mountings(first: SavedMounting, second: SavedMounting, false_alarm: float = 0.01) -> Comparison:
     """The second result against the first."""
     common = _common_strips(first, second)
     shares_camera = first.model == second.model

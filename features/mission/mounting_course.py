@@ -1,14 +1,15 @@
 """The mounting's course over years, from the information of many results at once.
 
-Result k, made at t_k, has information on theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]] R_cs_ref)
-and on what all results share, the distortion of the remote-sensing camera. The course is linear and Gaussian:
+Result k, made at t_k, has information on theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
+R_cs_ref) and on what all results share, the distortion of the remote-sensing camera. The course is linear and
+Gaussian:
 
     theta(t) = mean + annual + orbit phase + beta angle + temperature + steps + random walk
 
 with the same columns X for each axis, so that unknowns (coefficients, walk, shared) have one set of normal
-equations. A term is in the model only where the fall of chi2 that it brings has a small probability by chance,
-given all others, and terms are tried before steps. A random walk is a sum of ramps between knots in time, each
-with the prior variance q dt on each axis (q in rad²/s).
+equations. A term is in the model only where the fall of chi2 that it brings has a small probability by
+chance, given all others, and terms are tried before steps. A random walk is a sum of ramps between knots in
+time, each with the prior variance q dt on each axis (q in rad²/s).
 """
 
 from __future__ import annotations
@@ -21,9 +22,22 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
-__all__ = ["CourseSettings", "CourseStep", "MountingCourse", "MountingSeries", "aliases", "estimate_course"]
+__all__ = [
+    "CourseFit",
+    "CourseSettings",
+    "CourseStep",
+    "MountingCourse",
+    "MountingSeries",
+    "aliases",
+    "annual_columns",
+    "dated_steps",
+    "estimate_course",
+    "explained_by_free",
+    "fit_columns",
+    "with_reference_moved",
+]
 
 YEAR_S = 365.25 * DAY_S  # Julian year
 # Terms of the course by their names; which of a series' conditions their columns are made of.
@@ -90,9 +104,12 @@ class CourseFit:
 
     coefficients: Floats = array("M, 3", "of the columns, rad")
     covariance: Floats = array("N, N", "of the coefficients, N = 3 M, column by column, rad²")
+    shared: Floats = array("S", "the shared unknowns")
     explained: float = scalar("fall of chi2 from theta = 0")
     log_volume: float = scalar("logarithm of the walk's evidence: -2 log L = log_volume - explained")
-    gains: Floats = array("G", "fall of chi2 by one more step before row first + 1, + 2, ...; for those asked")
+    gains: Floats = array(
+        "G", "fall of chi2 by one more step before row first + 1, + 2, ...; for those asked"
+    )
     log_determinants: Floats = array("G", "of the information on that step")
 
 
@@ -138,25 +155,39 @@ class MountingCourse:
     def at(self, t_s: Floats, conditions: dict[str, Floats] | None = None) -> tuple[Floats, Floats]:
         """theta (N, 3) at instants (N,) and its covariance (N, 3, 3); the walk goes on after the last result.
 
-        `conditions`: columns (N, m) of terms by name; unstated, those of the result nearest in the year.
+        `conditions`: columns (N, m) of terms by name; unstated, their means over the results.
         """
         X = self._columns_at(np.asarray(t_s, dtype=float), conditions or {})
         n = len(self.fit.coefficients)
         covariance = np.einsum("ni,iajb,nj->nab", X, self.fit.covariance.reshape(n, 3, n, 3), X)
         beyond = np.maximum(t_s - self.series.t_s[-1], 0.0) + np.maximum(self.series.t_s[0] - t_s, 0.0)
-        return X @ self.fit.coefficients, covariance + (self.density_rad2_s * beyond)[:, None, None] * np.eye(3)
+        return X @ self.fit.coefficients, covariance + (self.density_rad2_s * beyond)[:, None, None] * np.eye(
+            3
+        )
+
+    @property
+    def free(self) -> tuple[Floats, Floats]:
+        """theta (K, 3) of each result by itself and its covariance (K, 3, 3), at the best shared unknowns."""
+        own = self.series.right - self.series.F_shared @ self.fit.shared
+        covariance = np.linalg.inv(self.series.F)
+        return np.asarray(np.einsum("kab,kb->ka", covariance, own)), np.asarray(covariance)
+
+    def of_conditions(self) -> Floats:
+        """Part (K, 3) of theta by which the conditions of each result differ from their means."""
+        part = np.zeros((len(self.series.t_s), 3))
+        for term in self.terms:
+            if term != "annual":
+                columns = self.series.columns(term)
+                part += (columns - columns.mean(axis=0)) @ self.of_term(term)[0]
+        return part
 
     def _columns_at(self, t_s: Floats, conditions: dict[str, Floats]) -> Floats:
-        of_year = (t_s[:, None] - self.series.t_s) % YEAR_S
-        nearest = np.argmin(np.minimum(of_year, YEAR_S - of_year), axis=1)
-        parts = [np.ones((len(t_s), 1))]
+        parts: list[Floats] = [np.ones((len(t_s), 1))]
         for term in self.terms:
             if term == "annual":
                 parts.append(annual_columns(t_s))
             elif term in conditions:
                 parts.append(conditions[term])
-            elif term == "beta angle":
-                parts.append(self.series.columns(term)[nearest])
             else:
                 parts.append(np.tile(self.series.columns(term).mean(axis=0), (len(t_s), 1)))
         dates = [0.5 * (self.series.t_s[step.row - 1] + self.series.t_s[step.row]) for step in self.steps]
@@ -186,8 +217,8 @@ def aliases(series: MountingSeries) -> list[str]:
             alike = float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0]) if count > 4 else 1.0
             if alike > ALIAS:
                 said.append(
-                    f"{one} and {other} cannot be told apart (correlation {alike:.3f}): what is stated for one "
-                    "may be the other's"
+                    f"{one} and {other} cannot be told apart (correlation {alike:.3f}): what is stated for "
+                    "one may be the other's"
                 )
     if series.years < 1.0:
         said.append(f"annual: the results span {series.years:.2f} years, a season is not told from a trend")
@@ -210,19 +241,19 @@ def estimate_course(series: MountingSeries, settings: CourseSettings | None = No
         terms, steps, _ = options[int(np.argmin(costs))]
         density, p_walk = _likely_density(series, _design(series, terms, steps))
     X = _design(series, terms, steps)
-    plain = _fit(series, X)
-    chi2 = _explained_by_free(series) - plain.explained
+    plain = fit_columns(series, X)
+    chi2 = explained_by_free(series) - plain.explained
     return MountingCourse(
         series=series,
         terms=terms,
         p_values={term: _p_term(series, term, terms, steps, density) for term in series.candidates},
-        steps=_dated(series, terms, steps, known, density, settings),
+        steps=dated_steps(series, terms, steps, known, density, settings),
         density_rad2_s=density,
         density_p_value=p_walk,
         walks=p_walk < settings.false_term,
         chi2=float(chi2),
         dof=3 * (len(series.t_s) - X.shape[1]),
-        fit=_fit(series, X, density) if density else plain,
+        fit=fit_columns(series, X, density) if density else plain,
     )
 
 
@@ -267,7 +298,7 @@ def _p_term(
     """Probability of the fall of chi2 by a term, given the others."""
     without = tuple(one for one in terms if one != term)
     having = tuple(one for one in TERMS if one in without or one == term)
-    fits = [_fit(series, _design(series, some, steps), density) for some in (without, having)]
+    fits = [fit_columns(series, _design(series, some, steps), density) for some in (without, having)]
     return float(chdtrc(3 * series.columns(term).shape[1], max(fits[1].explained - fits[0].explained, 0.0)))
 
 
@@ -308,16 +339,16 @@ def _best_step(
     rows = np.setdiff1d(np.arange(1, count, stride), steps)
     if not len(rows):
         return 1, 0.0
-    gains = _fit(series, X, density, rows).gains
+    gains = fit_columns(series, X, density, rows).gains
     best = int(rows[np.argmax(gains)])
     if stride > 1:
         rows = np.setdiff1d(np.arange(max(1, best - stride), min(count, best + stride)), steps)
-        gains = _fit(series, X, density, rows).gains
+        gains = fit_columns(series, X, density, rows).gains
         best = int(rows[np.argmax(gains)])
     return best, float(gains.max())
 
 
-def _dated(
+def dated_steps(
     series: MountingSeries,
     terms: tuple[str, ...],
     steps: tuple[int, ...],
@@ -329,7 +360,7 @@ def _dated(
     and to the likelihood with the step's size integrated out.
     """
     X = _design(series, terms, steps)
-    fit = _fit(series, X, density)
+    fit = fit_columns(series, X, density)
     first = X.shape[1] - len(steps)
     dated, t_s, count = [], series.t_s, len(series.t_s)
     for n, row in enumerate(steps):
@@ -339,7 +370,7 @@ def _dated(
         if len(rows) > MOST_GAPS:  # what is far away has no part in the date
             rows = rows[np.abs(rows - row) <= MOST_GAPS // 2]
         others = _design(series, terms, tuple(one for one in steps if one != row))
-        tried = _fit(series, others, density, rows)
+        tried = fit_columns(series, others, density, rows)
         log_weight = 0.5 * (tried.gains - tried.log_determinants)
         weight = np.diff(t_s)[rows - 1] * np.exp(log_weight - log_weight.max())
         cumulative = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
@@ -369,20 +400,22 @@ def _design(series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ..
     return np.hstack([np.ones((len(rows), 1)), *of_terms, later])
 
 
-def _fit(series: MountingSeries, X: Floats, density: float = 0.0, rows: Floats | None = None) -> CourseFit:
+def fit_columns(
+    series: MountingSeries, X: Floats, density: float = 0.0, rows: Ints | None = None
+) -> CourseFit:
     """The best coefficients of columns (K, m); with a density (rad²/s) the walk's ramps after them. `rows`:
     for each, what one more step before that row would bring.
     """
-    prior = np.zeros(3 * X.shape[1])
+    prior: Floats = np.zeros(3 * X.shape[1])
     if density > 0.0:
         knots = _knots(series.t_s)
         X = np.hstack([X, _ramps(series.t_s, knots)])
         prior = np.concatenate([prior, np.repeat(1.0 / (density * np.diff(knots)), 3)])
     m = X.shape[1]
-    N = np.empty((m, 3, m, 3))
+    blocks = np.empty((m, 3, m, 3))
     for a, b in np.ndindex(3, 3):
-        N[:, a, :, b] = X.T @ (series.F[:, a, b, None] * X)
-    N = N.reshape(3 * m, 3 * m)
+        blocks[:, a, :, b] = X.T @ (series.F[:, a, b, None] * X)
+    N = blocks.reshape(3 * m, 3 * m)
     cross = (X.T @ series.F_shared.reshape(len(X), -1)).reshape(3 * m, -1)
     whole = np.block([[N + np.diag(prior), cross], [cross.T, series.shared_F]])
     right = np.concatenate([(X.T @ series.right).ravel(), series.shared_right])
@@ -412,6 +445,7 @@ def _fit(series: MountingSeries, X: Floats, density: float = 0.0, rows: Floats |
     return CourseFit(
         coefficients=x[: 3 * m].reshape(m, 3),
         covariance=0.5 * (inverse + inverse.T),
+        shared=x[3 * m :],
         explained=float(x @ right),
         log_volume=_log_volume(N, cross, series.shared_F, prior),
         gains=gains,
@@ -435,10 +469,10 @@ def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
         return 0.0, 1.0
     sigma2 = 1.0 / np.median(np.linalg.eigvalsh(series.F), axis=0)[-1]
     span = float(series.t_s[-1] - series.t_s[0])
-    rest = _fit(series, X)
+    rest = fit_columns(series, X)
 
     def loss(log_density: float) -> float:
-        fit = _fit(series, X, float(np.exp(log_density)))
+        fit = fit_columns(series, X, float(np.exp(log_density)))
         return fit.log_volume - fit.explained
 
     around = np.log(sigma2 / span)
@@ -457,12 +491,12 @@ def _cost(
     series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float, known: int
 ) -> float:
     """Schwarz's criterion of a model: -2 log L and the logarithm of K for each number that was fitted."""
-    fit = _fit(series, _design(series, terms, steps), density)
+    fit = fit_columns(series, _design(series, terms, steps), density)
     fitted = 4 * (len(steps) - known) + 3 * sum(series.columns(term).shape[1] for term in terms)
     return fit.log_volume - fit.explained + (fitted + (density > 0.0)) * float(np.log(len(series.t_s)))
 
 
-def _explained_by_free(series: MountingSeries) -> float:
+def explained_by_free(series: MountingSeries) -> float:
     """Fall of chi2 where each result has a theta of its own."""
     gain = np.linalg.solve(series.F, series.F_shared)
     free = np.linalg.solve(series.F, series.right[:, :, None])[:, :, 0]
@@ -483,7 +517,7 @@ def _ramps(t_s: Floats, knots: Floats) -> Floats:
     return np.clip((t_s[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
 
 
-def _from(values: Floats, rows: Floats) -> Floats:
+def _from(values: Floats, rows: Ints) -> Floats:
     """Sums over the rows k >= row, for each of `rows`."""
     return np.cumsum(values[::-1], axis=0)[::-1][rows]
 
