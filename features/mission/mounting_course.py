@@ -233,10 +233,12 @@ def estimate_course(series: MountingSeries, settings: CourseSettings | None = No
     known = tuple(series.exchanges)
     terms, steps = _believed(series, known, 0.0, settings)
     density, p_walk = _likely_density(series, _design(series, terms, steps))
-    if steps != known or p_walk < settings.false_term:  # a walk looks like steps, and steps like a walk
-        bare, _ = _likely_density(series, _design(series, terms, known))
-        walking = _believed(series, known, bare, settings)
-        options = [(terms, steps, density), (*walking, bare)]
+    if (terms, steps) != ((), known) or p_walk < settings.false_term:
+        # a walk looks like steps and like a season, and these like a walk
+        options = [(terms, steps, density)]
+        for beside in dict.fromkeys((terms, ())):
+            bare, _ = _likely_density(series, _design(series, beside, known))
+            options.append((*_believed(series, known, bare, settings), bare))
         costs = [_cost(series, *option, len(known)) for option in options]
         terms, steps, _ = options[int(np.argmin(costs))]
         density, p_walk = _likely_density(series, _design(series, terms, steps))

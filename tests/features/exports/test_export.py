@@ -34,6 +34,7 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.results.validate import validation_of
 
 runner = CliRunner()
+MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 
 
 OF_ANY_DUMP = [
@@ -105,11 +106,13 @@ def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
     told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", ran.output)
     assert bool(told) == is_told
     for name, stated in told:
-        assert float(stated) < 0.1 and (tmp_path / f"{name}_RPC.TXT").is_file()  # px
+        assert 0.0 <= float(stated) < 1.0 and (tmp_path / f"{name}_RPC.TXT").is_file()  # px
 
 
-def test_an_rpc_states_the_error_that_check_points_of_its_strip_are_to_have(finished, exported):
-    calibrated = open_calibrated(finished[1], None)
+def test_an_rpc_states_the_error_that_check_points_of_its_strip_are_to_have(finished, exported, tmp_path):
+    shutil.copytree(finished[0], tmp_path / "dump")
+    shutil.copytree(MINI / "truth", tmp_path / "dump" / "truth")
+    calibrated = open_calibrated(finished[1], tmp_path / "dump")
     expected = validation_of(calibrated.result, calibrated.dump).predicted
     predicted2 = np.mean([one.predicted_m**2 for one in expected])
     stated2 = []
