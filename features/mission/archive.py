@@ -124,7 +124,7 @@ def add_mounting(saved: SavedMounting, archive: Path) -> bool:
 def series_of(archive: Path) -> list[ArchivedSeries]:
     """All series of an archive that have results for a course; `RawDataError` where there is none."""
     if not (archive / FILE).is_file():
-        raise RawDataError(str(archive), FILE, "missing", "an archive that `archive add` made")
+        raise RawDataError(str(archive), FILE, "no such file", "an archive that `archive add` made")
     with closing(_connected(archive)) as database:
         database.row_factory = sqlite3.Row
         names = [row["series"] for row in database.execute("SELECT DISTINCT series FROM results ORDER BY 1")]

@@ -84,18 +84,34 @@ class MountingSeries:
         """Length of the series."""
         return float(self.t_s[-1] - self.t_s[0]) / YEAR_S
 
-    def columns(self, term: str) -> Floats:
-        """Columns (K, m) of a term; of m = 0 where its condition is not known for all results."""
-        if term == "annual":
-            return annual_columns(self.t_s)
-        known = {"orbit phase": self.cos_sin, "beta angle": np.sin(self.beta_rad)[:, None]}
+    def conditions(self, term: str) -> Floats:
+        """What a term is made of, (K, m); of m = 0 where it is not known for all results."""
+        known = {"annual": annual_columns(self.t_s), "orbit phase": self.cos_sin}
+        known["beta angle"] = np.sin(self.beta_rad)[:, None]
         known["temperature"] = 0.1 * (self.temperature_c - np.mean(self.temperature_c))[:, None]
         return known[term] if np.isfinite(known[term]).all() else np.empty((len(self.t_s), 0))
+
+    def directions(self, term: str) -> Floats:
+        """Combinations (m, r) of a term's conditions that vary enough to be told from the mean; where all do,
+        the conditions as they are.
+        """
+        of_term = self.conditions(term)
+        m = of_term.shape[1]
+        if not m or len(of_term) < m + 3:
+            return np.zeros((m, 0))
+        centred = of_term - of_term.mean(axis=0)
+        _, spread, V = np.linalg.svd(centred, full_matrices=False)
+        told = spread > LEAST_SPREAD * np.sqrt(len(of_term))
+        return np.eye(m) if told.all() else np.asarray(V[told].T)
+
+    def columns(self, term: str) -> Floats:
+        """Columns (K, r) of a term: its conditions in the directions that are told from the mean."""
+        return self.conditions(term) @ self.directions(term)
 
     @property
     def candidates(self) -> tuple[str, ...]:
         """Terms that the conditions of the results tell from the mean."""
-        return tuple(term for term in TERMS if _spread(self.columns(term)) > LEAST_SPREAD)
+        return tuple(term for term in TERMS if self.directions(term).shape[1])
 
 
 @record(kw_only=True)
@@ -147,7 +163,7 @@ class MountingCourse:
         return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
 
     def of_term(self, term: str) -> tuple[Floats, Floats]:
-        """Coefficients (m, 3) of a believed term and their covariance (3 m, 3 m)."""
+        """Coefficients (r, 3) of a believed term's columns and their covariance (3 r, 3 r)."""
         first = 1 + sum(self.series.columns(one).shape[1] for one in self.terms[: self.terms.index(term)])
         n = self.series.columns(term).shape[1]
         return self.fit.coefficients[first : first + n], _block(self.fit.covariance, first, n)
@@ -155,7 +171,7 @@ class MountingCourse:
     def at(self, t_s: Floats, conditions: dict[str, Floats] | None = None) -> tuple[Floats, Floats]:
         """theta (N, 3) at instants (N,) and its covariance (N, 3, 3); the walk goes on after the last result.
 
-        `conditions`: columns (N, m) of terms by name; unstated, their means over the results.
+        `conditions`: (N, m) of terms by name; unstated, their means over the results.
         """
         X = self._columns_at(np.asarray(t_s, dtype=float), conditions or {})
         n = len(self.fit.coefficients)
@@ -185,9 +201,9 @@ class MountingCourse:
         parts: list[Floats] = [np.ones((len(t_s), 1))]
         for term in self.terms:
             if term == "annual":
-                parts.append(annual_columns(t_s))
+                parts.append(annual_columns(t_s) @ self.series.directions(term))
             elif term in conditions:
-                parts.append(conditions[term])
+                parts.append(conditions[term] @ self.series.directions(term))
             else:
                 parts.append(np.tile(self.series.columns(term).mean(axis=0), (len(t_s), 1)))
         dates = [0.5 * (self.series.t_s[step.row - 1] + self.series.t_s[step.row]) for step in self.steps]
@@ -207,10 +223,12 @@ def aliases(series: MountingSeries) -> list[str]:
     """Sentences on what the results cannot tell apart."""
     said, count = [], len(series.t_s)
     for term in TERMS:
-        if not series.columns(term).shape[1]:
+        if not series.conditions(term).shape[1]:
             said.append(f"{term}: not stated by all results, so not tried")
         elif term not in series.candidates:
             said.append(f"{term}: varies too little over the results to be told from the mean")
+        elif np.diff(series.directions(term).shape) < 0:
+            said.append(f"{term}: seen in part only, one of its directions is not told from the mean")
     for n, one in enumerate(series.candidates):
         for other in series.candidates[n + 1 :]:
             bases = [np.linalg.qr(c - c.mean(axis=0))[0] for c in map(series.columns, (one, other))]
@@ -527,14 +545,6 @@ def _from(values: Floats, rows: Ints) -> Floats:
 def _block(covariance: Floats, first: int, count: int) -> Floats:
     here = slice(3 * first, 3 * (first + count))
     return covariance[here, here]
-
-
-def _spread(columns: Floats) -> float:
-    """Least standard deviation of a combination of columns (K, m); 0 of none."""
-    if not columns.shape[1] or len(columns) < columns.shape[1] + 3:
-        return 0.0
-    centred = columns - columns.mean(axis=0)
-    return float(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(len(columns)))
 
 
 def with_reference_moved(series: MountingSeries, shift: Floats) -> MountingSeries:

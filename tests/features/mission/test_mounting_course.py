@@ -124,7 +124,7 @@ def test_what_one_side_of_an_orbit_cannot_tell_is_said():
     rng = np.random.default_rng(6)
     t_s = np.arange(110) * 10.0 * DAY_S
     year = 2.0 * np.pi * t_s / YEAR_S
-    u = 1.55 + 0.05 * rng.normal(size=110)
+    u = 1.55 + 0.02 * rng.normal(size=110)
     series = DrawnMission(PAIR, rng).series(
         t_s,
         np.zeros((110, 3)),
@@ -136,6 +136,19 @@ def test_what_one_side_of_an_orbit_cannot_tell_is_said():
     assert any(text.startswith("annual and beta angle cannot be told apart") for text in said)
     assert any(text.startswith("orbit phase: varies too little") for text in said)
     assert not any("temperature" in text for text in said)
+
+
+def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
+    rng = np.random.default_rng(8)
+    truth = Truth(rng, results=110, one_sided=True, annual=0.0, steps=(0.0, 0.0))
+    series = DrawnMission(PAIR, rng).series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+    course = estimate_course(series)
+    assert course.terms == ("orbit phase",) and not course.steps
+    assert course.of_term("orbit phase")[0].shape == (1, 3)
+    assert any(text.startswith("orbit phase: seen in part only") for text in aliases(series))
+    theta, covariance = course.at(truth.t_s[:1], {"orbit phase": truth.cos_sin[:1]})
+    error = theta[0] - truth.theta(truth.t_s[:1], truth.cos_sin[:1])[0]
+    assert error @ np.linalg.solve(covariance[0], error) < chi2(3).ppf(0.999)
 
 
 def test_one_result_has_no_course():
