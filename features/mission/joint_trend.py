@@ -25,7 +25,7 @@ from boresight.features.mission.mounting_course import (
     explained_by_free,
     fit_columns,
 )
-from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_of
+from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_at
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline import __version__
@@ -75,7 +75,7 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
         "step": {
             "after": of_folder[saved[step.row - 1].folder],
             "before": of_folder[saved[step.row].folder],
-            "utc_interval": [utc_of(t_s) for t_s in step.interval_s],
+            "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
             "theta_rad": step.theta.tolist(),
             "covariance_rad2": step.covariance.tolist(),
             "p_value": step.p_value,

@@ -58,8 +58,8 @@ ROUNDS = 4  # of terms given steps, steps given terms
 class CourseSettings:
     """What is asked of a course."""
 
-    false_term: float = scalar("probability that any term is believed without cause", default=0.01)
-    false_steps_per_year: float = scalar("steps believed without cause, a year", default=0.01)
+    false_term: float = scalar("probability that any term is accepted without cause", default=0.01)
+    false_steps_per_year: float = scalar("steps accepted without cause, a year", default=0.01)
     confidence: float = scalar("of the interval of a step's date", default=0.95)
 
 
@@ -92,8 +92,8 @@ class MountingSeries:
         return known[term] if np.isfinite(known[term]).all() else np.empty((len(self.t_s), 0))
 
     def directions(self, term: str) -> Floats:
-        """Combinations (m, r) of a term's conditions that vary enough to be told from the mean; where all do,
-        the conditions as they are.
+        """Combinations (m, r) of a term's conditions that vary enough to be distinguished from the mean; where
+        all do, the conditions as they are.
         """
         of_term = self.conditions(term)
         m = of_term.shape[1]
@@ -105,7 +105,7 @@ class MountingSeries:
         return np.eye(m) if told.all() else np.asarray(V[told].T)
 
     def columns(self, term: str) -> Floats:
-        """Columns (K, r) of a term: its conditions in the directions that are told from the mean."""
+        """Columns (K, r) of a term: its conditions in the directions that differ from the mean."""
         return self.conditions(term) @ self.directions(term)
 
     @property
@@ -144,12 +144,12 @@ class CourseStep:
 
 @record(kw_only=True)
 class MountingCourse:
-    """The believed model of a series."""
+    """The accepted model of a series."""
 
     series: MountingSeries = scalar("the results")
-    terms: tuple[str, ...] = scalar("believed terms, in the order of `TERMS`")
-    p_values: dict[str, float] = scalar("of each candidate, given all that is believed beside it")
-    steps: tuple[CourseStep, ...] = scalar("believed steps, in the order of time")
+    terms: tuple[str, ...] = scalar("accepted terms, in the order of `TERMS`")
+    p_values: dict[str, float] = scalar("of each candidate, given all that is accepted beside it")
+    steps: tuple[CourseStep, ...] = scalar("accepted steps, in the order of time")
     density_rad2_s: float = scalar("most likely of the random walk, each axis; in all predictions")
     density_p_value: float = scalar("of the walk, given terms and steps")
     walks: bool = scalar("whether that is evidence of a walk")
@@ -163,7 +163,7 @@ class MountingCourse:
         return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
 
     def of_term(self, term: str) -> tuple[Floats, Floats]:
-        """Coefficients (r, 3) of a believed term's columns and their covariance (3 r, 3 r)."""
+        """Coefficients (r, 3) of a accepted term's columns and their covariance (3 r, 3 r)."""
         first = 1 + sum(self.series.columns(one).shape[1] for one in self.terms[: self.terms.index(term)])
         n = self.series.columns(term).shape[1]
         return self.fit.coefficients[first : first + n], _block(self.fit.covariance, first, n)
@@ -226,7 +226,7 @@ def aliases(series: MountingSeries) -> list[str]:
         if not series.conditions(term).shape[1]:
             said.append(f"{term}: not stated by all results, so not tried")
         elif term not in series.candidates:
-            said.append(f"{term}: varies too little over the results to be told from the mean")
+            said.append(f"{term}: varies too little over the results to be distinguished from the mean")
         elif np.diff(series.directions(term).shape) < 0:
             said.append(f"{term}: seen in part only, one of its directions is not told from the mean")
     for n, one in enumerate(series.candidates):
@@ -249,14 +249,14 @@ def estimate_course(series: MountingSeries, settings: CourseSettings | None = No
     if len(series.t_s) < 2:
         raise ValueError(f"{len(series.t_s)} results show no course of time, 2 are needed")
     known = tuple(series.exchanges)
-    terms, steps = _believed(series, known, 0.0, settings)
+    terms, steps = _accepted(series, known, 0.0, settings)
     density, p_walk = _likely_density(series, _design(series, terms, steps))
     if (terms, steps) != ((), known) or p_walk < settings.false_term:
         # a walk looks like steps and like a season, and these like a walk
         options = [(terms, steps, density)]
         for beside in dict.fromkeys((terms, ())):
             bare, _ = _likely_density(series, _design(series, beside, known))
-            options.append((*_believed(series, known, bare, settings), bare))
+            options.append((*_accepted(series, known, bare, settings), bare))
         costs = [_cost(series, *option, len(known)) for option in options]
         terms, steps, _ = options[int(np.argmin(costs))]
         density, p_walk = _likely_density(series, _design(series, terms, steps))
@@ -277,7 +277,7 @@ def estimate_course(series: MountingSeries, settings: CourseSettings | None = No
     )
 
 
-def _believed(
+def _accepted(
     series: MountingSeries, known: tuple[int, ...], density: float, settings: CourseSettings
 ) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Terms and rows of steps with evidence, terms first, each again given the others until none changes."""
@@ -285,14 +285,14 @@ def _believed(
     steps = known
     for _ in range(ROUNDS):
         before = terms, steps
-        terms = _believed_terms(series, terms, steps, density, settings)
-        steps = _believed_steps(series, terms, known, density, settings)
+        terms = _accepted_terms(series, terms, steps, density, settings)
+        steps = _accepted_steps(series, terms, known, density, settings)
         if (terms, steps) == before:
             break
     return terms, steps
 
 
-def _believed_terms(
+def _accepted_terms(
     series: MountingSeries,
     terms: tuple[str, ...],
     steps: tuple[int, ...],
@@ -322,7 +322,7 @@ def _p_term(
     return float(chdtrc(3 * series.columns(term).shape[1], max(fits[1].explained - fits[0].explained, 0.0)))
 
 
-def _believed_steps(
+def _accepted_steps(
     series: MountingSeries,
     terms: tuple[str, ...],
     known: tuple[int, ...],

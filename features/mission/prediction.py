@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.features.mission.archive import ArchivedSeries
 from boresight.features.mission.mounting_course import MountingCourse
-from boresight.features.mission.saved_mounting import utc_of
+from boresight.features.mission.saved_mounting import utc_at
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import Floats, array, record, scalar
@@ -44,12 +44,12 @@ class MountingPrediction:
     def content(self) -> dict[str, Any]:
         """For programs."""
         return {
-            "utc": utc_of(self.t_s),
+            "utc": utc_at(self.t_s),
             "R_cs": self.R_cs.as_matrix().tolist(),
             "quaternion_xyzw": self.R_cs.as_quat(canonical=True).tolist(),
             "covariance_rad2": self.covariance.tolist(),
             "error_month_later_rad": self.error_month_rad.tolist(),
-            "valid_utc": None if self.valid_s is None else [utc_of(t_s) for t_s in self.valid_s],
+            "valid_utc": None if self.valid_s is None else [utc_at(t_s) for t_s in self.valid_s],
             "is_met": self.is_met,
         }
 

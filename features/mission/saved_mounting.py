@@ -21,7 +21,7 @@ from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation, read_mounting, read_saved_result
 from boresight.pipeline.run.digests import digest
 
-__all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_of"]
+__all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_at"]
 
 # By which the unknowns of the distortion are measured: alike where results share these unknowns.
 OF_DISTORTION = (
@@ -66,7 +66,7 @@ def instant_s(utc: str) -> float:
     return float(ORIGIN.seconds_from_utc([utc if "T" in utc else f"{utc}T00:00:00Z"])[0])
 
 
-def utc_of(t_s: float) -> str:
+def utc_at(t_s: float) -> str:
     """The date, UTC, to the second."""
     return f"{ORIGIN.utc_from_seconds(np.array([t_s]))[0][:19]}Z"
 
@@ -94,7 +94,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
         id=identity.result,
         folder=folder.resolve(),
         t_s=t_s,
-        utc=utc_of(t_s),
+        utc=utc_at(t_s),
         mission=str(about.get("mission") or context.get("mission", "")),
         satellite=str(context.get("satellite", "")),
         camera="",

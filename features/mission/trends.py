@@ -22,7 +22,7 @@ from boresight.features.mission.mounting_course import (
     estimate_course,
 )
 from boresight.features.mission.prediction import MountingPrediction, predict
-from boresight.features.mission.saved_mounting import utc_of
+from boresight.features.mission.saved_mounting import utc_at
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.results.requirement import Requirement
@@ -31,7 +31,7 @@ __all__ = ["Trend", "required_rad", "trend_of"]
 
 LAST_LIMIT = 1e-3  # p-value below which the last result contradicts the course
 NEW_STEP_DAYS = 90.0  # a step that may be younger raises an alarm
-# Facts whose changes are told, by the names that the table gives them.
+# Facts whose changes are listed, by the names that the table gives them.
 CHANGES = {"program": "program", "star_camera": "star camera"}
 
 
@@ -40,7 +40,7 @@ class Trend:
     """One series of an archive."""
 
     archived: ArchivedSeries = scalar("its results")
-    course: MountingCourse = scalar("the believed model")
+    course: MountingCourse = scalar("the accepted model")
     now: MountingPrediction = scalar("the matrix for the date asked for")
     required_rad: Floats | None = scalar("(3,) largest rms error about each axis; None: none required")
     aliases: tuple[str, ...] = scalar("what the results cannot tell apart")
@@ -56,17 +56,17 @@ class Trend:
         course, t_s = self.course, self.course.series.t_s
         now, sigma = self.now, np.sqrt(np.diag(self.now.covariance)) / ARCSEC
         chi2 = f"{course.chi2:.1f} / {course.dof}, p {course.p_value:.2g}"
-        lines = [f"{self.name}: {len(t_s)} results, {utc_of(t_s[0])[:10]} to {utc_of(t_s[-1])[:10]}"]
+        lines = [f"{self.name}: {len(t_s)} results, {utc_at(t_s[0])[:10]} to {utc_at(t_s[-1])[:10]}"]
         lines += [f"terms                     {', '.join(('mean', *course.terms))}; chi2 / dof {chi2}"]
         lines += [f"step                      {step_words(course, step)}" for step in course.steps]
         if course.walks:
             lines.append(f"random walk               {_per_root_day(course):.3g} arcsec per root day")
         lines.append(
-            f"matrix for {utc_of(now.t_s)[:10]}     1 sigma, arcsec"
+            f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec"
             + "".join(f"{value:10.4f}" for value in sigma)
         )
         if now.valid_s is not None:
-            lines.append(f"valid                     {' to '.join(utc_of(t)[:10] for t in now.valid_s)}")
+            lines.append(f"valid                     {' to '.join(utc_at(t)[:10] for t in now.valid_s)}")
         lines += [f"cannot be told            {text}" for text in self.aliases]
         return "\n".join([*lines, *(f"ALARM                     {text}" for text in self.alarms)])
 
@@ -81,7 +81,7 @@ class Trend:
             "now": self.now.content(),
             "terms": {
                 term: {
-                    "believed": term in course.terms,
+                    "accepted": term in course.terms,
                     "p_value": p,
                     **({} if term not in course.terms else _coefficients(course, term)),
                 }
@@ -91,8 +91,8 @@ class Trend:
                 {
                     "after": course.series.names[step.row - 1],
                     "before": course.series.names[step.row],
-                    "utc": utc_of(_date(course, step)),
-                    "utc_interval": [utc_of(t_s) for t_s in step.interval_s],
+                    "utc": utc_at(_date(course, step)),
+                    "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
                     "probability": step.probability,
                     "p_value": step.p_value,
                     "is_exchange": step.is_exchange,
@@ -102,7 +102,7 @@ class Trend:
                 for step in course.steps
             ],
             "random_walk": {
-                "believed": course.walks,
+                "accepted": course.walks,
                 "density_rad2_s": course.density_rad2_s,
                 "p_value": course.density_p_value,
             },
@@ -152,13 +152,13 @@ def required_rad(archived: ArchivedSeries, requirement: Requirement) -> Floats |
 
 def step_words(course: MountingCourse, step: CourseStep) -> str:
     """Date, interval, probability and size of a step."""
-    low, high = (utc_of(t_s)[:10] for t_s in step.interval_s)
+    low, high = (utc_at(t_s)[:10] for t_s in step.interval_s)
     sigma = np.sqrt(np.diag(step.covariance)) / ARCSEC
     size = ", ".join(f"{a} {v:+.2f} ± {s:.2f}" for a, v, s in zip("XYZ", step.theta / ARCSEC, sigma))
     kind = (
         "star camera exchanged" if step.is_exchange else f"p {step.p_value:.2g}, {step.probability:.0%} there"
     )
-    return f"{utc_of(_date(course, step))[:10]} ({low} to {high}; {kind}): {size} arcsec"
+    return f"{utc_at(_date(course, step))[:10]} ({low} to {high}; {kind}): {size} arcsec"
 
 
 def changes_of(archived: ArchivedSeries) -> Iterator[tuple[str, str, str]]:

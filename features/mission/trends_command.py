@@ -10,7 +10,7 @@ import typer
 
 from boresight.features.mission.archive import series_of
 from boresight.features.mission.mounting_course import CourseSettings
-from boresight.features.mission.saved_mounting import instant_s, utc_of
+from boresight.features.mission.saved_mounting import instant_s, utc_at
 from boresight.features.mission.trends import Trend, trend_of
 from boresight.features.mission.trends_page import trends_html
 from boresight.pipeline.console.arguments import RequireArcsec, RequireMetres
@@ -30,7 +30,7 @@ def trends_command(
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
     false_steps: Annotated[
-        float, typer.Option(help="Steps that may be believed without cause, a year.", min=1e-9, max=0.5)
+        float, typer.Option(help="Steps that may be accepted without cause, a year.", min=1e-9, max=0.5)
     ] = 0.01,
 ) -> Answer:
     """Model each mounting of an archive over time: seasons, orbit, temperature, steps, random walk.
@@ -54,7 +54,7 @@ def trends_command(
         return Answer(text="no series of the archive has two results", exit_status=DATA_DID_NOT_ALLOW)
     out.mkdir(parents=True, exist_ok=True)
     alarm = any(trend.alarms for trend in trends)
-    content = {"at": utc_of(at_s), "alarm": alarm, "series": [trend.content() for trend in trends]}
+    content = {"at": utc_at(at_s), "alarm": alarm, "series": [trend.content() for trend in trends]}
     write_json(out / "trends.json", content)
     write_text(out / "trends.html", trends_html(trends, out))
     files = [out / "trends.html", out / "trends.json"]
@@ -72,6 +72,6 @@ def trends_command(
 def _calibration(trend: Trend) -> str:
     now = trend.now
     of = dict(zip(("mission", "satellite", "camera", "star_camera"), trend.archived.key))
-    valid = (None, None) if now.valid_s is None else (utc_of(now.valid_s[0]), utc_of(now.valid_s[1]))
-    more = {"utc": utc_of(now.t_s), "results": len(trend.archived.rows), "terms": list(trend.course.terms)}
+    valid = (None, None) if now.valid_s is None else (utc_at(now.valid_s[0]), utc_at(now.valid_s[1]))
+    more = {"utc": utc_at(now.t_s), "results": len(trend.archived.rows), "terms": list(trend.course.terms)}
     return calibration_text(now.R_cs, now.covariance, of, valid, more)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from boresight.features.mission.mounting_course import MountingCourse
-from boresight.features.mission.saved_mounting import instant_s, utc_of
+from boresight.features.mission.saved_mounting import instant_s, utc_at
 from boresight.features.mission.trends import Trend, changes_of, step_words
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.record import Floats
@@ -46,13 +46,13 @@ def _view(trend: Trend, folder: Path) -> dict[str, Any]:
     return {
         "name": trend.name,
         "count": len(course.series.t_s),
-        "span": [utc_of(course.series.t_s[k])[:10] for k in (0, -1)],
+        "span": [utc_at(course.series.t_s[k])[:10] for k in (0, -1)],
         "alarms": trend.alarms,
-        "date": utc_of(now.t_s)[:10],
+        "date": utc_at(now.t_s)[:10],
         "matrix": [[f"{value:+.12f}" for value in row] for row in now.R_cs.as_matrix().tolist()],
         "sigma": [f"{value:.4f}" for value in sigma],
         "month": metres,
-        "valid": None if now.valid_s is None else [utc_of(t_s)[:10] for t_s in now.valid_s],
+        "valid": None if now.valid_s is None else [utc_at(t_s)[:10] for t_s in now.valid_s],
         "pictures": [_picture(trend, axis, folder) for axis in range(3)],
         "terms": [_term_row(course, term, p) for term, p in course.p_values.items()],
         "steps": [step_words(course, step) for step in course.steps],
@@ -71,7 +71,7 @@ def _term_row(course: MountingCourse, term: str, p: float) -> dict[str, Any]:
         values, covariance = course.of_term(term)
         sigma = np.sqrt(np.diag(covariance)).reshape(values.shape).mean(axis=0) / ARCSEC
         sizes = [f"{a:.3f} ± {s:.3f}" for a, s in zip(np.linalg.norm(values, axis=0) / ARCSEC, sigma)]
-    return {"name": term, "sizes": sizes, "p": f"{p:.2g}", "believed": term in course.terms}
+    return {"name": term, "sizes": sizes, "p": f"{p:.2g}", "accepted": term in course.terms}
 
 
 def _picture(trend: Trend, axis: int, folder: Path) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def _thinned(t_s: Floats, theta: Floats, sigma: Floats) -> list[tuple[float, flo
 
 def _dates(first_s: float, last_s: float) -> Iterator[tuple[float, str]]:
     """Instants of years, or of months where there are few years, with their names."""
-    years = range(int(utc_of(first_s)[:4]), int(utc_of(last_s)[:4]) + 1)
+    years = range(int(utc_at(first_s)[:4]), int(utc_at(last_s)[:4]) + 1)
     months = (1,) if len(years) > 8 else (1, 7) if len(years) > 3 else (1, 4, 7, 10)
     for name in (f"{year}-{month:02d}" for year in years for month in months):
         if first_s <= (t_s := instant_s(f"{name}-01")) <= last_s:

@@ -25,8 +25,8 @@ def calibration_text(
     valid: tuple[str | None, str | None],
     more: Mapping[str, Any],
 ) -> str:
-    """The file's text; `of`: mission, satellite, camera, star_camera; `valid`: first and last date, UTC;
-    `more`: further facts, each a key.
+    """The file's text; `covariance` (3, 3), rad²; `of`: mission, satellite, camera, star_camera; `valid`:
+    first and last date, UTC; `more`: further facts, each a key.
     """
     content: dict[str, Any] = {"format": "boresight-calibration", "format_version": 1}
     content |= dict(of) | {"valid_from_utc": valid[0], "valid_to_utc": valid[1]}

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.features.mission.mounting_course import YEAR_S, MountingSeries, annual_columns
-from boresight.features.mission.saved_mounting import SavedMounting, utc_of
+from boresight.features.mission.saved_mounting import SavedMounting, utc_at
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
 
@@ -72,14 +72,14 @@ class DrawnMission:
         values = {
             "id": name,
             "t_s": t_s,
-            "utc": utc_of(t_s),
+            "utc": utc_at(t_s),
             "R_cs": deviation_from_theta(np.linalg.solve(N, b)[:3]) * self.pair.R_cs_ref,
             "covariance": np.linalg.inv(N)[:3, :3],
             "pair": InformationPairs(
                 np.array([name]), scale * self.F[None], b[None], self.pair.R_cs_ref, self.pair.shared
             ),
             "strips": np.array(["s1"]),
-            "strips_utc": np.array([utc_of(t_s)]),
+            "strips_utc": np.array([utc_at(t_s)]),
             "track_deg": np.array([[50.0, 10.0, 49.0, 9.8]]),
         }
         return dataclasses.replace(like, **(values | changes))
@@ -92,7 +92,7 @@ def bare_result(pair=None):
         id="0",
         folder=Path("result").resolve(),
         t_s=0.0,
-        utc=utc_of(0.0),
+        utc=utc_at(0.0),
         mission="drawn",
         satellite="",
         camera="",
@@ -109,7 +109,7 @@ def bare_result(pair=None):
         beta_rad=0.1,
         temperature_c=np.nan,
         strips=np.array(["s1"]),
-        strips_utc=np.array([utc_of(0.0)]),
+        strips_utc=np.array([utc_at(0.0)]),
         track_deg=np.full((1, 4), np.nan),
         facts={"program": "boresight 0", "inputs": "i", "dump": "d"},
     )

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from boresight.features.mission.archive import add_mounting, add_results, series_of
 from boresight.features.mission.mounting_course import YEAR_S
-from boresight.features.mission.saved_mounting import utc_of
+from boresight.features.mission.saved_mounting import utc_at
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline.errors import RawDataError
@@ -157,7 +157,7 @@ def test_two_writers_and_one_that_is_killed_lose_and_double_nothing(tmp_path):
 def test_trends_tell_step_prediction_and_alarm(tmp_path):
     truth = mission_in(tmp_path / "a", 60, refuted=(7,), step=3.0)
     last = truth.t_s[-1]
-    asked = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", utc_of(last + YEAR_S / 12)]
+    asked = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", utc_at(last + YEAR_S / 12)]
     ran = runner.invoke(app, [*asked, "--require-arcsec", "100"])
     assert ran.exit_code == 0, ran.output
     content = json.loads((tmp_path / "t" / "trends.json").read_text())
@@ -165,7 +165,7 @@ def test_trends_tell_step_prediction_and_alarm(tmp_path):
     assert not content["alarm"] and one["results"] == 59
     (step,) = one["steps"]
     assert abs(int(step["before"][1:]) - truth.rows[0]) <= 1
-    assert utc_of(last)[:10] < one["now"]["valid_utc"][1][:10]
+    assert utc_at(last)[:10] < one["now"]["valid_utc"][1][:10]
     calibration = json.loads((tmp_path / "t" / "calibration.json").read_text())
     assert (
         calibration["R_cs"] == one["now"]["R_cs"]

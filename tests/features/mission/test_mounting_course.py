@@ -93,19 +93,19 @@ def test_the_fit_is_generalised_least_squares_with_the_shared_unknowns_integrate
     assert explained_by_free(series) - found.explained == pytest.approx(rest @ L @ rest, rel=1e-6)
 
 
-def test_a_random_walk_is_believed_where_there_is_one():
+def test_a_random_walk_is_accepted_where_there_is_one():
     density = (0.15 * ARCSEC) ** 2 / DAY_S
-    believed, ratios = [0, 0], []
+    accepted, ratios = [0, 0], []
     for seed in range(6):
         rng = np.random.default_rng(200 + seed)
         t_s = np.arange(60) * 10.0 * DAY_S
         walk = np.cumsum(rng.normal(size=(60, 3)) * np.sqrt(density * 10.0 * DAY_S), axis=0)
         for n, theta in enumerate((np.zeros((60, 3)), walk)):
             course = estimate_course(DrawnMission(PAIR, rng).series(t_s, theta))
-            believed[n] += course.walks
+            accepted[n] += course.walks
         ratios += [np.log(course.density_rad2_s / density)] if course.walks else []
     # one walk in ten is as well a season with steps
-    assert believed[0] <= 1 and believed[1] >= 5
+    assert accepted[0] <= 1 and accepted[1] >= 5
     assert np.mean(ratios) == pytest.approx(0.0, abs=0.4)  # 1 sigma of one about 0.3
 
 
