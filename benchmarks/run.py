@@ -64,7 +64,7 @@ BENCHMARKS = (
     Benchmark("interior", "--vectors 4 --pixels 1", "--vectors 20 --pixels 5"),
     Benchmark("gross_errors", "", "--draws 40000"),
     Benchmark("vectors_wrong_stars", "", "--sets 1000"),
-    Benchmark("drift", "", "--rest 1000 --steps 200 --calibrated 40 --pixels"),
+    Benchmark("years", "--seeds 20", "--seeds 100 --pairs 500 --kills 200 --results 10000"),
     Benchmark("star_accuracy", "--frames 6 --filled 2", "--frames 300 --filled 20"),
     Benchmark("star_naming", "--attitudes 40 --seeds 4 201 --noise 200", "--attitudes 150"),
     Benchmark("star_fields"),

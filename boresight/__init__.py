@@ -22,6 +22,9 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
     from boresight.accepted import ImageLike, PathLike, RotationLike, SiteLike, TimeLike
     from boresight.array_dump import dump_from_arrays
     from boresight.features.geolocate.api import geolocate
+    from boresight.features.mission.api import compare, what_if
+    from boresight.features.mission.comparison import Comparison
+    from boresight.features.mission.what_if import WhatIf
     from boresight.features.planning.api import forecast
     from boresight.features.planning.campaign_plan import PlanForecast
     from boresight.features.simulation.api import example, simulate
@@ -52,6 +55,7 @@ __all__ = [
     "Calibration",
     "CameraSolution",
     "Ccd",
+    "Comparison",
     "DataNotSufficientError",
     "Dump",
     "ImageLike",
@@ -76,11 +80,13 @@ __all__ = [
     "TargetMatches",
     "TimeLike",
     "Validation",
+    "WhatIf",
     "WorkerError",
     "__version__",
     "calibrate",
     "calibrate_star_camera",
     "calibrate_vectors",
+    "compare",
     "dump_from_arrays",
     "example",
     "find_stars",
@@ -94,6 +100,7 @@ __all__ = [
     "simulate",
     "track",
     "validate",
+    "what_if",
 ]
 
 # Public names by the module, below `boresight`, that defines them; it is imported when one is asked for.
@@ -101,6 +108,9 @@ _MODULES = {
     "array_dump": "dump_from_arrays",
     "accepted": "ImageLike PathLike RotationLike SiteLike TimeLike",
     "features.geolocate.api": "geolocate",
+    "features.mission.api": "compare what_if",
+    "features.mission.comparison": "Comparison",
+    "features.mission.what_if": "WhatIf",
     "features.planning.api": "forecast",
     "features.planning.campaign_plan": "PlanForecast",
     "features.simulation.api": "example simulate",

@@ -18,7 +18,7 @@ NAMES = (
     "geolocate",
     "heads",
     "interior",
-    "drift",
+    "mission",
     "simulation",
     "paper",
 )

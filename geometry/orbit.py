@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import field
 from typing import TYPE_CHECKING, Literal
 
+import erfa
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -26,6 +27,7 @@ __all__ = [
     "Orbit",
     "OrbitGapError",
     "argument_of_latitude",
+    "beta_angle",
     "orbital_frame",
 ]
 
@@ -220,6 +222,17 @@ def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Array:
     ahead = np.cross(normal, node) / np.linalg.norm(normal, axis=-1, keepdims=True)
     angle = np.arctan2((p * ahead).sum(axis=-1), (p * node).sum(axis=-1))
     return np.asarray(angle % (2.0 * np.pi))
+
+
+def beta_angle(p_i: ArrayLike, v_i: ArrayLike, epoch: Epoch, t_s: Array) -> Array:
+    """Angle (N,), rad, of the Sun above the orbital plane, positive on the side of the angular momentum.
+
+    Positions and velocities (N, 3) in GCRS at instants t_s (N,) after `epoch`; the Sun is ERFA's (`epv00`).
+    """
+    normal = np.cross(np.asarray(p_i, dtype=float), np.asarray(v_i, dtype=float))
+    sun = -np.asarray(erfa.epv00(*epoch.tt_jd(t_s))[0]["p"])
+    lengths = np.linalg.norm(normal, axis=-1) * np.linalg.norm(sun, axis=-1)
+    return np.asarray(np.arcsin((normal * sun).sum(axis=-1) / lengths))
 
 
 def _lagrange_basis(away: Array, scale: Array) -> Array:

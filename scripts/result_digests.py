@@ -130,7 +130,7 @@ def commands_on(name: str, sources: list[str]) -> list[list[str]]:
         commands.append(["match", sources[0], "--strip", "s01", "--out", "matches.csv"])
         commands.append(["plan", "plan.toml"])
         commands.append(["remote-camera-calibrate", name, "--out", "interior"])
-        commands.append(["drift", name, "sky", "--out", "drift"])
+        commands.append(["compare", name, name, "--html", "compared.html"])
         for kind in ("spice", "aem", "acm", "csm-isd", "rpc", "asp", "qgis", "envi", "geojson", "kml"):
             commands.append(["export", name, "--format", kind, "--out", "exported"])
     return commands

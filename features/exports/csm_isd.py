@@ -34,7 +34,7 @@ from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["IsdNames", "IsdPiece", "line_scanner_isds"]
+__all__ = ["IsdNames", "IsdPiece", "line_scanner_isds", "parameter_covariance"]
 
 NODE_STEP_S = 2.0**-7  # node times are then exact in ephemeris seconds, which resolve only 1e-7 s
 MARGIN_NODES = 8  # on either side: the model interpolates with eight points
@@ -127,6 +127,21 @@ def line_scanner_isds(
         covers_all = stop - first == detector.n_px
         made.append(IsdPiece(ccd, first, stop, content, covers_all, covers_all and len(pieces) > 1))
     return made
+
+
+def parameter_covariance(cov_theta: Floats) -> dict[str, Any]:
+    """Covariance of the model's parameters omega, phi and kappa bias by that of theta (3, 3), frame c, rad².
+
+    `usgscsm` counts these in metres: `m_covariance` has them in rows 6 to 8, omega and phi multiplied by the
+    state's `m_flyingHeight`, kappa by its `m_halfSwath`. An ISD has no place for them.
+    """
+    H = _HALF_TURN.as_matrix()
+    names = ["OMEGA_BIAS", "PHI_BIAS", "KAPPA_BIAS"]
+    return {
+        "parameters": names,
+        "unit": "rad2, axes of the sensor",
+        "covariance": (H @ cov_theta @ H.T).tolist(),
+    }
 
 
 def _path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: float) -> _Path:

@@ -24,6 +24,10 @@ from boresight.pipeline.files.whole_file import write_whole
 __all__ = ["export_command"]
 
 
+ValidFrom = Annotated[str, typer.Option(help="First date of the matrix's use, UTC, such as 2026-03-01.")]
+ValidTo = Annotated[str, typer.Option(help="Last date of its use; both are written where a format has them.")]
+
+
 def export_command(
     result: ResultArgument,
     formats: Annotated[
@@ -40,7 +44,9 @@ def export_command(
     strip: Annotated[
         list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
     ] = None,
-    product: Annotated[Path | None, typer.Option(help="dimap: the operator's file.")] = None,
+    product: Annotated[Path | None, typer.Option(help="dimap, gipp: the operator's file.")] = None,
+    valid_from: ValidFrom = "",
+    valid_to: ValidTo = "",
     object_id: Annotated[
         str, typer.Option(help="aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.")
     ] = "",
@@ -58,6 +64,8 @@ def export_command(
 ) -> Answer:
     """Write a result in formats that other tools read.
 
+    dimap is tried with products of Pléiades; those of Pléiades Neo and SPOT 6/7 (DIMAP V2) are not tried.
+
     Example: boresight export result --format geojson,qgis
     """
     names = [name.strip() for several in formats for name in several.split(",")]
@@ -73,6 +81,7 @@ def export_command(
         frames=frames,
         creation_utc=now,
         product=product,
+        valid_utc=(_date(valid_from), _date(valid_to)),
         object_id=object_id,
         allow_stale_eop=allow_stale_eop,
     )
@@ -84,6 +93,14 @@ def export_command(
         say(f"nothing to write as {', '.join(empty)}")
         return Answer(exit_status=DATA_DID_NOT_ALLOW)
     return Answer()
+
+
+def _date(text: str) -> str:
+    """A date as GIPP files have it; empty for none."""
+    try:
+        return datetime.datetime.fromisoformat(text).strftime("%Y-%m-%dT%H:%M:%S.0Z") if text else ""
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r} is no date, ISO 8601: {error}") from error
 
 
 def _frames(spacecraft: int, star_camera: str, remote_camera: str, is_known: bool) -> SpiceFrames:

@@ -11,11 +11,13 @@ import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
-from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
+from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds, parameter_covariance
 from boresight.features.exports.dimap_product import corrected_dimap
 from boresight.features.exports.exported_points import GroundPoints
 from boresight.features.exports.gcp_geojson import points_geojson
 from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
+from boresight.features.exports.gipp_product import corrected_gipp
+from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
@@ -47,6 +49,7 @@ from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.results.calibration_file import calibration_text
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.strip_model import (
@@ -85,6 +88,7 @@ class ExportRequest:
     frames: SpiceFrames = scalar("names and ids for SPICE")
     creation_utc: str = scalar("date written into the files, ISO 8601")
     product: Path | None = scalar("the operator's DIMAP file, for the format dimap", default=None)
+    valid_utc: tuple[str, str] = scalar("first and last date of use; empty: no limit", default=("", ""))
     object_id: str = scalar("OBJECT_ID of CCSDS messages; empty: the mission's name", default="")
     allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
 
@@ -180,6 +184,7 @@ def _step_s(calibrated: Calibrated, model: StripModel) -> float:
 def _csm_isd(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     dump, about = calibrated.dump, {"notes": _notes(request).items()}
+    about |= {"parameter_covariance": parameter_covariance(calibrated.result.cov_theta)}
     height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
     for model in _models(calibrated, request.strips):
         for ccd, lines in sorted(model.strip.ccd_lines.items()):
@@ -202,9 +207,11 @@ def _rpc(request: ExportRequest) -> Made:
                     f"(rms {error.rms_px:.2f}): no cubic follows its attitude; csm-isd does, "
                     "and the image of `virtual-ccd` has an RPC of a smooth attitude"
                 )
-            yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, error)
+            height_m = sum(heights) / 2.0
+            on_ground = ground_error(calibrated, model, ccd, lines, height_m, error.rms_px)
+            yield f"{strip.strip_id}.ccd{ccd}_RPC.TXT", rpc_text(rpc, on_ground)
             if ccd in strip.images.ccds:
-                vrt = vrt_with_rpc(*_image(calibrated, strip, ccd), rpc_metadata(rpc, error), notes)
+                vrt = vrt_with_rpc(*_image(calibrated, strip, ccd), rpc_metadata(rpc, on_ground), notes)
                 yield f"{strip.strip_id}.ccd{ccd}.rpc.vrt", vrt
         yield from _without_vrt(strip, sorted(strip.ccd_lines), "an RPC without a VRT, name it as the image")
 
@@ -312,6 +319,31 @@ def _dimap(request: ExportRequest) -> Made:
     yield request.product.name, corrected_dimap(request.product, correction, _notes(request).items())
 
 
+def _gipp(request: ExportRequest) -> Made:
+    """The operator's own GIPP file with the matrix of the result."""
+    calibrated = _opened(request)
+    if request.product is None:
+        raise DataNotSufficientError("the format gipp needs the option --product, a SPAMOD or VIEDIR file")
+    dump = calibrated.dump
+    correction = calibrated.result.R_cs * dump.R_cs0.inv()
+    head = dump.heads[0].name
+    yield (
+        request.product.name,
+        corrected_gipp(request.product, correction, dump.R_cs0, head, request.valid_utc),
+    )
+
+
+def _calibration(request: ExportRequest) -> Made:
+    result, notes = read_saved_result(request.result), _notes(request).items()
+    of = {"mission": notes["mission"], "satellite": notes.get("satellite", "")}
+    of |= {"camera": "", "star_camera": (result.installation.get("heads") or [{"name": ""}])[0]["name"]}
+    first, last = (date or None for date in request.valid_utc)
+    yield (
+        "calibration.json",
+        calibration_text(result.R_cs, result.cov_theta, of, (first, last), {"notes": notes}),
+    )
+
+
 OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that write strips one by one
 # What writes a format, by the name after --format.
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
@@ -321,6 +353,8 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "acm": _acm,
     "operator": _operator,
     "dimap": _dimap,
+    "gipp": _gipp,
+    "calibration": _calibration,
     "csm-isd": _csm_isd,
     "rpc": _rpc,
     "vrt": _vrt,
@@ -334,7 +368,7 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
 
 
 def _notes(request: ExportRequest) -> Notes:
-    return notes_of(request.result, request.dump, request.creation_utc)
+    return notes_of(request.result, request.dump, request.creation_utc, request.valid_utc)
 
 
 def _image(calibrated: Calibrated, strip: Strip, ccd: int) -> tuple[Path, tuple[int, int], str]:

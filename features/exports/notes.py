@@ -30,9 +30,11 @@ class Notes:
     created: str = scalar("date of the export, UTC")
     program: str = scalar("program and version that made the result")
     mission: str = scalar("name of the mission")
+    satellite: str = scalar("name of the satellite, where the dump states it", default="")
     dump: str = scalar("digest of the dump that the result is made from")
     frames: str = scalar("the frames of matrix and coordinates")
     valid: str = scalar("UTC of the first and the last strip of the result")
+    use: str = scalar("first and last date for which the matrix is to be used, where given", default="")
     verdict: str = scalar("outcome of the result's verdict")
     result: str = scalar("id of the result, and when its run ended")
     inputs: str = scalar("digest of all input files and settings")
@@ -48,7 +50,7 @@ class Notes:
         return [f"{name}: {text}" for name, text in self.items().items()]
 
 
-def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
+def notes_of(result: Path, dump: Path | None, created: str, use: tuple[str, str] = ("", "")) -> Notes:
     """The notes of a finished result; what it does not say is "not known". `RawDataError` where damaged."""
     installation, origin = read_installation(result), origin_of(result)
     identity, about = identity_of_result(result), saved_about(result)
@@ -58,9 +60,11 @@ def notes_of(result: Path, dump: Path | None, created: str) -> Notes:
         created=f"{created}Z",
         program=one_line(identity.program),
         mission=one_line(about.pop("mission", "") or _mission(result, dump)),
+        satellite=one_line(_satellite(result)),
         dump=one_line(UNKNOWN if origin is None else origin.dump),
         frames=FRAMES,
         valid=_valid(result),
+        use=one_line(f"{use[0] or 'any date'} to {use[1] or 'any date'}" if any(use) else ""),
         verdict=one_line(outcome),
         result=one_line(f"{identity.result}, {identity.finished}"),
         inputs=one_line(identity.inputs),
@@ -74,6 +78,11 @@ def _mission(result: Path, dump: Path | None) -> str:
         return read_toml(noted / "dump.toml", DumpFile, "dump.toml").mission
     except RawDataError:
         return UNKNOWN
+
+
+def _satellite(result: Path) -> str:
+    path = result / "evidence" / "context.json"
+    return str(read_json(path).get("satellite") or "") if path.is_file() else ""
 
 
 def _valid(result: Path) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from boresight.features.exports.ground_error import GroundError
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
@@ -107,11 +108,13 @@ def _difference(rpc: Rpc, ground: tuple[Floats, Floats, Floats], points: Floats)
     return RpcError(rms_px=float(np.sqrt(np.mean(distance**2))), largest_px=float(distance.max()))
 
 
-def rpc_text(rpc: Rpc, error: RpcError) -> str:
-    """The RPC as the text that GDAL reads beside an image NAME.tif as NAME_RPC.TXT."""
+def rpc_text(rpc: Rpc, error: GroundError) -> str:
+    """The RPC as the text that GDAL reads beside an image NAME.tif as NAME_RPC.TXT; its errors on the ground
+    are 1 sigma in metres for each horizontal axis, as RPC00B (STDI-0002) defines them.
+    """
     names = ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")
     units = ("pixels", "pixels", "degrees", "degrees", "meters")
-    rows = [f"ERR_BIAS: {error.largest_px:.9f} pixels", f"ERR_RAND: {error.rms_px:.9f} pixels"]
+    rows = [f"ERR_BIAS: {error.bias_m:.4f} meters", f"ERR_RAND: {error.random_m:.4f} meters"]
     for what, values in (("OFF", rpc.offsets), ("SCALE", rpc.scales)):
         rows += [f"{name}_{what}: {value:+.17g} {unit}" for name, value, unit in zip(names, values, units)]
     coefficients = (
@@ -125,7 +128,7 @@ def rpc_text(rpc: Rpc, error: RpcError) -> str:
     return "\n".join(rows) + "\n"
 
 
-def rpc_metadata(rpc: Rpc, error: RpcError) -> dict[str, str]:
+def rpc_metadata(rpc: Rpc, error: GroundError) -> dict[str, str]:
     """The RPC by GDAL's names of its metadata domain RPC."""
     rows = dict(line.split(": ", 1) for line in rpc_text(rpc, error).splitlines())
     values = {key: text.split(" ")[0] for key, text in rows.items() if "_COEFF_" not in key}

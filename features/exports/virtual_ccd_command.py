@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.virtual_strip import write_virtual_strip
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import CameraOption, DumpOption
@@ -35,6 +36,9 @@ def virtual_ccd_command(
     calibrated = open_calibrated(result, dump, camera=camera)
     model = whole_strip_model(calibrated, strip)
     surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
-    lines, samples, error = write_virtual_strip(model, surface, out)
+    middle_m = sum(surface.height_range_m()) / 2.0
+    ccds = sorted(model.strip.ccd_lines.items())
+    on_ground = ground_error(calibrated, model, *ccds[len(ccds) // 2], middle_m)
+    lines, samples, error = write_virtual_strip(model, surface, out, on_ground)
     rpc = f"its RPC misses the virtual camera by up to {error.largest_px:.4f} px"
     tell(f"{strip}: {lines} lines, {samples} samples -> {out}; {rpc}")

@@ -15,6 +15,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.rpc import RPC
 from rasterio.windows import Window
 
+from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.rpc import RpcError, fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.geometry.constants import WGS84
@@ -33,12 +34,15 @@ BLOCK_LINES = 512
 CONTROL = (17, 9)  # lines and samples of the lattice of ground control points
 
 
-def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple[int, int, RpcError]:
+def write_virtual_strip(
+    model: StripModel, surface: Surface, out: Path, on_ground: GroundError
+) -> tuple[int, int, RpcError]:
     """Write the stitched strip (float32 counts, NaN where no CCD saw the ground); its lines, samples, and the
     error of its RPC.
 
-    A lattice of pixels has its places on the surface as ground control points. The RPC is in the tags of the
-    file and, with its error, in NAME_RPC.TXT. Raises `DataNotSufficientError` for a strip without images.
+    `on_ground` is the error that the RPC states. A lattice of pixels has its places on the surface as ground
+    control points. The RPC is in the tags of the file and in NAME_RPC.TXT. Raises `DataNotSufficientError`
+    for a strip without images.
     """
     lines, images = model.strip.lines, model.strip.images
     if not images.ccds:
@@ -57,14 +61,14 @@ def write_virtual_strip(model: StripModel, surface: Surface, out: Path) -> tuple
         with tiff_opened(path, (lines, virtual.width_px), "float32", **how) as image:
             if control:
                 image.gcps = control, rasterio.CRS.from_epsg(4979)
-            image.rpcs = RPC.from_gdal(rpc_metadata(rpc, error))
+            image.rpcs = RPC.from_gdal(rpc_metadata(rpc, on_ground))
             for top in range(0, lines, BLOCK_LINES):
                 bottom = min(top + BLOCK_LINES, lines)
                 part = virtual.stitched(images.read, n_lines, (top, bottom))
                 image.write(part, 1, window=Window(0, top, virtual.width_px, bottom - top))
 
     write_whole(out, write)
-    write_text(out.with_name(f"{out.stem}_RPC.TXT"), rpc_text(rpc, error))
+    write_text(out.with_name(f"{out.stem}_RPC.TXT"), rpc_text(rpc, on_ground))
     return lines, virtual.width_px, error
 
 

@@ -99,6 +99,9 @@ Accept = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
 ]
+Archive = Annotated[
+    Path | None, typer.Option(help="Add the result to the archive of a mission in this folder (`trends`).")
+]
 
 
 def calibrate_command(
@@ -116,6 +119,7 @@ def calibrate_command(
     about: AboutFile = None,
     accept: Accept = None,
     overwrite: Overwrite = False,
+    archive: Archive = None,
 ) -> Answer:
     """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all; of
     several cameras, of each.
@@ -138,10 +142,15 @@ def calibrate_command(
         overwrite=overwrite,
         requirement=Requirement(require_arcsec, require_m),
         about=about,
-        after_joint=tuple(map(function_at, context.obj if len(dumps) > 1 else ())),
+        after_joint=_functions(context, "after_joint") if len(dumps) > 1 else (),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
+    to_archive = _functions(context, "to_archive")
+    if archive is not None and not to_archive:
+        raise wrong_usage("--archive: this installation has no feature that keeps an archive")
     outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
+    for add in to_archive if archive is not None else ():
+        add([out], archive)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
     return Answer(
@@ -151,6 +160,11 @@ def calibrate_command(
         files=files,
         exit_status=_exit_status(outcome, accept or ()),
     )
+
+
+def _functions(context: typer.Context, hook: str) -> tuple[Callable[..., str], ...]:
+    """What the features of the program have under one of the fields of `Feature` for functions."""
+    return tuple(function_at(place) for feature in context.obj if (place := getattr(feature, hook)))
 
 
 def _gravest(outcome: RunOutcome) -> str:

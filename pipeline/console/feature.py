@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-__all__ = ["AfterJoint", "Command", "Feature", "Job"]
+__all__ = ["AfterJoint", "Command", "Feature", "Job", "ToArchive"]
 
 AfterJoint = Callable[[Path, list[str]], str]
 """Of several dumps: the result folder and the names of its dumps; returns lines for the console."""
+
+ToArchive = Callable[[Sequence[Path], Path], object]
+"""Adds finished results, by their folders, to the archive in a folder."""
 
 
 class Job(StrEnum):
@@ -41,3 +44,4 @@ class Feature:
     commands: tuple[Command, ...]
     groups: dict[str, str] = field(default_factory=dict)  # first word of two, and its line in the help
     after_joint: str = ""  # "module:function" below `boresight`, an `AfterJoint`
+    to_archive: str = ""  # "module:function" below `boresight`, a `ToArchive`

@@ -36,14 +36,13 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
         others are listed. Without it, all are imported.
     """
     features = tuple(features)
-    after_joint = tuple(one.after_joint for one in features if one.after_joint)
     app = typer.Typer(
         name="boresight",
         help="On-orbit calibration of the installation matrix between star camera and remote-sensing camera.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         cls=_ByJob,
-        context_settings={"max_content_width": 110, "obj": after_joint, "help_option_names": HELP},
+        context_settings={"max_content_width": 110, "obj": features, "help_option_names": HELP},
         rich_markup_mode=None,  # plain help: 0.3 s of CPU less
     )
     app.callback(invoke_without_command=True)(_program_options)

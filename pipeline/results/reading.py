@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from boresight.pipeline.results.sightings_tables import read_sightings, sighting
 
 __all__ = [
     "SavedResult",
+    "pairs_in",
     "read_findings",
     "read_for_dump",
     "read_installation",
@@ -235,20 +237,33 @@ def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: st
 
 def read_pairs(result: Path) -> InformationPairs:
     """Normal equations (F, F theta) of each strip of a finished result; `RawDataError` if not readable."""
-    path = result / "sightings" / "strips.parquet"
+    return pairs_in(result / "sightings" / "strips.parquet")
+
+
+def pairs_in(path: Path) -> InformationPairs:
+    """The pairs of a file that `pairs_table` was written to; `RawDataError` if not readable."""
     try:
         table = read_parquet(path)
-        return InformationPairs.from_columns({name: column(table, name) for name in table.column_names})
+        if "values" not in table.column_names:  # of version 0.1.0 before it had one list a row
+            return InformationPairs.from_columns({name: column(table, name) for name in table.column_names})
+        names = json.loads(table.schema.metadata[b"names"])
+        numbers = list_values(table, "values", len(names)).T
+        return InformationPairs.from_columns({"name": column(table, "name")} | dict(zip(names, numbers)))
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 
 
-def read_mounting(result: Path, name: str) -> InformationPairs:
+def read_mounting(result: Path, name: str, scale: Mapping[str, float] | None = None) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
     them see, biases of orbit and clock, rotations of the Earth and alignments of further heads eliminated.
-    The camera's distortion stays, since other results share it. `RawDataError` if not readable.
+    The camera's distortion stays, since other results share it. `scale`: of each strip's information by the
+    strip's name, instead of 1; 0 leaves it out. `RawDataError` if not readable.
     """
     pairs = read_pairs(result)
+    if scale is not None:
+        of_strip = np.array([scale.get(one, 1.0) for one in pairs.names.tolist()])
+        F, right = of_strip[:, None, None] * pairs.F, of_strip[:, None] * pairs.F_theta
+        pairs = dataclasses.replace(pairs, F=F, F_theta=right)
     path = result / "sightings" / "strips.parquet"
     own = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
     alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))

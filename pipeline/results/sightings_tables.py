@@ -27,7 +27,7 @@ COLUMNS = MappingProxyType(
         | {"cov_target_i": fixed(9), "residual_c": fixed(3), "normalised": _NUMBER, "kept": _FLAG}
         | {"weight": _NUMBER, "detectable_rad": _NUMBER, "detectable_m": _NUMBER},
         "passes": {"strip_id": _TEXT, "utc_middle": _TEXT, "argument_of_latitude_rad": _NUMBER}
-        | {"camera": _TEXT},
+        | {"camera": _TEXT, "beta_rad": _NUMBER, "begin_deg": fixed(2), "end_deg": fixed(2)},
         "ledger": dict.fromkeys(("kind", "name", "file", "reason", "cause", "state", "strip"), _TEXT)
         | {"ccd": _WHOLE, "id": _TEXT, "exposure": _TEXT, "head": _TEXT, "camera": _TEXT, "dump": _TEXT}
         | {"statistic": _NUMBER, "limit": _NUMBER},

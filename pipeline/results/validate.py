@@ -34,7 +34,7 @@ from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
 
-__all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
+__all__ = ["CheckPoints", "TruthErrors", "attitude_covariance_s", "true_installation", "validation_of"]
 
 
 class TrueInstallationFile(BaseModel):
@@ -150,7 +150,7 @@ def _check(
             found += [point for point, known in zip(those, good.tolist()) if known]
             t_s.append(model.instants_of_lines(ccd, np.array([point.line for point in those])[good]))
             places_e.append(computed_e[good])
-        t_found, covariance_s = np.concatenate(t_s), _attitude_covariance_s(near, result, dump)
+        t_found, covariance_s = np.concatenate(t_s), attitude_covariance_s(near, result, dump)
         moving.append(
             StripMoves(
                 ground_moves(dump.orbit, R_cs * track.R_si(t_found), t_found, np.concatenate(places_e)),
@@ -204,7 +204,7 @@ def _track(near: Ints, result: SavedResult, dump: Dump) -> AttitudeTrack:
     return AttitudeTrack(t_s, result.R_si[near], dump.orbit, interpolation=interpolation)
 
 
-def _attitude_covariance_s(near: Ints, result: SavedResult, dump: Dump) -> Floats:
+def attitude_covariance_s(near: Ints, result: SavedResult, dump: Dump) -> Floats:
     """Covariance (K, 3, K, 3) of the errors of those exposures' attitudes, rad²."""
     each = np.arange(len(near))
     covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])

@@ -6,6 +6,7 @@ Everything but run.json is identical, bit for bit, for the same inputs, settings
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,12 @@ from boresight.calib.predicted_earth import is_earth
 from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
+from boresight.geometry.constants import WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor, edge_tangent
-from boresight.geometry.orbit import argument_of_latitude
+from boresight.geometry.orbit import argument_of_latitude, beta_angle
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
@@ -45,6 +48,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 __all__ = [
     "blind_spots_json",
     "joint_ground_m_per_rad",
+    "pairs_table",
     "verdict_json",
     "write_dumps",
     "write_installation",
@@ -92,7 +96,7 @@ def write_sightings(result: Path, calibration: DumpCalibration) -> None:
     matched = {one.strip_id: one for one in calibration.observed}
     estimate = calibration.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
-    _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
+    _write_groups(tables / "strips.parquet", [pairs_table(estimate.pairs)])
     _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
     _write_groups(tables / "ledger.parquet", [_ledger_table(calibration.omissions)])
     _write_groups(tables / "reliability.parquet", [_tests_table(calibration.verdict)])
@@ -120,7 +124,7 @@ def write_joint_result(
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
-    _write_groups(tables / "strips.parquet", [_pairs_table(estimate.pairs)])
+    _write_groups(tables / "strips.parquet", [pairs_table(estimate.pairs)])
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
     _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
     _write_groups(tables / "ledger.parquet", [_ledger_table(joint.omissions)])
@@ -347,26 +351,42 @@ def _target_groups(
 
 
 def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
-    """One row for each strip of the estimate, at its middle: time, position in the orbit, camera."""
+    """One row for each strip of the estimate: time, position in the orbit and the Sun's height over its plane
+    in the middle, ground track, camera.
+    """
     used = {strip.strip_id for strip in calibration.strips}
     every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]
     tasks = [task for task in every if task.strip.strip_id in used]
     rows: list[dict[str, object]] = []
     for task in tasks:
-        t_s = np.array([task.strip.t_first_row_s + 0.5 * task.strip.lines * task.strip.row_period_s])
+        lasts_s = task.strip.lines * task.strip.row_period_s
+        t_s = task.strip.t_first_row_s + lasts_s * np.array([0.5, 0.0, 1.0])
+        states = task.orbit.states_i(t_s[:1])
+        lat, lon, _ = geodetic_from_ecef(task.orbit.positions_e(t_s), WGS84)
+        track_deg = np.degrees([lat, lon]).T
         rows.append(
             {
                 "strip_id": prefix + task.strip.strip_id,
-                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s)[0],
-                "argument_of_latitude_rad": float(argument_of_latitude(*task.orbit.states_i(t_s))[0]),
+                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s[:1])[0],
+                "argument_of_latitude_rad": float(argument_of_latitude(*states)[0]),
                 "camera": digest(task.camera),
+                "beta_rad": float(beta_angle(*states, task.orbit.epoch, t_s[:1])[0]),
+                "begin_deg": track_deg[1].tolist(),
+                "end_deg": track_deg[2].tolist(),
             }
         )
     return arrow_rows(rows, sightings_schema("passes"))
 
 
-def _pairs_table(pairs: InformationPairs) -> pa.Table:
-    return pa.table({name: arrow_array(values) for name, values in pairs.columns().items()})
+def pairs_table(pairs: InformationPairs) -> pa.Table:
+    """One row a pass: its name, and all numbers of its pair in one list, whose names are in the metadata. A
+    column for each number takes ten times as long to read.
+    """
+    columns = pairs.columns()
+    names = [name for name in columns if name != "name"]
+    values = fixed_list(np.column_stack([columns[name] for name in names]))
+    table = pa.table({"name": arrow_array(pairs.names), "values": values})
+    return table.replace_schema_metadata({"names": json.dumps(names)})
 
 
 def _tests_table(verdict: Verdict) -> pa.Table:

@@ -31,11 +31,15 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.spice_attitudes import read_ck
 from boresight.pipeline.files.spice_kernels import Kernels
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+from boresight.pipeline.results.validate import validation_of
 
 runner = CliRunner()
+MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 
 
-OF_ANY_DUMP = [name for name in FORMATS if name != "dimap"]  # test_dimap_product.py
+OF_ANY_DUMP = [
+    name for name in FORMATS if name not in ("dimap", "gipp")
+]  # test_dimap_product.py, test_gipp_product.py
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +106,36 @@ def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
     told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", ran.output)
     assert bool(told) == is_told
     for name, stated in told:
-        bias = re.search(r"ERR_BIAS: (\S+) pixels", (tmp_path / f"{name}_RPC.TXT").read_text())
-        assert bias is not None and f"{float(bias[1]):.2f}" == stated
+        assert 0.0 <= float(stated) < 1.0 and (tmp_path / f"{name}_RPC.TXT").is_file()  # px
+
+
+def test_an_rpc_states_the_error_that_check_points_of_its_strip_are_to_have(finished, exported, tmp_path):
+    shutil.copytree(finished[0], tmp_path / "dump")
+    shutil.copytree(MINI / "truth", tmp_path / "dump" / "truth")
+    calibrated = open_calibrated(finished[1], tmp_path / "dump")
+    expected = validation_of(calibrated.result, calibrated.dump).predicted
+    predicted2 = np.mean([one.predicted_m**2 for one in expected])
+    stated2 = []
+    for path in sorted(exported[0].glob("*_RPC.TXT")):
+        found = dict(re.findall(r"(ERR_\w+): (\S+) meters", path.read_text()))
+        assert (
+            0.0 < float(found["ERR_RAND"]) < float(found["ERR_BIAS"])
+        )  # the matrix is what all pixels share
+        stated2.append(float(found["ERR_BIAS"]) ** 2 + float(found["ERR_RAND"]) ** 2)
+    # 10 %: check points lie elsewhere in the strip than the pixels of the grid
+    assert np.sqrt(np.mean(stated2)) == pytest.approx(np.sqrt(predicted2), rel=0.1)
+
+
+def test_a_calibration_file_has_matrix_covariance_and_dates(finished, tmp_path, installation):
+    asked = ["export", str(finished[1]), "--format", "calibration", "--out", str(tmp_path)]
+    ran = runner.invoke(app, [*asked, "--valid-from", "2026-03-01", "--valid-to", "2026-06-01"])
+    assert ran.exit_code == 0, ran.output
+    content = json.loads((tmp_path / "calibration.json").read_text())
+    assert content["R_cs"] == installation["R_cs"]
+    assert content["covariance_rad2"] == installation["covariance_rad2"]
+    dates = content["valid_from_utc"], content["valid_to_utc"]
+    assert dates == ("2026-03-01T00:00:00.0Z", "2026-06-01T00:00:00.0Z")
+    assert content["notes"]["use"] == " to ".join(dates)
 
 
 def test_spice_turns_as_installation_json_says(exported, installation):

@@ -8,9 +8,10 @@ import numpy as np
 from lopsided import PLACES
 
 from boresight.features.exports.exported_points import GroundPoints
+from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes
-from boresight.features.exports.rpc import Rpc, RpcError, rpc_text
+from boresight.features.exports.rpc import Rpc, rpc_text
 
 NOTES = Notes(
     created="c",
@@ -67,9 +68,9 @@ def test_rpc_states_the_largest_error_as_bias_and_the_rms_as_random() -> None:
         sample_num=-numbers,
         sample_den=0.5 * numbers,
     )
-    lines = rpc_text(rpc, RpcError(rms_px=0.25, largest_px=0.75)).splitlines()
+    lines = rpc_text(rpc, GroundError(bias_m=0.75, random_m=0.25)).splitlines()
     read = dict(line.split(": ") for line in lines if ": " in line)
-    assert read["ERR_BIAS"] == "0.750000000 pixels" and read["ERR_RAND"] == "0.250000000 pixels"
+    assert read["ERR_BIAS"] == "0.7500 meters" and read["ERR_RAND"] == "0.2500 meters"
     assert [float(read[f"{name}_OFF"].split()[0]) for name in ("LINE", "SAMP", "LAT", "LONG", "HEIGHT")] == [
         *(10.0, 20.0, -54.8, -68.3, 21.5)
     ]

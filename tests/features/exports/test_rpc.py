@@ -11,6 +11,7 @@ from orbiting_camera import LINES, NOTES, strip
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 
+from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.rpc import fit_rpc, rpc_metadata, rpc_text
 from boresight.features.exports.vrt import vrt_with_rpc
 from boresight.geometry.constants import WGS84
@@ -18,6 +19,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
 
 HEIGHTS = (-100.0, 1400.0)
+ON_GROUND = GroundError(bias_m=2.5, random_m=0.5)
 
 
 def test_gdal_finds_the_pixels_of_the_rigorous_model_within_the_stated_error(tmp_path):
@@ -30,9 +32,9 @@ def test_gdal_finds_the_pixels_of_the_rigorous_model_within_the_stated_error(tmp
         profile = {"driver": "GTiff", "width": size[0], "height": size[1], "count": 1, "dtype": "uint8"}
         with rasterio.open(image, "w", **profile, sparse_ok=True):
             pass
-        (tmp_path / f"image{ccd}_RPC.TXT").write_text(rpc_text(rpc, error))
+        (tmp_path / f"image{ccd}_RPC.TXT").write_text(rpc_text(rpc, ON_GROUND))
         vrt = tmp_path / f"image{ccd}.vrt"
-        vrt.write_text(vrt_with_rpc(image, size, "Byte", rpc_metadata(rpc, error), NOTES))
+        vrt.write_text(vrt_with_rpc(image, size, "Byte", rpc_metadata(rpc, ON_GROUND), NOTES))
         sample, line = rng.uniform(0, size[0] - 1, 1000), rng.uniform(0, LINES - 1, 1000)
         height = np.repeat(rng.uniform(*HEIGHTS, 50), 20)
         p_e = np.concatenate(

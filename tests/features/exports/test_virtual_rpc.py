@@ -14,6 +14,7 @@ from rasterio.transform import RPCTransformer
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.geometry.attitude import AttitudeTrack
@@ -94,8 +95,8 @@ def test_an_rpc_of_the_virtual_ccd_finds_the_places_of_the_raw_pixels(
     for height in (0.0, 900.0):
         surface = ConstantHeight(height)
         strip = VirtualStrip(model.tabulated(0.0, LINES - 1.0), surface, smooth_rows=(-0.5, LINES - 0.5))
-        rpc, error = fit_rpc(strip.virtual, 0, LINES, rpc_heights(surface))
-        gdal = RPC.from_gdal(rpc_metadata(rpc, error))
+        rpc, _ = fit_rpc(strip.virtual, 0, LINES, rpc_heights(surface))
+        gdal = RPC.from_gdal(rpc_metadata(rpc, GroundError(bias_m=1.0, random_m=1.0)))
         for ccd, begin, end in strip.seams(0.5 * LINES):
             sample, line = rng.uniform(begin, end, 100), rng.uniform(2000.0, LINES - 2000.0, 100)
             raw = strip.source_pixels(ccd, sample, line)

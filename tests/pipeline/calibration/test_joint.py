@@ -170,7 +170,7 @@ def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
     assert {"sightings/targets.parquet", *(f"{name}/sightings/stars.parquet" for name in NAMES)} <= compared
 
 
-def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: Path) -> None:
+def test_status_report_and_archive_know_a_folder_of_dumps(joint: Path, tmp_path: Path) -> None:
     told = ran("status", joint)
     assert [line for line in told.splitlines() if line.startswith("dump")] == [f"dump {n}" for n in NAMES]
     assert told.rstrip().endswith("all dumps together: finished, verdict consistent")
@@ -182,9 +182,7 @@ def test_status_report_and_drift_know_a_folder_of_dumps(joint: Path, tmp_path: P
     assert before.count('<figure class="small-map"') == len(NAMES)
     shown = re.search(r'<data value="([^"]+)" data-source="installation.json" data-key="R_cs.0.1"', before)
     assert shown is not None and float(shown[1]) == matrix(joint)["R_cs"][0][1]
-    assert "no sign that the mounting has moved" in ran("drift", joint, "--out", tmp_path)
-    alone = json.loads((tmp_path / "drift.json").read_text())
-    assert alone["merged"] == json.loads((joint / "drift.json").read_text())["merged"]
+    assert ran("archive", "add", joint, "--to", tmp_path).count("added") == len(NAMES)
 
 
 def test_the_page_shows_the_budget_of_the_joint_covariance(joint: Path) -> None:

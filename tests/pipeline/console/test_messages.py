@@ -161,7 +161,7 @@ def test_an_answer_names_its_command_as_it_is_called(name: str, tmp_path: Path) 
     assert json.loads(ran.stdout)["command"] == name
 
 
-@pytest.mark.parametrize("name", ["calibrate", "validate", "status", "plan", "match", "drift"])
+@pytest.mark.parametrize("name", ["calibrate", "validate", "status", "plan", "match", "compare", "trends"])
 def test_commands_with_json(name: str) -> None:
     assert "--json" in runner.invoke(app, [name, "--help"]).stdout
 

@@ -26,7 +26,7 @@ def ended(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 
 def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "boresight", "drift", "none", "--out", str(tmp_path / "drift")]
+    command = [sys.executable, "-m", "boresight", "trends", "none", "--out", str(tmp_path / "trends")]
     done = subprocess.run(
         ["bash", "-c", 'exec "$@" <&- >&-', "bash", *command],
         env=os.environ | {"MPLBACKEND": "nonsense"},

@@ -1,0 +1,56 @@
+"""The 1-sigma error on the ground of an image whose camera and attitude are a result's, each horizontal axis.
+
+Of the covariance C (N, N) of the errors of N pixels over the image, along and across the track, the bias is
+the error of their mean, which all pixels share, and the rest is random:
+
+    bias² = 1ᵀ C 1 / N²,    random² = trace C / N - bias²,    each the mean over both directions
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from boresight.geometry.record import record, scalar
+from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.results.check_point_test import StripMoves, predicted_covariance
+from boresight.pipeline.results.earth_error import common_covariance
+from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.strip_model import Calibrated, StripModel, exposures_around
+from boresight.pipeline.results.validate import attitude_covariance_s
+
+__all__ = ["GroundError", "ground_error"]
+
+GRID = (7, 5)  # lines and samples of the pixels
+
+
+@record
+class GroundError:
+    """Errors of an image on the ground, 1 sigma for each horizontal axis."""
+
+    bias_m: float = scalar("that all pixels share")
+    random_m: float = scalar("of each pixel beside it")
+
+
+def ground_error(
+    calibrated: Calibrated, model: StripModel, ccd: int, lines: int, height_m: float, misfit_px: float = 0.0
+) -> GroundError:
+    """The error of the image of a CCD at an ellipsoidal height, by the result's covariance and by the errors
+    that the dump states; `misfit_px`: rms by which the image's model misses the rigorous one.
+    """
+    dump, result, push = calibrated.dump, calibrated.result, model.pushbroom
+    axes = [np.linspace(0.0, n - 1.0, count) for n, count in zip((lines, push.camera.n_px(ccd)), GRID)]
+    line, sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+    t_s = push.instants_of_lines(ccd, line)
+    p_e = push.ground_points(ccd, sample, line, ConstantHeight(height_m))
+    seen = np.isfinite(p_e).all(axis=1) & (t_s >= model.track.span_s[0]) & (t_s <= model.track.span_s[1])
+    t_s, p_e = t_s[seen], p_e[seen]
+    near = exposures_around(result, dump, model.strip, calibrated.exposure_margin_s)
+    attitude_s = model.track.errors_s(t_s, attitude_covariance_s(near, result, dump))
+    moves = ground_moves(dump.orbit, result.R_cs * model.track.R_si(t_s), t_s, p_e)
+    moving = StripMoves(moves, result.R_cs.as_matrix() @ attitude_s)
+    covariance = predicted_covariance([moving], common_covariance(result, dump.orbit.earth), dump)
+    bias2 = float(covariance.mean())
+    total2 = float(np.einsum("dnn->dn", covariance).mean())
+    range_m = float(np.linalg.norm(p_e - dump.orbit.positions_e(t_s), axis=1).mean())
+    misfit_m = misfit_px * range_m * dump.line_camera.pixel_rad / np.sqrt(2.0)
+    return GroundError(bias2**0.5, float(np.sqrt(max(total2 - bias2, 0.0) + misfit_m**2)))

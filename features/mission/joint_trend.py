@@ -1,0 +1,166 @@
+"""Whether the mounting moved between the dumps of a joint calibration: drift.json, drift.csv, drift.png.
+
+The mounting has moved where chi2 against one matrix, or the gain of the best single step, is beyond what half
+of the probability of a false alarm allows.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy.special import chdtrc
+
+from boresight.calib.distortion import prior_information
+from boresight.calib.information import InformationPairs
+from boresight.features.mission.mounting_course import (
+    CourseSettings,
+    MountingCourse,
+    MountingSeries,
+    dated_steps,
+    estimate_course,
+    explained_by_free,
+    fit_columns,
+)
+from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_at
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline import __version__
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import INK, OURS, THIRD, legend_below, panels
+from boresight.pipeline.results.writing import write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["plot_drift", "trend_of_dumps"]
+
+FALSE_ALARM = 0.01  # that a mounting at rest is said to have moved
+
+
+def trend_of_dumps(out: Path, names: list[str]) -> str:
+    """Whether the mounting moved between the dumps of a joint result, written into its folder `out`."""
+    saved = sorted((read_saved_mounting(out / name) for name in names), key=lambda one: one.t_s)
+    if len({one.t_s for one in saved}) < max(len(saved), 2):
+        return f"no drift: {len(saved)} results at {len({one.t_s for one in saved})} dates"
+    if len({one.model for one in saved}) > 1:
+        return "no drift: the dumps have different models of the remote-sensing camera"
+    pairs = reduce(InformationPairs.merged, [one.pair for one in saved])
+    series = _series(saved, pairs)
+    rows = np.arange(1, len(saved))
+    rest = fit_columns(series, np.ones((len(saved), 1)), rows=rows)
+    chi2, dof = explained_by_free(series) - rest.explained, 3 * len(rows)
+    (step,) = dated_steps(series, (), (int(rows[np.argmax(rest.gains)]),), (), 0.0, CourseSettings())
+    p_rest = float(chdtrc(dof, max(chi2, 0.0)))
+    moved = min(p_rest, step.p_value) < 0.5 * FALSE_ALARM
+    course = estimate_course(series)
+    R_cs = deviation_from_theta(rest.coefficients[0]) * pairs.R_cs_ref
+    of_folder = {(out / name).resolve(): name for name in names}
+    content: dict[str, Any] = {
+        "results": [of_folder[one.folder] for one in saved],
+        "utc": [one.utc for one in saved],
+        "moved": moved,
+        "probability_false_alarm": FALSE_ALARM,
+        "merged": {
+            "R_cs": R_cs.as_matrix().tolist(),
+            "quaternion": R_cs.as_quat(canonical=True).tolist(),
+            "theta_rad": theta_between(R_cs, saved[0].R_cs0).tolist(),
+            "covariance_rad2": rest.covariance.tolist(),
+        },
+        "constant": {"chi2": chi2, "dof": dof, "p_value": p_rest},
+        "step": {
+            "after": of_folder[saved[step.row - 1].folder],
+            "before": of_folder[saved[step.row].folder],
+            "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
+            "theta_rad": step.theta.tolist(),
+            "covariance_rad2": step.covariance.tolist(),
+            "p_value": step.p_value,
+        },
+        "version": __version__,
+    }
+    said = "the mounting has moved" if moved else "no sign that the mounting has moved"
+    said += f", at a false-alarm probability of {FALSE_ALARM:.2g}"
+    table = _table(course, content["results"], content["utc"], rest.coefficients[0])
+    write_json(out / "drift.json", content)
+    write_text(out / "drift.csv", table_csv(table, "%.9g"))
+    write_figure(
+        out / "drift.png", plot_drift(table, content["step"]["utc_interval"] if moved else None, said)
+    )
+    return said
+
+
+def _series(saved: list[SavedMounting], pairs: InformationPairs) -> MountingSeries:
+    return MountingSeries(
+        names=tuple(one.id for one in saved),
+        t_s=np.array([one.t_s for one in saved]),
+        F=pairs.F[:, :3, :3],
+        F_shared=pairs.F[:, :3, 3:],
+        right=pairs.F_theta[:, :3],
+        shared_F=pairs.F[:, 3:, 3:].sum(axis=0) + prior_information(pairs.shared),
+        shared_right=pairs.F_theta[:, 3:].sum(axis=0),
+        cos_sin=np.array([one.cos_sin for one in saved]),
+        beta_rad=np.array([one.beta_rad for one in saved]),
+        temperature_c=np.array([one.temperature_c for one in saved]),
+        exchanges=tuple(k for k in range(1, len(saved)) if saved[k].star_camera != saved[k - 1].star_camera),
+    )
+
+
+def _table(course: MountingCourse, names: list[str], utc: list[str], middle: Any) -> pd.DataFrame:
+    """One row a result and axis, arcsec against the merged matrix, frame c; errors of the distortion that all
+    results share are in neither sigma.
+    """
+    free, covariance = course.free
+    there, cov = course.at(course.series.t_s)
+    rows = [
+        (
+            *(name, date, axis, (free[k, a] - middle[a]) / ARCSEC, np.sqrt(covariance[k, a, a]) / ARCSEC),
+            *((there[k, a] - middle[a]) / ARCSEC, np.sqrt(cov[k, a, a]) / ARCSEC),
+        )
+        for k, (name, date) in enumerate(zip(names, utc))
+        for a, axis in enumerate("XYZ")
+    ]
+    columns = [
+        "result",
+        "utc",
+        "axis",
+        "theta_arcsec",
+        "sigma_arcsec",
+        "course_arcsec",
+        "course_sigma_arcsec",
+    ]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def plot_drift(table: pd.DataFrame, step: list[str] | None, title: str) -> Figure:
+    """Angles of the mounting against time, an axis a panel; `step`: ends of the interval of its date."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    figure, axes = panels(3, 1, 2.2, sharex=True)
+    for ax, (axis, part) in zip(axes[:, 0], table.groupby("axis", sort=True)):
+        when, course, sigma = _naive(part["utc"]), part["course_arcsec"], part["course_sigma_arcsec"]
+        ax.fill_between(when, course - sigma, course + sigma, color=OURS, lw=0, alpha=0.25)
+        ax.plot(when, course, color=OURS, lw=1.8, label="course, 1σ")
+        theta, own = part["theta_arcsec"], part["sigma_arcsec"]
+        ax.errorbar(when, theta, yerr=own, fmt="o", ms=4, color=INK, lw=1, capsize=2, label="each result, 1σ")
+        if step is not None:
+            low, high = _naive(pd.Series(step))
+            ax.axvspan(
+                low, high, facecolor="none", edgecolor=THIRD, hatch="///", lw=0, label="date of the step"
+            )
+        ax.set_ylabel(f"θ {axis}, arcsec")
+    locator = AutoDateLocator()
+    axes[-1, 0].xaxis.set_major_locator(locator)
+    axes[-1, 0].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    axes[-1, 0].set_xlabel("date, UTC")
+    figure.suptitle(title, fontsize=11)
+    legend_below(figure, axes[0, 0])
+    return figure
+
+
+def _naive(utc: pd.Series) -> pd.Series:
+    """Dates without time zone for matplotlib; second 60 is drawn as second 59."""
+    return pd.to_datetime(utc.str.rstrip("Z").str.replace(":60", ":59"), format="%Y-%m-%dT%H:%M:%S")

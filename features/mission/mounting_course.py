@@ -1,0 +1,556 @@
+"""The mounting's course over years, from the information of many results at once.
+
+Result k, made at t_k, has information on theta_k (frame c, rad, the paper's sign: R_cs = exp[[theta]]
+R_cs_ref) and on what all results share, the distortion of the remote-sensing camera. The course is linear and
+Gaussian:
+
+    theta(t) = mean + annual + orbit phase + beta angle + temperature + steps + random walk
+
+with the same columns X for each axis, so that unknowns (coefficients, walk, shared) have one set of normal
+equations. A term is in the model only where the fall of chi2 that it brings has a small probability by
+chance, given all others, and terms are tried before steps. A random walk is a sum of ramps between knots in
+time, each with the prior variance q dt on each axis (q in rad²/s).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtrc
+
+from boresight.geometry.constants import DAY_S
+from boresight.geometry.record import Floats, Ints, array, record, scalar
+
+__all__ = [
+    "CourseFit",
+    "CourseSettings",
+    "CourseStep",
+    "MountingCourse",
+    "MountingSeries",
+    "aliases",
+    "annual_columns",
+    "dated_steps",
+    "estimate_course",
+    "explained_by_free",
+    "fit_columns",
+    "with_reference_moved",
+]
+
+YEAR_S = 365.25 * DAY_S  # Julian year
+# Terms of the course by their names; which of a series' conditions their columns are made of.
+TERMS = ("annual", "orbit phase", "beta angle", "temperature")
+# Canonical correlation of two terms from which the data do not tell them apart: a coefficient then has three
+# times the 1-sigma that it would have alone.
+ALIAS = 0.95
+# Least spread of a term's columns over the results, of columns between -1 and 1: below it the term is not
+# told from the mean.
+LEAST_SPREAD = 0.05
+MOST_KNOTS = 48  # of the random walk: a knot in three weeks of three years
+MOST_GAPS = 1000  # gaps between results that are tried for a step at first; then those about the best
+MOST_STEPS = 20  # that are looked for
+ROUNDS = 4  # of terms given steps, steps given terms
+
+
+@record(kw_only=True)
+class CourseSettings:
+    """What is asked of a course."""
+
+    false_term: float = scalar("probability that any term is accepted without cause", default=0.01)
+    false_steps_per_year: float = scalar("steps accepted without cause, a year", default=0.01)
+    confidence: float = scalar("of the interval of a step's date", default=0.95)
+
+
+@record(kw_only=True)
+class MountingSeries:
+    """Information pairs of K results in the order of time, with what they share, and their conditions."""
+
+    names: tuple[str, ...] = array("K", "ids of the results")
+    t_s: Floats = array("K", "middle of each result's strips, s")
+    F: Floats = array("K, 3, 3", "information on theta, frame c, rad⁻²")
+    F_shared: Floats = array("K, 3, S", "of theta with the shared unknowns")
+    right: Floats = array("K, 3", "F theta + F_shared shared, at the best values of the result")
+    shared_F: Floats = array("S, S", "on the shared unknowns: sum over the results, and prior")
+    shared_right: Floats = array("S", "right-hand side of the shared unknowns, sum over the results")
+    cos_sin: Floats = array("K, 2", "of the argument of latitude; NaN: not known")
+    beta_rad: Floats = array("K", "height of the Sun over the orbital plane; NaN: not known")
+    temperature_c: Floats = array("K", "of the star camera; NaN: not stated")
+    exchanges: tuple[int, ...] = scalar("rows before which a camera was exchanged", default=())
+
+    @property
+    def years(self) -> float:
+        """Length of the series."""
+        return float(self.t_s[-1] - self.t_s[0]) / YEAR_S
+
+    def conditions(self, term: str) -> Floats:
+        """What a term is made of, (K, m); of m = 0 where it is not known for all results."""
+        known = {"annual": annual_columns(self.t_s), "orbit phase": self.cos_sin}
+        known["beta angle"] = np.sin(self.beta_rad)[:, None]
+        known["temperature"] = 0.1 * (self.temperature_c - np.mean(self.temperature_c))[:, None]
+        return known[term] if np.isfinite(known[term]).all() else np.empty((len(self.t_s), 0))
+
+    def directions(self, term: str) -> Floats:
+        """Combinations (m, r) of a term's conditions that vary enough to differ from the mean; where
+        all do, the conditions as they are.
+        """
+        of_term = self.conditions(term)
+        m = of_term.shape[1]
+        if not m or len(of_term) < m + 3:
+            return np.zeros((m, 0))
+        centred = of_term - of_term.mean(axis=0)
+        _, spread, V = np.linalg.svd(centred, full_matrices=False)
+        told = spread > LEAST_SPREAD * np.sqrt(len(of_term))
+        return np.eye(m) if told.all() else np.asarray(V[told].T)
+
+    def columns(self, term: str) -> Floats:
+        """Columns (K, r) of a term: its conditions in the directions that differ from the mean."""
+        return self.conditions(term) @ self.directions(term)
+
+    @property
+    def candidates(self) -> tuple[str, ...]:
+        """Terms that the conditions of the results tell from the mean."""
+        return tuple(term for term in TERMS if self.directions(term).shape[1])
+
+
+@record(kw_only=True)
+class CourseFit:
+    """Weighted least squares of theta on columns, shared unknowns estimated with them."""
+
+    coefficients: Floats = array("M, 3", "of the columns, rad")
+    covariance: Floats = array("N, N", "of the coefficients, N = 3 M, column by column, rad²")
+    shared: Floats = array("S", "the shared unknowns")
+    explained: float = scalar("fall of chi2 from theta = 0")
+    log_volume: float = scalar("logarithm of the walk's evidence: -2 log L = log_volume - explained")
+    gains: Floats = array(
+        "G", "fall of chi2 by one more step before row first + 1, + 2, ...; for those asked"
+    )
+    log_determinants: Floats = array("G", "of the information on that step")
+
+
+@record(kw_only=True)
+class CourseStep:
+    """A sudden change of theta between two results."""
+
+    row: int = scalar("of the first result after it")
+    interval_s: tuple[float, float] = scalar("holds its date with the settings' confidence")
+    probability: float = scalar("that it lies between these two results, if there is a step")
+    p_value: float = scalar("probability of a step as large anywhere in the series by chance; 0: an exchange")
+    is_exchange: bool = scalar("known from the results: a star camera was exchanged")
+    theta: Floats = array("3", "change, rad")
+    covariance: Floats = array("3, 3", "of the change, rad²")
+
+
+@record(kw_only=True)
+class MountingCourse:
+    """The accepted model of a series."""
+
+    series: MountingSeries = scalar("the results")
+    terms: tuple[str, ...] = scalar("accepted terms, in the order of `TERMS`")
+    p_values: dict[str, float] = scalar("of each candidate, given all that is accepted beside it")
+    steps: tuple[CourseStep, ...] = scalar("accepted steps, in the order of time")
+    density_rad2_s: float = scalar("most likely of the random walk, each axis; in all predictions")
+    density_p_value: float = scalar("of the walk, given terms and steps")
+    walks: bool = scalar("whether that is evidence of a walk")
+    chi2: float = scalar("of the results about the model without walk")
+    dof: int = scalar("its degrees of freedom")
+    fit: CourseFit = scalar("coefficients of mean, terms, steps, walk")
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a chi2, if the results' covariances and the model hold."""
+        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+
+    def of_term(self, term: str) -> tuple[Floats, Floats]:
+        """Coefficients (r, 3) of a accepted term's columns and their covariance (3 r, 3 r)."""
+        first = 1 + sum(self.series.columns(one).shape[1] for one in self.terms[: self.terms.index(term)])
+        n = self.series.columns(term).shape[1]
+        return self.fit.coefficients[first : first + n], _block(self.fit.covariance, first, n)
+
+    def at(self, t_s: Floats, conditions: dict[str, Floats] | None = None) -> tuple[Floats, Floats]:
+        """theta (N, 3) at instants (N,) and its covariance (N, 3, 3); the walk goes on after the last result.
+
+        `conditions`: (N, m) of terms by name; unstated, their means over the results.
+        """
+        X = self._columns_at(np.asarray(t_s, dtype=float), conditions or {})
+        n = len(self.fit.coefficients)
+        covariance = np.einsum("ni,iajb,nj->nab", X, self.fit.covariance.reshape(n, 3, n, 3), X)
+        beyond = np.maximum(t_s - self.series.t_s[-1], 0.0) + np.maximum(self.series.t_s[0] - t_s, 0.0)
+        return X @ self.fit.coefficients, covariance + (self.density_rad2_s * beyond)[:, None, None] * np.eye(
+            3
+        )
+
+    @property
+    def free(self) -> tuple[Floats, Floats]:
+        """theta (K, 3) of each result by itself and its covariance (K, 3, 3), at the best shared unknowns."""
+        own = self.series.right - self.series.F_shared @ self.fit.shared
+        covariance = np.linalg.inv(self.series.F)
+        return np.asarray(np.einsum("kab,kb->ka", covariance, own)), np.asarray(covariance)
+
+    def of_conditions(self) -> Floats:
+        """Part (K, 3) of theta by which the conditions of each result differ from their means."""
+        part = np.zeros((len(self.series.t_s), 3))
+        for term in self.terms:
+            if term != "annual":
+                columns = self.series.columns(term)
+                part += (columns - columns.mean(axis=0)) @ self.of_term(term)[0]
+        return part
+
+    def _columns_at(self, t_s: Floats, conditions: dict[str, Floats]) -> Floats:
+        parts: list[Floats] = [np.ones((len(t_s), 1))]
+        for term in self.terms:
+            if term == "annual":
+                parts.append(annual_columns(t_s) @ self.series.directions(term))
+            elif term in conditions:
+                parts.append(conditions[term] @ self.series.directions(term))
+            else:
+                parts.append(np.tile(self.series.columns(term).mean(axis=0), (len(t_s), 1)))
+        dates = [0.5 * (self.series.t_s[step.row - 1] + self.series.t_s[step.row]) for step in self.steps]
+        parts.append((t_s[:, None] > np.array(dates)).astype(float))
+        if self.density_rad2_s:
+            parts.append(_ramps(t_s, _knots(self.series.t_s)))
+        return np.hstack(parts)
+
+
+def annual_columns(t_s: Floats) -> Floats:
+    """Cosine and sine (N, 2) of the time of the year from 2000-01-01T12:00 TAI."""
+    phase = 2.0 * np.pi * np.asarray(t_s) / YEAR_S
+    return np.column_stack([np.cos(phase), np.sin(phase)])
+
+
+def aliases(series: MountingSeries) -> list[str]:
+    """Sentences on what the results cannot tell apart."""
+    said, count = [], len(series.t_s)
+    for term in TERMS:
+        if not series.conditions(term).shape[1]:
+            said.append(f"{term}: not stated by all results, so not tried")
+        elif term not in series.candidates:
+            said.append(f"{term}: varies too little over the results to be distinguished from the mean")
+        elif np.diff(series.directions(term).shape) < 0:
+            said.append(f"{term}: seen in part only, one of its directions is not told from the mean")
+    for n, one in enumerate(series.candidates):
+        for other in series.candidates[n + 1 :]:
+            bases = [np.linalg.qr(c - c.mean(axis=0))[0] for c in map(series.columns, (one, other))]
+            alike = float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0]) if count > 4 else 1.0
+            if alike > ALIAS:
+                said.append(
+                    f"{one} and {other} cannot be told apart (correlation {alike:.3f}): what is stated for "
+                    "one may be the other's"
+                )
+    if series.years < 1.0:
+        said.append(f"annual: the results span {series.years:.2f} years, a season is not told from a trend")
+    return said
+
+
+def estimate_course(series: MountingSeries, settings: CourseSettings | None = None) -> MountingCourse:
+    """The terms, steps and random walk that a series gives evidence for. `ValueError` for fewer than 2."""
+    settings = settings or CourseSettings()
+    if len(series.t_s) < 2:
+        raise ValueError(f"{len(series.t_s)} results show no course of time, 2 are needed")
+    known = tuple(series.exchanges)
+    terms, steps = _accepted(series, known, 0.0, settings)
+    density, p_walk = _likely_density(series, _design(series, terms, steps))
+    if (terms, steps) != ((), known) or p_walk < settings.false_term:
+        # a walk looks like steps and like a season, and these like a walk
+        options = [(terms, steps, density)]
+        for beside in dict.fromkeys((terms, ())):
+            bare, _ = _likely_density(series, _design(series, beside, known))
+            options.append((*_accepted(series, known, bare, settings), bare))
+        costs = [_cost(series, *option, len(known)) for option in options]
+        terms, steps, _ = options[int(np.argmin(costs))]
+        density, p_walk = _likely_density(series, _design(series, terms, steps))
+    X = _design(series, terms, steps)
+    plain = fit_columns(series, X)
+    chi2 = explained_by_free(series) - plain.explained
+    return MountingCourse(
+        series=series,
+        terms=terms,
+        p_values={term: _p_term(series, term, terms, steps, density) for term in series.candidates},
+        steps=dated_steps(series, terms, steps, known, density, settings),
+        density_rad2_s=density,
+        density_p_value=p_walk,
+        walks=p_walk < settings.false_term,
+        chi2=float(chi2),
+        dof=3 * (len(series.t_s) - X.shape[1]),
+        fit=fit_columns(series, X, density) if density else plain,
+    )
+
+
+def _accepted(
+    series: MountingSeries, known: tuple[int, ...], density: float, settings: CourseSettings
+) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Terms and rows of steps with evidence, terms first, each again given the others until none changes."""
+    terms: tuple[str, ...] = ()
+    steps = known
+    for _ in range(ROUNDS):
+        before = terms, steps
+        terms = _accepted_terms(series, terms, steps, density, settings)
+        steps = _accepted_steps(series, terms, known, density, settings)
+        if (terms, steps) == before:
+            break
+    return terms, steps
+
+
+def _accepted_terms(
+    series: MountingSeries,
+    terms: tuple[str, ...],
+    steps: tuple[int, ...],
+    density: float,
+    settings: CourseSettings,
+) -> tuple[str, ...]:
+    limit = settings.false_term / max(len(series.candidates), 1)
+    for _ in range(2 * len(TERMS)):
+        p = {term: _p_term(series, term, terms, steps, density) for term in series.candidates}
+        if wrong := [term for term in terms if p[term] >= limit]:
+            terms = tuple(term for term in terms if term != max(wrong, key=lambda one: p[one]))
+        elif more := [term for term in p if term not in terms and p[term] < limit]:
+            best = min(more, key=lambda one: p[one])
+            terms = tuple(term for term in TERMS if term in terms or term == best)
+        else:
+            break
+    return terms
+
+
+def _p_term(
+    series: MountingSeries, term: str, terms: tuple[str, ...], steps: tuple[int, ...], density: float
+) -> float:
+    """Probability of the fall of chi2 by a term, given the others."""
+    without = tuple(one for one in terms if one != term)
+    having = tuple(one for one in TERMS if one in without or one == term)
+    fits = [fit_columns(series, _design(series, some, steps), density) for some in (without, having)]
+    return float(chdtrc(3 * series.columns(term).shape[1], max(fits[1].explained - fits[0].explained, 0.0)))
+
+
+def _accepted_steps(
+    series: MountingSeries,
+    terms: tuple[str, ...],
+    known: tuple[int, ...],
+    density: float,
+    settings: CourseSettings,
+) -> tuple[int, ...]:
+    """Rows of steps: the best one more while it has evidence; each moved to its best place given the others,
+    and taken out again where it has lost its evidence.
+    """
+    steps, count = known, len(series.t_s)
+    limit = min(0.5, settings.false_steps_per_year * max(series.years, 0.1)) / max(count - 1, 1)
+    for _ in range(MOST_STEPS):
+        row, gain = _best_step(series, terms, steps, density)
+        if chdtrc(3, gain) >= limit:
+            break
+        steps = tuple(sorted((*steps, row)))
+        for _ in range(3 if len(steps) > 1 else 0):
+            before = steps
+            for own in [one for one in steps if one not in known]:
+                others = tuple(one for one in steps if one != own)
+                row, gain = _best_step(series, terms, others, density)
+                steps = tuple(sorted((*others, row))) if chdtrc(3, gain) < limit else others
+            if steps == before:
+                break
+    return steps
+
+
+def _best_step(
+    series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float
+) -> tuple[int, float]:
+    """Row before which one more step lowers chi2 most, and by how much."""
+    X, count = _design(series, terms, steps), len(series.t_s)
+    stride = 1 + (count - 1) // MOST_GAPS
+    rows = np.setdiff1d(np.arange(1, count, stride), steps)
+    if not len(rows):
+        return 1, 0.0
+    gains = fit_columns(series, X, density, rows).gains
+    best = int(rows[np.argmax(gains)])
+    if stride > 1:
+        rows = np.setdiff1d(np.arange(max(1, best - stride), min(count, best + stride)), steps)
+        gains = fit_columns(series, X, density, rows).gains
+        best = int(rows[np.argmax(gains)])
+    return best, float(gains.max())
+
+
+def dated_steps(
+    series: MountingSeries,
+    terms: tuple[str, ...],
+    steps: tuple[int, ...],
+    known: tuple[int, ...],
+    density: float,
+    settings: CourseSettings,
+) -> tuple[CourseStep, ...]:
+    """Each step with its date: gaps between its neighbours have a probability in proportion to their length
+    and to the likelihood with the step's size integrated out.
+    """
+    X = _design(series, terms, steps)
+    fit = fit_columns(series, X, density)
+    first = X.shape[1] - len(steps)
+    dated, t_s, count = [], series.t_s, len(series.t_s)
+    for n, row in enumerate(steps):
+        low = steps[n - 1] + 1 if n else 1
+        high = steps[n + 1] if n + 1 < len(steps) else count
+        rows = np.arange(low, high)
+        if len(rows) > MOST_GAPS:  # what is far away has no part in the date
+            rows = rows[np.abs(rows - row) <= MOST_GAPS // 2]
+        others = _design(series, terms, tuple(one for one in steps if one != row))
+        tried = fit_columns(series, others, density, rows)
+        log_weight = 0.5 * (tried.gains - tried.log_determinants)
+        weight = np.diff(t_s)[rows - 1] * np.exp(log_weight - log_weight.max())
+        cumulative = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
+        tail, edges = 0.5 * (1.0 - settings.confidence), t_s[np.append(rows - 1, rows[-1])]
+        interval = np.interp([tail, 1.0 - tail], cumulative, edges)
+        here = int(np.flatnonzero(rows == row)[0])
+        is_known = row in known
+        dated.append(
+            CourseStep(
+                row=row,
+                interval_s=(t_s[row - 1], t_s[row]) if is_known else (float(interval[0]), float(interval[1])),
+                probability=1.0 if is_known else float(np.diff(cumulative)[here]),
+                p_value=0.0 if is_known else min(1.0, (count - 1) * float(chdtrc(3, tried.gains[here]))),
+                is_exchange=is_known,
+                theta=fit.coefficients[first + n],
+                covariance=_block(fit.covariance, first + n, 1),
+            )
+        )
+    return tuple(dated)
+
+
+def _design(series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...]) -> Floats:
+    """Columns (K, m): mean, terms, steps."""
+    rows = np.arange(len(series.t_s))
+    of_terms = [series.columns(term) for term in terms]
+    later = (rows[:, None] >= np.array(steps, dtype=int)).astype(float)
+    return np.hstack([np.ones((len(rows), 1)), *of_terms, later])
+
+
+def fit_columns(
+    series: MountingSeries, X: Floats, density: float = 0.0, rows: Ints | None = None
+) -> CourseFit:
+    """The best coefficients of columns (K, m); with a density (rad²/s) the walk's ramps after them. `rows`:
+    for each, what one more step before that row would bring.
+    """
+    prior: Floats = np.zeros(3 * X.shape[1])
+    if density > 0.0:
+        knots = _knots(series.t_s)
+        X = np.hstack([X, _ramps(series.t_s, knots)])
+        prior = np.concatenate([prior, np.repeat(1.0 / (density * np.diff(knots)), 3)])
+    m = X.shape[1]
+    blocks = np.empty((m, 3, m, 3))
+    for a, b in np.ndindex(3, 3):
+        blocks[:, a, :, b] = X.T @ (series.F[:, a, b, None] * X)
+    N = blocks.reshape(3 * m, 3 * m)
+    cross = (X.T @ series.F_shared.reshape(len(X), -1)).reshape(3 * m, -1)
+    whole = np.block([[N + np.diag(prior), cross], [cross.T, series.shared_F]])
+    right = np.concatenate([(X.T @ series.right).ravel(), series.shared_right])
+    # coefficients are radians, shared unknowns are in units of their prior: scaled for the factorisation
+    scale = 1.0 / np.sqrt(np.diag(whole))
+    factor = cho_factor(whole * np.outer(scale, scale), lower=True)
+    x = scale * cho_solve(factor, scale * right)
+    inverse = cho_solve(factor, np.eye(len(x)))[: 3 * m, : 3 * m] * np.outer(scale[: 3 * m], scale[: 3 * m])
+    gains, logs = np.empty(0), np.empty(0)
+    if rows is not None:
+        residual = series.right - np.einsum("kab,kb->ka", series.F, X @ x[: 3 * m].reshape(m, 3))
+        residual -= series.F_shared @ x[3 * m :]
+        own = _from(series.F, rows)
+        with_columns = _from(X[:, :, None, None] * series.F[:, None], rows).reshape(len(rows), 3 * m, 3)
+        with_shared = np.swapaxes(_from(series.F_shared, rows), 1, 2)
+        C = np.concatenate([with_columns, with_shared], axis=1) * scale[:, None]
+        wide = C.transpose(1, 0, 2).reshape(len(x), -1)
+        solved = cho_solve(factor, wide).reshape(len(x), len(rows), 3).transpose(1, 0, 2)
+        information = own - np.swapaxes(C, 1, 2) @ solved
+        score = _from(residual, rows)
+        values, vectors = np.linalg.eigh(0.5 * (information + np.swapaxes(information, 1, 2)))
+        # a direction that mean, terms and steps take up already has no information left
+        seen = values > 1e-9 * np.einsum("gaa->g", own)[:, None]
+        along = np.einsum("gab,ga->gb", vectors, score)
+        gains = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
+        logs = np.sum(np.log(np.where(seen, values, 1.0)), axis=1)
+    return CourseFit(
+        coefficients=x[: 3 * m].reshape(m, 3),
+        covariance=0.5 * (inverse + inverse.T),
+        shared=x[3 * m :],
+        explained=float(x @ right),
+        log_volume=_log_volume(N, cross, series.shared_F, prior),
+        gains=gains,
+        log_determinants=logs,
+    )
+
+
+def _log_volume(N: Floats, cross: Floats, shared_F: Floats, prior: Floats) -> float:
+    """log |I + Q Zᵀ L Z| of the walk: Q the prior covariance of its ramps, L the results' information."""
+    walk = prior > 0.0
+    if not walk.any():
+        return 0.0
+    inner = N[np.ix_(walk, walk)] - cross[walk] @ np.linalg.solve(shared_F, cross[walk].T)
+    root = prior[walk] ** -0.5
+    return float(np.linalg.slogdet(np.eye(len(root)) + root[:, None] * inner * root)[1])
+
+
+def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
+    """Most likely density of the walk beside columns, rad²/s, and the probability of so much by chance."""
+    if len(series.t_s) < X.shape[1] + 2:
+        return 0.0, 1.0
+    sigma2 = 1.0 / np.median(np.linalg.eigvalsh(series.F), axis=0)[-1]
+    span = float(series.t_s[-1] - series.t_s[0])
+    rest = fit_columns(series, X)
+
+    def loss(log_density: float) -> float:
+        fit = fit_columns(series, X, float(np.exp(log_density)))
+        return fit.log_volume - fit.explained
+
+    around = np.log(sigma2 / span)
+    grid = around + np.linspace(-4.0, 10.0, 8)
+    losses = [loss(x) for x in grid]
+    best = int(np.argmin(losses))
+    if losses[best] >= -rest.explained:
+        return 0.0, 1.0
+    window = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+    found = minimize_scalar(loss, bounds=window, method="bounded", options={"xatol": 0.05})
+    gain = max(-rest.explained - float(found.fun), 0.0)
+    return float(np.exp(found.x)), 0.5 * float(chdtrc(1, gain))
+
+
+def _cost(
+    series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float, known: int
+) -> float:
+    """Schwarz's criterion of a model: -2 log L and the logarithm of K for each number that was fitted."""
+    fit = fit_columns(series, _design(series, terms, steps), density)
+    fitted = 4 * (len(steps) - known) + 3 * sum(series.columns(term).shape[1] for term in terms)
+    return fit.log_volume - fit.explained + (fitted + (density > 0.0)) * float(np.log(len(series.t_s)))
+
+
+def explained_by_free(series: MountingSeries) -> float:
+    """Fall of chi2 where each result has a theta of its own."""
+    gain = np.linalg.solve(series.F, series.F_shared)
+    free = np.linalg.solve(series.F, series.right[:, :, None])[:, :, 0]
+    S = series.shared_F - np.einsum("kas,kat->st", series.F_shared, gain)
+    right = series.shared_right - np.einsum("kas,ka->s", gain, series.right)
+    own = float(np.einsum("ka,ka->", series.right, free))
+    return own + (float(right @ np.linalg.solve(S, right)) if len(S) else 0.0)
+
+
+def _knots(t_s: Floats) -> Floats:
+    """Instants between which the walk is straight."""
+    distinct = np.unique(t_s)
+    return distinct if len(distinct) <= MOST_KNOTS else np.linspace(t_s[0], t_s[-1], MOST_KNOTS)
+
+
+def _ramps(t_s: Floats, knots: Floats) -> Floats:
+    """(N, knots - 1) parts of each interval between knots that have passed at instants (N,)."""
+    return np.clip((t_s[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
+
+
+def _from(values: Floats, rows: Ints) -> Floats:
+    """Sums over the rows k >= row, for each of `rows`."""
+    return np.cumsum(values[::-1], axis=0)[::-1][rows]
+
+
+def _block(covariance: Floats, first: int, count: int) -> Floats:
+    here = slice(3 * first, 3 * (first + count))
+    return covariance[here, here]
+
+
+def with_reference_moved(series: MountingSeries, shift: Floats) -> MountingSeries:
+    """The series about references that deviate by -shift (K, 3) from its own: theta becomes theta + shift."""
+    return replace(
+        series,
+        right=series.right + np.einsum("kab,kb->ka", series.F, shift),
+        shared_right=series.shared_right + np.einsum("kas,ka->s", series.F_shared, shift),
+    )

@@ -1,0 +1,200 @@
+"""What a mission's archive says at a date: course, terms, steps, the matrix to use, and whether to look.
+
+An alarm is raised where the last result is refuted or contradicts the course, where a step lies in the days
+before the date, or where the matrix misses what is required.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc
+
+from boresight.features.mission.archive import ArchivedSeries
+from boresight.features.mission.mounting_course import (
+    CourseSettings,
+    CourseStep,
+    MountingCourse,
+    aliases,
+    estimate_course,
+)
+from boresight.features.mission.prediction import MountingPrediction, predict
+from boresight.features.mission.saved_mounting import utc_at
+from boresight.geometry.constants import ARCSEC, DAY_S
+from boresight.geometry.record import Floats, record, scalar
+from boresight.pipeline.results.requirement import Requirement
+
+__all__ = ["Trend", "required_rad", "trend_of"]
+
+LAST_LIMIT = 1e-3  # p-value below which the last result contradicts the course
+NEW_STEP_DAYS = 90.0  # a step that may be younger raises an alarm
+# Facts whose changes are listed, by the names that the table gives them.
+CHANGES = {"program": "program", "star_camera": "star camera"}
+
+
+@record(kw_only=True)
+class Trend:
+    """One series of an archive."""
+
+    archived: ArchivedSeries = scalar("its results")
+    course: MountingCourse = scalar("the accepted model")
+    now: MountingPrediction = scalar("the matrix for the date asked for")
+    required_rad: Floats | None = scalar("(3,) largest rms error about each axis; None: none required")
+    aliases: tuple[str, ...] = scalar("what the results cannot tell apart")
+    alarms: tuple[str, ...] = scalar("reasons to look; empty: none")
+
+    @property
+    def name(self) -> str:
+        """Mission, satellite, camera and star camera."""
+        return " / ".join(part for part in self.archived.key[:4] if part) or "mission without a name"
+
+    def summary(self) -> str:
+        """Lines for the terminal."""
+        course, t_s = self.course, self.course.series.t_s
+        now, sigma = self.now, np.sqrt(np.diag(self.now.covariance)) / ARCSEC
+        chi2 = f"{course.chi2:.1f} / {course.dof}, p {course.p_value:.2g}"
+        lines = [f"{self.name}: {len(t_s)} results, {utc_at(t_s[0])[:10]} to {utc_at(t_s[-1])[:10]}"]
+        lines += [f"terms                     {', '.join(('mean', *course.terms))}; chi2 / dof {chi2}"]
+        lines += [f"step                      {step_words(course, step)}" for step in course.steps]
+        if course.walks:
+            lines.append(f"random walk               {_per_root_day(course):.3g} arcsec per root day")
+        lines.append(
+            f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec"
+            + "".join(f"{value:10.4f}" for value in sigma)
+        )
+        if now.valid_s is not None:
+            lines.append(f"valid                     {' to '.join(utc_at(t)[:10] for t in now.valid_s)}")
+        lines += [f"cannot be told            {text}" for text in self.aliases]
+        return "\n".join([*lines, *(f"ALARM                     {text}" for text in self.alarms)])
+
+    def content(self) -> dict[str, Any]:
+        """For programs."""
+        course = self.course
+        return {
+            **dict(zip(("mission", "satellite", "camera", "star_camera", "model"), self.archived.key)),
+            "results": len(course.series.t_s),
+            "alarm": bool(self.alarms),
+            "alarms": list(self.alarms),
+            "now": self.now.content(),
+            "terms": {
+                term: {
+                    "accepted": term in course.terms,
+                    "p_value": p,
+                    **({} if term not in course.terms else _coefficients(course, term)),
+                }
+                for term, p in course.p_values.items()
+            },
+            "steps": [
+                {
+                    "after": course.series.names[step.row - 1],
+                    "before": course.series.names[step.row],
+                    "utc": utc_at(_date(course, step)),
+                    "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
+                    "probability": step.probability,
+                    "p_value": step.p_value,
+                    "is_exchange": step.is_exchange,
+                    "theta_rad": step.theta.tolist(),
+                    "covariance_rad2": step.covariance.tolist(),
+                }
+                for step in course.steps
+            ],
+            "random_walk": {
+                "accepted": course.walks,
+                "density_rad2_s": course.density_rad2_s,
+                "p_value": course.density_p_value,
+            },
+            "chi2": course.chi2,
+            "dof": course.dof,
+            "p_value": course.p_value,
+            "cannot_be_told": list(self.aliases),
+            "left_out": [
+                {key: row[key] for key in ("id", "utc", "reason")} for row in self.archived.left_out
+            ],
+            "changes": [list(one) for one in changes_of(self.archived)],
+        }
+
+
+def trend_of(
+    archived: ArchivedSeries,
+    at_s: float,
+    requirement: Requirement | None = None,
+    settings: CourseSettings | None = None,
+) -> Trend | None:
+    """The trend of a series at a date; None for fewer than two results."""
+    if len(archived.series.t_s) < 2:
+        return None
+    course = estimate_course(archived.series, settings)
+    required = required_rad(archived, requirement or Requirement())
+    now = predict(archived, course, at_s, required)
+    return Trend(
+        archived=archived,
+        course=course,
+        now=now,
+        required_rad=required,
+        aliases=tuple(aliases(archived.series)),
+        alarms=tuple(_alarms(archived, course, now)),
+    )
+
+
+def required_rad(archived: ArchivedSeries, requirement: Requirement) -> Floats | None:
+    """(3,) largest error about each axis that a requirement allows; None where nothing is required."""
+    if not requirement:
+        return None
+    per_rad = np.array(json.loads(archived.rows[-1]["ground_m_per_rad"]), dtype=float)
+    limits = np.full(3, np.inf)
+    if requirement.arcsec is not None:
+        limits = np.minimum(limits, requirement.arcsec * ARCSEC)
+    return limits if requirement.m is None else np.fmin(limits, requirement.m / per_rad)
+
+
+def step_words(course: MountingCourse, step: CourseStep) -> str:
+    """Date, interval, probability and size of a step."""
+    low, high = (utc_at(t_s)[:10] for t_s in step.interval_s)
+    sigma = np.sqrt(np.diag(step.covariance)) / ARCSEC
+    size = ", ".join(f"{a} {v:+.2f} ± {s:.2f}" for a, v, s in zip("XYZ", step.theta / ARCSEC, sigma))
+    kind = (
+        "star camera exchanged" if step.is_exchange else f"p {step.p_value:.2g}, {step.probability:.0%} there"
+    )
+    return f"{utc_at(_date(course, step))[:10]} ({low} to {high}; {kind}): {size} arcsec"
+
+
+def changes_of(archived: ArchivedSeries) -> Iterator[tuple[str, str, str]]:
+    """Date, what, and the new value, of what changed from one result to the next."""
+    for before, after in zip(archived.rows[:-1], archived.rows[1:]):
+        for key, name in CHANGES.items():
+            if before[key] != after[key]:
+                yield after["utc"], name, str(after[key])
+
+
+def _alarms(archived: ArchivedSeries, course: MountingCourse, now: MountingPrediction) -> Iterator[str]:
+    last = course.series.t_s[-1]
+    for row in archived.left_out:
+        if row["reason"] == "refuted" and row["t_s"] > last:
+            yield f"the last result, {row['id']} of {row['utc'][:10]}, is refuted"
+    free, covariance = course.free
+    there, own = course.at(course.series.t_s[-1:])
+    apart = free[-1] - course.of_conditions()[-1] - there[0]
+    chi2 = float(apart @ np.linalg.solve(covariance[-1] + own[0], apart))
+    if (p := float(chdtrc(3, chi2))) < LAST_LIMIT:
+        yield f"the last result, {course.series.names[-1]}, contradicts the course (p {p:.2g})"
+    for step in course.steps:
+        if step.interval_s[1] > now.t_s - NEW_STEP_DAYS * DAY_S:
+            yield f"a step in the last {NEW_STEP_DAYS:.0f} days: {step_words(course, step)}"
+    if not now.is_met:
+        yield "the matrix for the date does not reach what is required"
+
+
+def _date(course: MountingCourse, step: CourseStep) -> float:
+    return float(0.5 * (course.series.t_s[step.row - 1] + course.series.t_s[step.row]))
+
+
+def _coefficients(course: MountingCourse, term: str) -> dict[str, Any]:
+    values, covariance = course.of_term(term)
+    return {"coefficients_rad": values.tolist(), "covariance_rad2": covariance.tolist()}
+
+
+def _per_root_day(course: MountingCourse) -> float:
+    return float(np.sqrt(course.density_rad2_s * DAY_S)) / ARCSEC

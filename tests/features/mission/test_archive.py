@@ -1,0 +1,202 @@
+"""The archive of a mission: nothing is lost or doubled, and its trends are those of its results."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import app
+from drawn_mission import DrawnMission, Truth, bare_result, lopsided_pair
+from typer.testing import CliRunner
+
+from boresight.features.mission.archive import add_mounting, add_results, series_of
+from boresight.features.mission.mounting_course import YEAR_S
+from boresight.features.mission.saved_mounting import utc_at
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.pipeline.errors import RawDataError
+
+PAIR, runner = lopsided_pair(), CliRunner()
+
+
+def mission_in(archive, results=40, refuted=(), exchanged=None, seed=0, step=1.0):
+    """An archive of drawn results, and their truth."""
+    rng = np.random.default_rng(seed)
+    truth = Truth(rng, results, annual=0.0, orbit=0.0, steps=(step, 0.0))
+    mission, like = DrawnMission(PAIR, rng), bare_result(PAIR)
+    for k, t_s in enumerate(truth.t_s):
+        theta = truth.theta(truth.t_s[k : k + 1], truth.cos_sin[k : k + 1])
+        changes = {"verdict": "refuted"} if k in refuted else {}
+        changes |= {"star_camera": "B"} if exchanged is not None and k >= exchanged else {}
+        add_mounting(
+            mission.result(like, f"r{k:03d}", t_s, theta, cos_sin=truth.cos_sin[k], **changes), archive
+        )
+    return truth
+
+
+def test_a_series_of_the_archive_is_that_of_its_results(tmp_path):
+    mission_in(tmp_path, 6, refuted=(2,))
+    (found,) = series_of(tmp_path)
+    assert found.series.names == ("r000", "r001", "r003", "r004", "r005")
+    assert [(row["id"], row["reason"]) for row in found.left_out] == [("r002", "refuted")]
+    expected = 5 * PAIR.F[0, 3:, 3:] + DrawnMission(PAIR, np.random.default_rng(0)).prior
+    np.testing.assert_allclose(found.series.shared_F, expected, rtol=1e-12)
+
+
+def test_a_result_of_the_same_strips_supersedes_the_one_before(tmp_path):
+    mission_in(tmp_path, 3)
+    (before,) = series_of(tmp_path)
+    mission = DrawnMission(PAIR, np.random.default_rng(1))
+    again = mission.result(bare_result(PAIR), "again", before.series.t_s[1], np.zeros(3), scale=2.0)
+    add_mounting(again, tmp_path)
+    (after,) = series_of(tmp_path)
+    assert after.series.names == ("r000", "again", "r002")
+    assert after.left_out[0]["reason"].startswith("superseded by again")
+    np.testing.assert_allclose(
+        after.series.shared_F - before.series.shared_F, PAIR.F[0, 3:, 3:], rtol=1e-9, atol=1e-9
+    )
+
+
+def test_references_of_results_do_not_matter(tmp_path):
+    rng, like = np.random.default_rng(2), bare_result(PAIR)
+    saved = [
+        DrawnMission(PAIR, rng).result(like, f"r{k}", k * 1e6, rng.normal(size=3) * ARCSEC) for k in range(4)
+    ]
+    for one in saved:
+        add_mounting(one, tmp_path / "one")
+    turn = deviation_from_theta(np.array([1e-5, -2e-5, 3e-5]))
+    for k, one in enumerate(saved):
+        pair = one.pair.about(turn * PAIR.R_cs_ref) if k % 2 else one.pair
+        add_mounting(
+            type(one)(**{name: getattr(one, name) for name in one.__slots__} | {"pair": pair}),
+            tmp_path / "two",
+        )
+    (one,), (two,) = series_of(tmp_path / "one"), series_of(tmp_path / "two")
+    np.testing.assert_allclose(two.series.right, one.series.right, rtol=1e-7, atol=1e-3 / ARCSEC)
+    np.testing.assert_allclose(two.series.shared_right, one.series.shared_right, rtol=1e-6, atol=1e-3)
+
+
+def test_a_finished_result_is_added_once_and_read_by_pandas_and_as_a_geopackage(finished, tmp_path):
+    import pandas as pd
+    import rasterio  # GDAL is there: the file must at least be a database that it would accept
+
+    assert rasterio.__gdal_version__
+    asked = ["archive", "add", str(finished[1]), "--to", str(tmp_path)]
+    assert "added" in runner.invoke(app, asked).output
+    assert "there already" in runner.invoke(app, asked).output
+    with sqlite3.connect(tmp_path / "archive.gpkg") as database:
+        rows = pd.read_sql("SELECT * FROM results", database)
+        targets = pd.read_sql("SELECT * FROM targets", database)
+        (head,) = database.execute("PRAGMA application_id").fetchone()
+        features = [row[0] for row in database.execute("SELECT table_name FROM gpkg_geometry_columns")]
+    assert head == 0x47504B47 and sorted(features) == ["targets", "tracks"]
+    installation = json.loads((finished[1] / "installation.json").read_text())
+    assert rows["verdict"].tolist() == [installation["verdict"]["outcome"]]
+    assert json.loads(rows["covariance_rad2"][0]) == installation["covariance_rad2"]
+    assert abs(rows["beta_rad"][0]) < np.pi / 2
+    blob = targets["geom"][0]
+    assert blob[:4] == b"GP\x00\x01" and len(blob) == 8 + 21
+
+
+def test_a_folder_without_a_result_is_refused(tmp_path):
+    with pytest.raises(RawDataError, match="a finished result"):
+        add_results([tmp_path], tmp_path / "archive")
+    with pytest.raises(RawDataError, match="an archive that"):
+        series_of(tmp_path / "none")
+
+
+WRITER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[3])
+import numpy as np
+from drawn_mission import DrawnMission, bare_result, lopsided_pair
+from boresight.features.mission.archive import add_mounting, add_results
+pair = lopsided_pair()
+mission, like = DrawnMission(pair, np.random.default_rng(0)), bare_result(pair)
+add_results([], Path(sys.argv[1]))
+print("ready", flush=True)
+for k in range(*map(int, sys.argv[2].split(":"))):
+    if add_mounting(mission.result(like, f"r{k:03d}", 1e5 * k, np.zeros(3)), Path(sys.argv[1])):
+        print(f"r{k:03d}", flush=True)
+"""
+
+
+def writer(archive: Path, span: str):
+    return subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(archive), span, str(Path(__file__).parent)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_two_writers_and_one_that_is_killed_lose_and_double_nothing(tmp_path):
+    killed, other = writer(tmp_path, "0:30"), writer(tmp_path, "15:45")
+    assert killed.stdout.readline() == "ready\n"
+    time.sleep(0.15)
+    os.kill(killed.pid, signal.SIGKILL)
+    told = set(killed.communicate()[0].split()) | set(other.communicate()[0].split()) - {"ready"}
+    (tmp_path / "information" / "left.parquet").write_bytes(b"of a process that was killed")
+    rest = writer(tmp_path, "0:45")
+    told |= set(rest.communicate()[0].split()) - {"ready"}
+    (found,) = series_of(tmp_path)
+    assert found.series.names == tuple(f"r{k:03d}" for k in range(45))
+    assert told <= set(found.series.names) and other.returncode == rest.returncode == 0
+    np.testing.assert_allclose(
+        found.series.shared_F, 45 * PAIR.F[0, 3:, 3:] + DrawnMission(PAIR, np.random.default_rng(0)).prior
+    )
+    assert {path.stem for path in (tmp_path / "information").glob("*.parquet")} == set(found.series.names)
+
+
+def test_trends_tell_step_prediction_and_alarm(tmp_path):
+    truth = mission_in(tmp_path / "a", 60, refuted=(7,), step=3.0)
+    last = truth.t_s[-1]
+    asked = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", utc_at(last + YEAR_S / 12)]
+    ran = runner.invoke(app, [*asked, "--require-arcsec", "100"])
+    assert ran.exit_code == 0, ran.output
+    content = json.loads((tmp_path / "t" / "trends.json").read_text())
+    (one,) = content["series"]
+    assert not content["alarm"] and one["results"] == 59
+    (step,) = one["steps"]
+    assert abs(int(step["before"][1:]) - truth.rows[0]) <= 1
+    assert utc_at(last)[:10] < one["now"]["valid_utc"][1][:10]
+    calibration = json.loads((tmp_path / "t" / "calibration.json").read_text())
+    assert (
+        calibration["R_cs"] == one["now"]["R_cs"]
+        and calibration["valid_to_utc"] == one["now"]["valid_utc"][1]
+    )
+    R_true = (
+        deviation_from_theta(truth.theta(np.array([last + YEAR_S / 12]), np.zeros((1, 2)))[0]) * PAIR.R_cs_ref
+    )
+    error = theta_between(type(R_true).from_matrix(np.array(calibration["R_cs"])), R_true)
+    assert error @ np.linalg.solve(np.array(calibration["covariance_rad2"]), error) < 16.3  # chi2(3), 0.1 %
+    page = (tmp_path / "t" / "trends.html").read_text()
+    assert page.count("<a href=") >= 3 * 59 and "refuted" in page and "report.html" in page
+    ran = runner.invoke(app, [*asked, "--require-arcsec", "0.001"])
+    assert ran.exit_code == 4 and "does not reach what is required" in ran.output
+    early = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", step["utc"]]
+    ran = runner.invoke(app, early)
+    assert ran.exit_code == 4 and "a step in the last 90 days" in ran.output
+
+
+def test_cameras_have_series_of_their_own(tmp_path):
+    rng, like = np.random.default_rng(4), bare_result(PAIR)
+    for camera in ("pan", "xs"):
+        for k in range(3):
+            saved = DrawnMission(PAIR, rng).result(like, f"{camera}{k}", k * 1e6, np.zeros(3), camera=camera)
+            add_mounting(saved, tmp_path)
+    assert [one.key[2] for one in series_of(tmp_path)] == ["pan", "xs"]
+
+
+def test_calibrate_adds_its_result(finished, tmp_path):
+    asked = ["calibrate", str(finished[0]), "--out", str(finished[1]), "--archive", str(tmp_path), "-q"]
+    ran = runner.invoke(app, asked)
+    assert ran.exit_code == 0, ran.output
+    with sqlite3.connect(tmp_path / "archive.gpkg") as database:
+        assert database.execute("SELECT count(*) FROM results").fetchone() == (1,)

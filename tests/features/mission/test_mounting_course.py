@@ -1,0 +1,157 @@
+"""The course of a mounting over years: terms, steps and predictions found as they are, and honest."""
+
+import numpy as np
+import pytest
+from drawn_mission import DrawnMission, Truth, lopsided_pair
+from scipy.stats import binom, chi2
+
+from boresight.features.mission.mounting_course import (
+    YEAR_S,
+    aliases,
+    estimate_course,
+    explained_by_free,
+    fit_columns,
+)
+from boresight.geometry.constants import ARCSEC, DAY_S
+
+PAIR = lopsided_pair()
+
+
+def test_terms_and_steps_of_three_years_are_recovered_and_the_prediction_is_honest():
+    errors, nees, dated, runs = [], 0.0, 0, 8
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        truth = Truth(rng)
+        series = DrawnMission(PAIR, rng).series(
+            truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin
+        )
+        course = estimate_course(series)
+        assert course.terms == ("annual", "orbit phase")
+        dated += any(abs(step.row - truth.rows[0]) <= 1 for step in course.steps)
+        for term, expected in (("annual", truth.annual), ("orbit phase", truth.orbit)):
+            values, covariance = course.of_term(term)
+            errors.append((values - expected * ARCSEC).ravel() / np.sqrt(np.diag(covariance)))
+        t_s, u = truth.t_s[-1:] + 30 * DAY_S, rng.uniform(0.0, 6.28)
+        at = np.array([[np.cos(u), np.sin(u)]])
+        theta, covariance = course.at(t_s, {"orbit phase": at})
+        error = theta[0] - truth.theta(t_s, at)[0]
+        nees += error @ np.linalg.solve(covariance[0], error)
+    # of 96 coefficients beyond 2.5 sigma: 1.2 % by chance
+    assert np.sum(np.abs(errors) > 2.5) <= binom(96, 0.0124).ppf(0.999)
+    assert dated >= binom(runs, 0.95).ppf(0.001)
+    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
+    assert low < nees < high
+
+
+@pytest.mark.parametrize("seasons", [0.0, 3.0])
+def test_a_mounting_without_steps_has_none(seasons):
+    false, runs = 0, 15
+    for seed in range(runs):
+        rng = np.random.default_rng(100 + seed)
+        truth = Truth(rng, results=60, annual=seasons, orbit=0.0, steps=(0.0, 0.0))
+        series = DrawnMission(PAIR, rng).series(
+            truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin
+        )
+        course = estimate_course(series)
+        false += len(course.steps)
+        assert ("annual" in course.terms) == (seasons > 0.0) or seasons == 0.0
+    assert false <= binom(runs, 0.03).ppf(0.999)  # 1 % a year, three years each
+
+
+def test_the_gain_of_a_step_is_that_of_fitting_it():
+    rng = np.random.default_rng(3)
+    truth = Truth(rng, results=20)
+    series = DrawnMission(PAIR, rng).series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+    ones, rows = np.ones((20, 1)), np.arange(1, 20)
+    for density in (0.0, (0.1 * ARCSEC) ** 2 / DAY_S):
+        rest = fit_columns(series, ones, density, rows)
+        for row in (1, 7, 19):
+            step = (np.arange(20) >= row).astype(float)[:, None]
+            fitted = fit_columns(series, np.hstack([ones, step]), density)
+            assert fitted.explained - rest.explained == pytest.approx(rest.gains[row - 1], rel=1e-6)
+
+
+def test_the_fit_is_generalised_least_squares_with_the_shared_unknowns_integrated_out():
+    rng = np.random.default_rng(4)
+    t_s = np.sort(rng.uniform(0.0, YEAR_S, 9))
+    series = DrawnMission(PAIR, rng).series(t_s, rng.normal(size=(9, 3)) * ARCSEC)
+    X = np.column_stack([np.ones(9), t_s / YEAR_S])
+    found = fit_columns(series, X)
+    # the results' own best theta with their joint covariance: each its own noise, the distortion of all
+    L = np.zeros((27, 27))
+    cross = series.F_shared.reshape(27, -1)
+    for k in range(9):
+        L[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = series.F[k]
+    L -= cross @ np.linalg.solve(series.shared_F, cross.T)
+    right = series.right.ravel() - cross @ np.linalg.solve(series.shared_F, series.shared_right)
+    theta, A = np.linalg.solve(L, right), np.kron(X, np.eye(3))
+    covariance = np.linalg.inv(A.T @ L @ A)
+    best = covariance @ A.T @ L @ theta
+    np.testing.assert_allclose(found.coefficients.ravel(), best, rtol=1e-8)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-7)
+    rest = theta - A @ best
+    assert explained_by_free(series) - found.explained == pytest.approx(rest @ L @ rest, rel=1e-6)
+
+
+def test_a_random_walk_is_accepted_where_there_is_one():
+    density = (0.15 * ARCSEC) ** 2 / DAY_S
+    accepted, ratios = [0, 0], []
+    for seed in range(6):
+        rng = np.random.default_rng(200 + seed)
+        t_s = np.arange(60) * 10.0 * DAY_S
+        walk = np.cumsum(rng.normal(size=(60, 3)) * np.sqrt(density * 10.0 * DAY_S), axis=0)
+        for n, theta in enumerate((np.zeros((60, 3)), walk)):
+            course = estimate_course(DrawnMission(PAIR, rng).series(t_s, theta))
+            accepted[n] += course.walks
+        ratios += [np.log(course.density_rad2_s / density)] if course.walks else []
+    # one walk in ten is as well a season with steps
+    assert accepted[0] <= 1 and accepted[1] >= 5
+    assert np.mean(ratios) == pytest.approx(0.0, abs=0.4)  # 1 sigma of one about 0.3
+
+
+def test_an_exchange_is_a_step_at_a_known_date():
+    rng = np.random.default_rng(5)
+    t_s = np.arange(30) * 30.0 * DAY_S
+    theta = np.where(np.arange(30)[:, None] >= 12, [0.0, 2e-4, 0.0], 0.0)
+    course = estimate_course(DrawnMission(PAIR, rng).series(t_s, theta, exchanges=(12,)))
+    (step,) = course.steps
+    assert step.is_exchange and step.row == 12
+    error = step.theta - [0.0, 2e-4, 0.0]
+    assert error @ np.linalg.solve(step.covariance, error) < chi2(3).ppf(0.999)
+
+
+def test_what_one_side_of_an_orbit_cannot_tell_is_said():
+    rng = np.random.default_rng(6)
+    t_s = np.arange(110) * 10.0 * DAY_S
+    year = 2.0 * np.pi * t_s / YEAR_S
+    u = 1.55 + 0.02 * rng.normal(size=110)
+    series = DrawnMission(PAIR, rng).series(
+        t_s,
+        np.zeros((110, 3)),
+        np.column_stack([np.cos(u), np.sin(u)]),
+        beta=np.radians(25.0 + 8.0 * np.cos(year - 1.0)),
+        temperature=20.0 + 5.0 * np.cos(year) + rng.normal(size=110) * 5.0,
+    )
+    said = aliases(series)
+    assert any(text.startswith("annual and beta angle cannot be told apart") for text in said)
+    assert any(text.startswith("orbit phase: varies too little") for text in said)
+    assert not any("temperature" in text for text in said)
+
+
+def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
+    rng = np.random.default_rng(8)
+    truth = Truth(rng, results=110, one_sided=True, annual=0.0, steps=(0.0, 0.0))
+    series = DrawnMission(PAIR, rng).series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+    course = estimate_course(series)
+    assert course.terms == ("orbit phase",) and not course.steps
+    assert course.of_term("orbit phase")[0].shape == (1, 3)
+    assert any(text.startswith("orbit phase: seen in part only") for text in aliases(series))
+    theta, covariance = course.at(truth.t_s[:1], {"orbit phase": truth.cos_sin[:1]})
+    error = theta[0] - truth.theta(truth.t_s[:1], truth.cos_sin[:1])[0]
+    assert error @ np.linalg.solve(covariance[0], error) < chi2(3).ppf(0.999)
+
+
+def test_one_result_has_no_course():
+    rng = np.random.default_rng(7)
+    with pytest.raises(ValueError, match="1 results show no course"):
+        estimate_course(DrawnMission(PAIR, rng).series(np.zeros(1), np.zeros((1, 3))))
