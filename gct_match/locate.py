@@ -133,7 +133,7 @@ def locate(
         changed = _of_changed(template, picture, start_px, radius_px, reference_px)
         if not found or not _is_of_the_scene(found.fit, changed, settings):
             found = changed
-    if not found:
+    if isinstance(found, Entry):
         return found
     best = found.fit
     at_edge = bool(np.abs(found.peak_xy - radius_px).max() >= radius_px)
