@@ -129,9 +129,9 @@ def locate(
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
     found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
-    if not found or not _is_sure(found.fit, settings):
+    if isinstance(found, Entry) or not _is_sure(found.fit, settings):
         changed = _of_changed(template, picture, start_px, radius_px, reference_px)
-        if not found or not _is_of_the_scene(found.fit, changed, settings):
+        if isinstance(found, Entry) or not _is_of_the_scene(found.fit, changed, settings):
             found = changed
     if isinstance(found, Entry):
         return found
