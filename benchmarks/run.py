@@ -83,7 +83,6 @@ BENCHMARKS = (
     Benchmark("fuzz readers", "readers --count 4000", "readers --count 100000"),
     Benchmark("fuzz images", "images --count 300", "images --count 10000"),
     Benchmark("fuzz door", "door --count 800", "door --count 5000"),
-    Benchmark("kill_and_resume", "--kills 5", "--kills 20"),
     Benchmark("workers", "", "--repeats 3 --counts 1 2 4 0 --units 240 --cluster 8"),
     Benchmark("speed", "", "--repeats 5 --tests 21"),
 )
