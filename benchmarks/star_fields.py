@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-import cv2
 import numpy as np
 from record import SHARED, exit_status, head, judge_share, not_run, verdict
 from scipy.stats import chi2
 
+from boresight.pipeline.files.images.image_file import open_image
+from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.star_id.camera_fit import IdentifiedStars
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
@@ -56,8 +57,12 @@ def main() -> None:
     head("Real star images: identified, and fields of view of one lens")
     places = hipparcos_stars(8.0).places
     index = build_index(places, 2019.0, (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
-    rows = list(csv.DictReader((FOLDER / "manifest.csv").open()))
-    answers = {row["file"]: solve_field(image_of(row["file"]), index, StarSettings()) for row in rows}
+    rows = csv.DictReader((FOLDER / "manifest.csv").open())
+    rows = [row for row in rows if open_image(FOLDER / row["file"], row["file"]).format]
+    answers = {
+        row["file"]: solve_field(read_star_image(FOLDER / row["file"], row["file"]), index, StarSettings())
+        for row in rows
+    }
     known = [row for row in rows if row["level"] != "none" and row["ra_deg"]]
     of_known = [answers[row["file"]] for row in known]
     right = [is_right(row, found) for row, found in zip(known, of_known) if isinstance(found, FieldSolution)]
@@ -70,11 +75,6 @@ def main() -> None:
         chosen = [file for file in chosen if isinstance(answers[file], FieldSolution)]
         fields(name, [fitted(file, answers[file], index) for file in chosen], most)
     raise SystemExit(exit_status())
-
-
-def image_of(file: str) -> np.ndarray:
-    image = cv2.imread(str(FOLDER / file), cv2.IMREAD_UNCHANGED)
-    return image if image.ndim == 2 else cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
 
 
 def is_right(row: dict[str, str], found: FieldSolution) -> bool:
