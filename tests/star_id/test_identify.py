@@ -475,3 +475,14 @@ def test_the_shifts_near_a_prior_are_those_of_a_square_of_four_sigma_at_the_edge
     # a turn moves a star at the corner by 1 + tan² of its angle from the axis; cells of half a sigma
     side = np.ceil(2.0 * 4.0 * (1.0 + field.half_x**2 + field.half_y**2) / 0.5)
     assert found.proposals == side**2
+
+
+def test_a_search_in_vain_has_a_bounded_cost(wide, monkeypatch):
+    tried, real = [], identify_module._try_proposal
+    monkeypatch.setattr(identify_module, "_try_proposal", lambda *given: tried.append(1) or real(*given))
+    for stars in (30, 600):
+        tried.clear()
+        xy = np.random.default_rng(stars).uniform(0.0, 1023.0, (stars, 2))
+        assert isinstance(solve_stars(xy, (1024, 1024), wide, SETTINGS), NotIdentified)
+        # of 17 fields of view and two passes each proposal costs 1 ms; failing real frames have 220 to 670
+        assert len(tried) < 1000
