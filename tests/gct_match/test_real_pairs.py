@@ -68,7 +68,7 @@ def test_years_of_changed_ground_are_kept_and_close():
         outcome = locate(*views, (MARGIN, MARGIN), MARGIN, np.full(2, 63.5), MatchSettings())
         return (outcome.xy_px - 63.5 - MARGIN, outcome.cov_px) if outcome else None
 
-    places = [(x, y) for y in range(40, 540, 96) for x in range(40, 760, 96)]
+    places = [(x, y) for y in range(40, 540, 120) for x in range(40, 760, 120)]
     kept, squares = 0, []
     for x, y in places:
         ab, ac = found(0, 1, x, y), found(0, 2, x, y)
@@ -79,5 +79,5 @@ def test_years_of_changed_ground_are_kept_and_close():
                 error = ab[0] + bc[0] - ac[0]
                 squares.append(error @ np.linalg.solve(ab[1] + bc[1] + ac[1], error))
     assert kept >= 0.5 * 2 * len(places)  # 3 % where a fit had to be good to a tenth of a pixel
-    assert len(squares) >= 15
+    assert len(squares) >= 10
     assert np.mean(squares) / 2.0 < 2.0  # of two axes; one, and an error of its mean of 0.25

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from rendered_pairs import MTF_AT_NYQUIST, make_pair
+from rendered_pairs import MTF_AT_NYQUIST, Pair, make_pair
 from rounding import assert_unmoved, nudged
 from small_strip import texture
+from test_changed import dates
 from test_locate import MARGIN, SETTINGS
 
 from boresight.gct_match.imaging.views import view_of
@@ -21,7 +22,12 @@ def test_no_place_of_a_template_is_moved(step):
     picture = texture(np.random.default_rng(1), 700)
 
     def views(condition, seed):
-        pair = make_pair(picture, np.random.default_rng(4), size_px=64, margin_px=MARGIN, condition=condition)
+        draw = np.random.default_rng(4)
+        pair = (
+            Pair(*dates(3), np.eye(2))
+            if condition == "changed"
+            else make_pair(picture, draw, size_px=64, margin_px=MARGIN, condition=condition)
+        )
         images = [pair.template, pair.window]
         if seed is not None:
             images = [nudged(image, seed, SINGLE).astype(np.float32) for image in images]
@@ -36,5 +42,6 @@ def test_no_place_of_a_template_is_moved(step):
             match = fit_position(template, window, np.round(offset).astype(int), middle, MTF_AT_NYQUIST)
         return match.xy_px, np.sqrt(np.diag(match.cov_px))
 
-    cases = [lambda seed, of=condition: views(of, seed) for condition in ("clean", "affine")]
+    more = ("changed",) if step == "locate" else ()
+    cases = [lambda seed, of=condition: views(of, seed) for condition in ("clean", "affine", *more)]
     assert_unmoved(f"matches, {step}", place, cases)
