@@ -109,7 +109,7 @@ class Comparison(Result):
 
     @property
     def rows(self) -> list[tuple[str, Floats]]:
-        """Difference in both frames with 1-sigma errors, and on the ground, about X, Y, Z."""
+        """Difference (3,) in both frames with 1-sigma errors, and on the ground, about X, Y, Z."""
         sigma_c, sigma_s = (np.sqrt(np.diag(C)) / ARCSEC for C in (self.covariance_c, self.covariance_s))
         return [
             ("difference, frame c, arcsec", self.theta_c / ARCSEC),

@@ -163,7 +163,7 @@ class MountingCourse:
         return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
 
     def of_term(self, term: str) -> tuple[Floats, Floats]:
-        """Coefficients (r, 3) of a accepted term's columns and their covariance (3 r, 3 r)."""
+        """Coefficients (M, 3) of an accepted term's columns, rad, and their covariance (N, N), N = 3 M."""
         first = 1 + sum(self.series.columns(one).shape[1] for one in self.terms[: self.terms.index(term)])
         n = self.series.columns(term).shape[1]
         return self.fit.coefficients[first : first + n], _block(self.fit.covariance, first, n)

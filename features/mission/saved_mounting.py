@@ -97,7 +97,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
         utc=utc_at(t_s),
         mission=str(about.get("mission") or context.get("mission", "")),
         satellite=str(context.get("satellite", "")),
-        camera="",
+        camera=str(context.get("camera", "")),
         head=str(heads[0]["name"]),
         star_camera=digest(context.get("star_camera")),
         model=digest([cameras, [settings.get(key) for key in OF_DISTORTION]]),

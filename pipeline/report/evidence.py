@@ -135,6 +135,7 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
     return {
         "mission": dump.mission,
         "satellite": dump.satellite,
+        "camera": dump.camera,
         "utc": dump.epoch.utc_from_seconds(_span_s(calibration)),
         "epoch_utc": dump.epoch.utc_from_seconds([0.0])[0],
         "quaternion_cs0": dump.R_cs0.as_quat().tolist(),
