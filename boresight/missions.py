@@ -267,12 +267,13 @@ class Calibration(Result):
         sample: ArrayLike,
         *,
         dump: DumpLike | None = None,
+        camera: str = "",
         height_m: float | None = None,
     ) -> pd.DataFrame:
         """Where on the ground pixels (line, sample) of a strip look, as `boresight.geolocate`."""
         find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
         place = None if dump is None else open_dump(source_of_dump(dump)).root
-        return find(self, strip, ccd, line, sample, dump=place, height_m=height_m)
+        return find(self, strip, ccd, line, sample, dump=place, camera=camera, height_m=height_m)
 
 
 @record(kw_only=True)

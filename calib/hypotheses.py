@@ -37,7 +37,7 @@ LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
 # that warms and cools; an orbit's velocity is known as its positions are. The first row that fits counts.
 USUAL = {
     "clock of the exposures": 10.0,
-    "clock of the rows, bent": 1.0,
+    "clock of the rows, curved": 1.0,
     "clock of the rows": 10.0,
     "row period": 0.05,
     "lines": 1.0,
@@ -57,7 +57,7 @@ USUAL = {
     "line of sight": 1.0,
     "reference": 3.0,
 }
-RARE = ("mounting", "lines of a strip", "clock of the rows, bent", "length of a CCD", "bend of a CCD")
+RARE = ("mounting", "lines of a strip", "clock of the rows, curved", "length of a CCD", "bend of a CCD")
 RARER = 30.0  # times rarer than what is stated wrong by hand (set by hand)
 SIZES = ("too large", "too small")  # a positive and a negative size in words
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
@@ -276,14 +276,14 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
     )
     of_all = replace(late, field="utc_first_row, time_of_row")
     part = np.concatenate([_part_of_strip(one) for one in of.prepared])[:, None]
-    bent = replace(
+    curved = replace(
         late,
-        cause="clock of the rows, bent",
+        cause="clock of the rows, curved",
         field="times",
         change_c=4.0 * part * (1.0 - part) * late.change_c,
     )
-    yield from _in_each(_all_strips(of.prepared), [of_all, long, bent])
-    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long, bent])
+    yield from _in_each(_all_strips(of.prepared), [of_all, long, curved])
+    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long, curved])
 
 
 def _since_first_row(strip: PreparedStrip) -> Floats:

@@ -184,7 +184,7 @@ def _head(
         return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
 
     installation, source = _each(
-        lambda: read_installation(*inside("installation")),
+        lambda: installation_of_head(*inside("installation")),
         lambda: _source(root, head, inside, epoch, table, kernels),
     )
     return Head(
@@ -236,7 +236,7 @@ def _each(*reads: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def read_installation(path: Path, file: str) -> schema.InstallationFile:
+def installation_of_head(path: Path, file: str) -> schema.InstallationFile:
     """What an installation.toml says; `RawDataError` if it is not valid."""
     return read_toml(path, schema.InstallationFile, file)
 

@@ -145,6 +145,8 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
             {"result": result, **places, "sample": 3.0, "line": 9.0},
             share=0.3,
         ),
+        Door("compare", bs.compare, {"first": nowhere, "second": nowhere}, share=0.5),
+        Door("what_if", bs.what_if, {"result": result, "factors": {"s01": 2.0}}, share=0.3),
         Door("forecast", bs.forecast, {"plan": nowhere}),
         Door("simulate", bs.simulate, {"scenario": "nowhere", "out": out / "made"}),
         Door("example", bs.example, {"name": "maxi"}),

@@ -8,12 +8,16 @@ import re
 import boresight as bs
 
 UNIT = re.compile(r"_(px|s|deg|dn|arcsec|m|rad|years|ms)$")
-# Pairs that are two things: pictures and numbers, test and angles before calibration, dates and seconds.
+# Pairs that are two things: pictures and numbers, test and angles before calibration, dates and seconds,
+# axes of c and of s; the size of an image has no unit where lists of centroids are named, as elsewhere.
 DIFFERENT = {
     ("times", "times_s"),
     ("residual", "residual_px"),
     ("before", "before_rad"),
     ("template", "template_px"),
+    ("theta", "theta_s"),
+    ("covariance", "covariance_s"),
+    ("size", "size_px"),
 }
 
 
@@ -44,4 +48,8 @@ def test_no_argument_has_its_unit_in_one_place_alone():
 def test_a_point_of_a_strip_is_given_alike_everywhere():
     of_result = inspect.signature(bs.Calibration.geolocate).parameters
     of_folder = inspect.signature(bs.geolocate).parameters
-    assert [*of_result][1:] == [*of_folder][1:] == ["strip", "ccd", "line", "sample", "dump", "height_m"]
+    assert (
+        [*of_result][1:]
+        == [*of_folder][1:]
+        == ["strip", "ccd", "line", "sample", "dump", "camera", "height_m"]
+    )

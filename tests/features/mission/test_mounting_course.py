@@ -139,16 +139,24 @@ def test_what_one_side_of_an_orbit_cannot_tell_is_said():
 
 
 def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
-    rng = np.random.default_rng(8)
-    truth = Truth(rng, results=110, one_sided=True, annual=0.0, steps=(0.0, 0.0))
-    series = DrawnMission(PAIR, rng).series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
-    course = estimate_course(series)
-    assert course.terms == ("orbit phase",) and not course.steps
-    assert course.of_term("orbit phase")[0].shape == (1, 3)
-    assert any(text.startswith("orbit phase: seen in part only") for text in aliases(series))
-    theta, covariance = course.at(truth.t_s[:1], {"orbit phase": truth.cos_sin[:1]})
-    error = theta[0] - truth.theta(truth.t_s[:1], truth.cos_sin[:1])[0]
-    assert error @ np.linalg.solve(covariance[0], error) < chi2(3).ppf(0.999)
+    """Of eight missions seven or more: with a power of 0.95 that fails in 6 of 100 choices of seeds."""
+    found = 0
+    for seed in range(8, 16):
+        rng = np.random.default_rng(seed)
+        truth = Truth(rng, results=110, one_sided=True, annual=0.0, steps=(0.0, 0.0))
+        drawn = DrawnMission(PAIR, rng)
+        series = drawn.series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+        course = estimate_course(series)
+        assert course.terms in ((), ("orbit phase",)) and not course.steps
+        assert any(text.startswith("orbit phase: seen in part only") for text in aliases(series))
+        if not course.terms:
+            continue
+        found += 1
+        assert course.of_term("orbit phase")[0].shape == (1, 3)
+        theta, covariance = course.at(truth.t_s[:1], {"orbit phase": truth.cos_sin[:1]})
+        error = theta[0] - truth.theta(truth.t_s[:1], truth.cos_sin[:1])[0]
+        assert error @ np.linalg.solve(covariance[0], error) < chi2(3).ppf(0.9999)
+    assert found >= 7
 
 
 def test_one_result_has_no_course():

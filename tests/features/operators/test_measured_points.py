@@ -94,7 +94,7 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
     )
     out = tmp_path / "points.csv"
     out.write_text(points_csv(read_measured_points(path, ERRORS), "s1", 2, "egm96"))
-    (strip,), _ = read_points(out, "points.csv")
+    (strip,), _ = read_points(out, "points.csv", {})
     assert strip.strip_id == "s1" and strip.ccd.tolist() == [2, 2]
     assert np.allclose(strip.xy_px, XY) and np.allclose(strip.cov_px[0], np.diag([0.25, 0.0625]))
 

@@ -702,7 +702,7 @@ def _of_measured_points(facts: Facts, rng: np.random.Generator) -> Iterator[Faul
     def lost(n: float, one: dict[str, str], part: float) -> None:
         one["line"] = repr(float(one["line"]) - n * (part > 0.45))
 
-    def bent(n: float, one: dict[str, str], part: float) -> None:
+    def curved(n: float, one: dict[str, str], part: float) -> None:
         one["line"] = repr(float(one["line"]) + n * 4.0 * part * (1.0 - part))
 
     def lifted(metres: float, one: dict[str, str], part: float) -> None:
@@ -717,7 +717,7 @@ def _of_measured_points(facts: Facts, rng: np.random.Generator) -> Iterator[Faul
     for kind, edit, smallest, unit, only, words in (
         ("lines lost", lost, 0.5, "px", "", (name, "lines|row|clock")),
         ("lines lost in a CCD", lost, 1.0, "px", ccd, (f"ccd {ccd}\\b", "lines|image|place")),
-        ("rows bent", bent, 0.7, "px", "", (name, "bent|row|clock|drift")),
+        ("rows curved", curved, 0.7, "px", "", (name, "curved|row|clock|drift")),
         ("ground too high", lifted, 60.0, "m", "", (name, "height|height_m|orbit")),
         ("ground moved", to_east, 3.0, "m", "", (name, "orbit or targets|attitude|clock|coordinates")),
     ):

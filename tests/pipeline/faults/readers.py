@@ -358,7 +358,9 @@ READERS = (
     Reader("attitudes, ACM", "attitudes.acm", _attitudes("attitudes.acm")),
     Reader("attitudes, AEM in XML", "attitudes.xml", _attitudes("attitudes.xml")),
     Reader("centroids", "stars.csv", lambda folder: read_centroids(folder / "stars.csv", "stars.csv")),
-    Reader("measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv")),
+    Reader(
+        "measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv", {})
+    ),
     Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
     Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
     Reader("points, GeoTIFF", "gcps.tif", _measured("gcps.tif")),
