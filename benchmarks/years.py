@@ -27,7 +27,7 @@ from drawn_mission import DrawnMission, Truth
 
 from boresight.calib.information import InformationPairs
 from boresight.features.mission.archive import add_mounting, add_results, series_of
-from boresight.features.mission.comparison import compare_mountings
+from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.features.mission.mounting_course import aliases, estimate_course
 from boresight.features.mission.saved_mounting import SavedMounting, instant_s, read_saved_mounting
 from boresight.geometry.constants import ARCSEC, DAY_S

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
     from boresight.array_dump import dump_from_arrays
     from boresight.features.geolocate.api import geolocate
     from boresight.features.mission.api import compare, what_if
-    from boresight.features.mission.comparison import Comparison
+    from boresight.features.mission.mounting_comparison import Comparison
     from boresight.features.mission.what_if import WhatIf
     from boresight.features.planning.api import forecast
     from boresight.features.planning.campaign_plan import PlanForecast
@@ -109,7 +109,7 @@ _MODULES = {
     "accepted": "ImageLike PathLike RotationLike SiteLike TimeLike",
     "features.geolocate.api": "geolocate",
     "features.mission.api": "compare what_if",
-    "features.mission.comparison": "Comparison",
+    "features.mission.mounting_comparison": "Comparison",
     "features.mission.what_if": "WhatIf",
     "features.planning.api": "forecast",
     "features.planning.campaign_plan": "PlanForecast",

@@ -24,7 +24,7 @@ FEATURE = Feature(
         Command(
             "trends",
             Job.CALIBRATE,
-            "Model the mounting over years: terms, steps, prediction.",
+            "Model the mounting over years.",
             "features.mission.trends_command:trends_command",
             with_json=True,
         ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from boresight.accepted import PathLike, number_of, path_of
-from boresight.features.mission.comparison import Comparison, compare_mountings
+from boresight.features.mission.mounting_comparison import Comparison, compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
 from boresight.features.mission.what_if import WhatIf, what_if_of
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.mission.comparison import compare_mountings
+from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
 from boresight.pipeline.files.whole_file import write_text

@@ -83,6 +83,10 @@ def what_if_of(result: Path, factors: Mapping[str, float]) -> WhatIf:
     `ValueError` for an unknown strip or a factor not above 0; `DataNotSufficientError` where what is left
     does not determine the matrix.
     """
+    if not isinstance(factors, Mapping) or not all(isinstance(name, str) for name in factors):
+        raise ValueError(f"factors is {type(factors).__name__}, expected a mapping of strips to numbers")
+    if not all(isinstance(factor, (int, float)) for factor in factors.values()):
+        raise ValueError("factors has a value that is no number")
     names = strips_of_result(result)
     if unknown := sorted(set(factors) - set(names)):
         raise ValueError(f"the result has no strip {unknown[0]!r}, only {', '.join(names)}")

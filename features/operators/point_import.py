@@ -95,7 +95,7 @@ def points_csv(points: MeasuredPoints, strip: str, ccd: int, height_kind: str) -
     for n, name in enumerate(points.names):
         measured = [*points.xy_px[n].tolist(), *points.sigma_px[n].tolist()]
         place = [*points.lat_lon_height[n].tolist(), height_kind, *points.sigma_m[n].tolist()]
-        lines.append(csv_line([name, strip, ccd, *measured, *place]))
+        lines.append(csv_line([name, strip, ccd, *measured, *place, ""]))  # no ground reference
     return "".join(line + "\n" for line in lines)
 
 

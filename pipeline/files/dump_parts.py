@@ -45,8 +45,8 @@ from boresight.pipeline.files.star_side import (
     Head,
     SolvedAttitudes,
     check_attitudes,
-    open_heads,
     installation_of_head,
+    open_heads,
 )
 from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
@@ -91,7 +91,8 @@ class DumpParts:
     def installations(self) -> dict[str, schema.InstallationFile]:
         """Installation matrices of the reference head in cameras that have files of their own."""
         stated = {one.id: one.installation for one in self.head.cameras if one.installation is not None}
-        return {name: installation_of_head(self._inside(file, "cameras"), file) for name, file in stated.items()}
+        files = stated.items()
+        return {name: installation_of_head(self._inside(file, "cameras"), file) for name, file in files}
 
     @cached_property
     def kernels(self) -> Kernels:

@@ -10,9 +10,9 @@ from scipy.stats import binom, chi2, kstest, ncx2
 from typer.testing import CliRunner
 
 from boresight.calib.distortion import prior_information
-from boresight.features.mission import comparison
+from boresight.features.mission import mounting_comparison as comparison
 from boresight.features.mission.api import compare, what_if
-from boresight.features.mission.comparison import compare_mountings
+from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline.errors import DataNotSufficientError

@@ -32,9 +32,7 @@ def only(strip, names):
     """The strip with some of its targets."""
     ground = strip.ground
     rows = np.flatnonzero(np.isin(ground.target_id, names))
-    taken = {name: getattr(ground, name)[rows] for name in ground.__slots__}
-    R_oi = strip.R_oi_targets[rows]
-    return replace(strip, ground=replace(ground, **taken), R_oi_targets=R_oi)
+    return replace(strip, ground=ground.take(rows), R_oi_targets=strip.R_oi_targets[rows])
 
 
 def sigma_with(strips, names):

@@ -55,10 +55,15 @@ FREE = {
     ("export", "--object-id"): "a designator that others have given",
     ("export", "--spice-remote-camera"): "a name that the user gives",
     ("export", "--spice-star-camera"): "a name that the user gives",
+    ("export", "--camera"): "an id that the user gives",
+    ("geolocate", "--camera"): "an id that the user gives",
     ("import dimap", "--object-id"): "a designator that others have given",
     ("import sentinel2", "--object-id"): "a designator that others have given",
     ("sky-strip-plan", "--utc"): "a time",
     ("star-camera-plan", "--utc"): "a time",
+    ("targets suggest", "--reference"): "a name that the user gives",
+    ("validate", "--camera"): "an id that the user gives",
+    ("virtual-ccd", "--camera"): "an id that the user gives",
 }
 SETTINGS = ("simulate", "--set")
 
