@@ -62,6 +62,12 @@ FREE = {
     ("sky-strip-plan", "--utc"): "a time",
     ("star-camera-plan", "--utc"): "a time",
     ("targets suggest", "--reference"): "a name that the user gives",
+    ("export", "--valid-from"): "a time",
+    ("export", "--valid-to"): "a time",
+    ("trends", "--at"): "a time",
+    ("what-if", "--only"): "a strip of the result",
+    ("what-if", "--sigma"): "a strip of the result, and a number",
+    ("what-if", "--without"): "a strip of the result",
     ("validate", "--camera"): "an id that the user gives",
     ("virtual-ccd", "--camera"): "an id that the user gives",
 }
