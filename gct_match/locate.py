@@ -35,6 +35,7 @@ _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where i
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
+_SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
 _PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
@@ -191,7 +192,9 @@ def _of_unchanged(
 
 def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
     """Whether so much agrees with the template that its weights cannot have been chosen by a displacement."""
-    return fit.sigma_px < _SURE_PX and fit.correlation >= settings.least_correlation
+    if fit.sigma_px > UNCHANGED_PX or fit.correlation < settings.least_correlation:
+        return False
+    return fit.sigma_px < _SURE_PX or fit.correlation > _SURE_CORRELATION
 
 
 def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchSettings) -> bool:
