@@ -17,7 +17,9 @@ from scipy.special import chdtrc
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.features.mission.mounting_course import (
+    CourseFit,
     CourseSettings,
+    CourseStep,
     MountingCourse,
     MountingSeries,
     dated_steps,
@@ -28,6 +30,7 @@ from boresight.features.mission.mounting_course import (
 from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_at
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
@@ -37,7 +40,7 @@ from boresight.pipeline.results.writing import write_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot_drift", "trend_of_dumps"]
+__all__ = ["AgainstRest", "against_rest", "plot_drift", "trend_of_dumps"]
 
 FALSE_ALARM = 0.01  # that a mounting at rest is said to have moved
 
@@ -51,19 +54,15 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
         return "no drift: the dumps have different models of the remote-sensing camera"
     pairs = reduce(InformationPairs.merged, [one.pair for one in saved])
     series = _series(saved, pairs)
-    rows = np.arange(1, len(saved))
-    rest = fit_columns(series, np.ones((len(saved), 1)), rows=rows)
-    chi2, dof = explained_by_free(series) - rest.explained, 3 * len(rows)
-    (step,) = dated_steps(series, (), (int(rows[np.argmax(rest.gains)]),), (), 0.0, CourseSettings())
-    p_rest = float(chdtrc(dof, max(chi2, 0.0)))
-    moved = min(p_rest, step.p_value) < 0.5 * FALSE_ALARM
+    found = against_rest(series)
+    rest, step = found.rest, found.step
     course = estimate_course(series)
     R_cs = deviation_from_theta(rest.coefficients[0]) * pairs.R_cs_ref
     of_folder = {(out / name).resolve(): name for name in names}
     content: dict[str, Any] = {
         "results": [of_folder[one.folder] for one in saved],
         "utc": [one.utc for one in saved],
-        "moved": moved,
+        "moved": found.moved(FALSE_ALARM),
         "probability_false_alarm": FALSE_ALARM,
         "merged": {
             "R_cs": R_cs.as_matrix().tolist(),
@@ -71,7 +70,7 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
             "theta_rad": theta_between(R_cs, saved[0].R_cs0).tolist(),
             "covariance_rad2": rest.covariance.tolist(),
         },
-        "constant": {"chi2": chi2, "dof": dof, "p_value": p_rest},
+        "constant": {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value},
         "step": {
             "after": of_folder[saved[step.row - 1].folder],
             "before": of_folder[saved[step.row].folder],
@@ -82,6 +81,7 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
         },
         "version": __version__,
     }
+    moved = content["moved"]
     said = "the mounting has moved" if moved else "no sign that the mounting has moved"
     said += f", at a false-alarm probability of {FALSE_ALARM:.2g}"
     table = _table(course, content["results"], content["utc"], rest.coefficients[0])
@@ -91,6 +91,35 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
         out / "drift.png", plot_drift(table, content["step"]["utc_interval"] if moved else None, said)
     )
     return said
+
+
+@record(kw_only=True)
+class AgainstRest:
+    """A series against one matrix for all, and the single step that explains most of what is left."""
+
+    rest: CourseFit = scalar("the one matrix")
+    step: CourseStep = scalar("the best step")
+    chi2: float = scalar("of the results about the one matrix")
+    dof: int = scalar("its degrees of freedom")
+
+    @property
+    def p_value(self) -> float:
+        """Probability of so large a chi2 of a mounting at rest."""
+        return float(chdtrc(self.dof, max(self.chi2, 0.0)))
+
+    def moved(self, false_alarm: float) -> bool:
+        """Whether either is beyond what half of the probability of a false alarm allows."""
+        return min(self.p_value, self.step.p_value) < 0.5 * false_alarm
+
+
+def against_rest(series: MountingSeries) -> AgainstRest:
+    """Both tests of a series of two results or more."""
+    rows = np.arange(1, len(series.t_s))
+    rest = fit_columns(series, np.ones((len(series.t_s), 1)), rows=rows)
+    best = int(rows[np.argmax(rest.gains)])
+    (step,) = dated_steps(series, (), (best,), (), 0.0, CourseSettings())
+    chi2 = explained_by_free(series) - rest.explained
+    return AgainstRest(rest=rest, step=step, chi2=float(chi2), dof=3 * len(rows))
 
 
 def _series(saved: list[SavedMounting], pairs: InformationPairs) -> MountingSeries:
