@@ -36,6 +36,7 @@ _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
+_AGREE_SIGMAS = 3.0  # within which two fits of one scene lie, of their errors together
 _PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
@@ -129,18 +130,18 @@ def locate(
     grey = window(picture.grey, *around)[window(picture.valid, *around)]
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
-    found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
-    if isinstance(found, Entry) or not _is_sure(found.fit, settings):
+    unchanged = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
+    found = _tested(unchanged, radius_px, template, settings)
+    if isinstance(unchanged, Entry) or not _is_sure(unchanged.fit, settings):
         changed = _of_changed(template, picture, start_px, radius_px, reference_px)
-        if isinstance(found, Entry) or not _is_of_the_scene(found.fit, changed, settings):
-            found = changed
+        if isinstance(unchanged, Entry) or not _is_of_the_scene(unchanged.fit, changed, settings):
+            kept, found = found, _tested(changed, radius_px, template, settings)
+            if isinstance(found, Entry) and _agree(kept, changed, settings):
+                assert not isinstance(kept, Entry) and not isinstance(changed, Entry)
+                found = replace(changed, wrong=kept.wrong)
     if isinstance(found, Entry):
         return found
     best = found.fit
-    at_edge = bool(np.abs(found.peak_xy - radius_px).max() >= radius_px)
-    refusal = _failed_test(found, radius_px if at_edge else 0, template, settings)
-    if refusal is not None:
-        return refusal
     return TemplateMatch(
         xy_px=best.xy_px,
         cov_px=best.cov_px,
@@ -207,6 +208,19 @@ def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchS
     return 1.0 - fit.correlation**2 < _PARTS_LEAVE * left
 
 
+def _agree(unchanged: _Found | Entry, changed: _Found | Entry, settings: MatchSettings) -> bool:
+    """Whether two fits that weigh the scene otherwise find one place: then each says that the other is not
+    that of another place, however little they correlate.
+    """
+    if isinstance(unchanged, Entry) or isinstance(changed, Entry):
+        return False
+    if unchanged.fit.sigma_px > UNCHANGED_PX or changed.fit.sigma_px > settings.sigma_px:
+        return False
+    apart = changed.fit.xy_px - unchanged.fit.xy_px
+    covariance = changed.fit.cov_px + unchanged.fit.cov_px
+    return float(apart @ np.linalg.solve(covariance, apart)) < _AGREE_SIGMAS**2
+
+
 def _of_changed(
     template: View, picture: View, start_px: tuple[int, int], radius_px: int, reference_px: Floats
 ) -> _Found | Entry:
@@ -238,6 +252,15 @@ def _found(
     n = independent_values(template.normalised)
     wrong = probability_wrong(surface, peak_xy, n, _PRIOR_ABSENT, reach_px)
     return _Found(fit, surface, peak_xy, float(peaks.value[0]), wrong)
+
+
+def _tested(found: _Found | Entry, radius_px: int, template: View, settings: MatchSettings) -> _Found | Entry:
+    """A fit, or the first test that it fails."""
+    if isinstance(found, Entry):
+        return found
+    at_edge = bool(np.abs(found.peak_xy - radius_px).max() >= radius_px)
+    refusal = _failed_test(found, radius_px if at_edge else 0, template, settings)
+    return found if refusal is None else refusal
 
 
 def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSettings) -> Entry | None:
