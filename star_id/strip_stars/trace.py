@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -32,6 +33,11 @@ _REACH_SIGMA = 3.0
 # Distance, widths of the optics, between the images of stages that are computed; others are interpolated
 # (set by hand).
 _STEP_SIGMA = 0.5
+# Widths of the optics from a row within which its light counts: the rest is 1e-6.
+_LIT_SIGMA = 5.0
+# Terms of the series of columns for each width of the optics that the drift moves the light to either side:
+# to 5e-5 of the peak.
+_TERMS_A_SIGMA = 4.0
 
 
 @record
@@ -63,10 +69,10 @@ def trace_images(offset: Floats, motion: Motion, sigma_px: float, radius: int) -
     """Images of unit charge of stars at `offset` (N, 2), (sample, line) from the middle of windows of side
     2 radius + 1, and the derivatives by both.
     """
-    rows, columns, weight = _profiles(offset, motion, sigma_px, radius, order=1)
+    rows, columns = _profiles(offset, motion, sigma_px, radius, order=1)
     rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
-    value, d_x = (_summed(rows[0], column, weight) for column in columns)
-    d_y = -rate * _summed(rows[1], columns[0], weight) - drift * d_x
+    value, d_x = (rows[0] @ column for column in columns)
+    d_y = -rate * (rows[1] @ columns[0]) - drift * d_x
     images = np.stack([d_x, d_y, value, np.ones_like(value)], axis=1)
     return PsfImages(images.reshape(len(offset), 4, -1).astype(np.float32), None)
 
@@ -74,11 +80,11 @@ def trace_images(offset: Floats, motion: Motion, sigma_px: float, radius: int) -
 def trace_curvatures(offset: Floats, motion: Motion, sigma_px: float, radius: int) -> Floats:
     """Second derivatives (N, 3, M) of the images of `trace_images`, by sample twice, by sample and line, by
     line twice."""
-    rows, columns, weight = _profiles(offset, motion, sigma_px, radius, order=2)
+    rows, columns = _profiles(offset, motion, sigma_px, radius, order=2)
     rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
-    d_xx = _summed(rows[0], columns[2], weight)
-    across = _summed(rows[1], columns[1], weight)
-    along = _summed(rows[2], columns[0], weight)
+    d_xx = rows[0] @ columns[2]
+    across = rows[1] @ columns[1]
+    along = rows[2] @ columns[0]
     d_xy = -rate * across - drift * d_xx
     d_yy = rate**2 * along + 2.0 * rate * drift * across + drift**2 * d_xx
     return np.stack([d_xx, d_xy, d_yy], axis=1).reshape(len(offset), 3, -1)
@@ -86,34 +92,47 @@ def trace_curvatures(offset: Floats, motion: Motion, sigma_px: float, radius: in
 
 def _profiles(
     offset: Floats, motion: Motion, sigma_px: float, radius: int, *, order: int
-) -> tuple[list[Floats], list[Floats], Floats]:
-    """Shares of the light of an image point at each node that rows (N, K, J) and columns (N, K, J, C) of a
-    window take, their derivatives by its place along the motion of the charge and by sample up to `order`,
-    and the weights (N, J) of the nodes."""
+) -> tuple[list[Floats], list[Floats]]:
+    """Factors of the images: rows (N, K, T) and columns (N, T, C), whose products are the images (N, K, C),
+    with their derivatives by the place along the motion of the charge and by sample up to `order`.
+
+    The light at the stage j and the instant t of a row lies in the row's share at a, and spreads over the
+    columns about b, which depends on u = t + j alone: as a series in Chebyshev's polynomials of u, of as many
+    terms T as the drift over the trace asks.
+    """
     stage, in_row, weight = _nodes(motion, sigma_px)
     pixel = np.arange(-radius, radius + 1.0)
     rate, drift = motion.rate[:, None, None], motion.drift[:, None, None]
     t = pixel[None, :, None] - offset[:, 1, None, None] + in_row  # (N, K, J)
-    along = (rate * t + (rate - 1.0) * stage) / sigma_px
-    beside = (offset[:, 0, None, None] + drift * (t + stage)) / sigma_px
+    along = rate * t + (rate - 1.0) * stage
     half = 0.5 / sigma_px
-    rows = [high - low for low, high in zip(*(_integrals(along + side, order) for side in (-half, half)))]
-    edges = np.arange(-radius - 0.5, radius + 1.0) / sigma_px
-    columns = [np.diff(integral, axis=-1) for integral in _integrals(edges - beside[..., None], order)]
-    of_rows = [row / sigma_px**n for n, row in enumerate(rows)]
-    of_columns = [column / (-sigma_px) ** n for n, column in enumerate(columns)]
-    return of_rows, of_columns, np.abs(motion.rate)[:, None] * weight
+    shares = [
+        high - low
+        for low, high in zip(*(_integrals(along / sigma_px + side, order) for side in (-half, half)))
+    ]
+    lit = (0.5 * motion.stages + _LIT_SIGMA * sigma_px + 0.5) / float(np.abs(motion.rate).min(initial=1.0))
+    terms = _terms(lit * float(np.abs(motion.drift).max(initial=0.0)) / sigma_px)
+    series = chebvander(np.clip((t + stage) / lit, -1.0, 1.0), terms - 1)  # (N, K, J, T)
+    series *= (np.abs(rate) * weight)[..., None]
+    node = np.cos(np.pi * (np.arange(terms) + 0.5) / terms)
+    edges = np.arange(-radius - 0.5, radius + 1.0)
+    beside = offset[:, 0, None, None] + drift * lit * node[:, None]  # (N, T, 1)
+    columns = [np.diff(integral, axis=-1) for integral in _integrals((edges - beside) / sigma_px, order)]
+    at_nodes = np.linalg.inv(chebvander(node, terms - 1))
+    of_rows = [np.einsum("nkj,nkjt->nkt", share, series) / sigma_px**n for n, share in enumerate(shares)]
+    of_columns = [at_nodes @ column / (-sigma_px) ** n for n, column in enumerate(columns)]
+    return of_rows, of_columns
+
+
+def _terms(half_range: float) -> int:
+    """Terms of a series for an optics' image that moves by `half_range` of its widths to either side."""
+    return 1 if half_range == 0.0 else 4 + int(np.ceil(_TERMS_A_SIGMA * half_range))
 
 
 def _integrals(z: Floats, order: int) -> list[Floats]:
     """The normal distribution's cumulated density at z, and its derivatives up to `order` (1 or 2)."""
     density = np.exp(-0.5 * z * z) / np.sqrt(2.0 * np.pi)
     return [ndtr(z), density, -z * density][: order + 1]
-
-
-def _summed(rows: Floats, columns: Floats, weight: Floats) -> Floats:
-    """(N, K, C) images of all nodes, added with their weights (N, J)."""
-    return np.asarray(np.matmul((rows * weight[:, None])[:, :, None, :], columns)[:, :, 0])
 
 
 def _nodes(motion: Motion, sigma_px: float) -> tuple[Floats, Floats, Floats]:
