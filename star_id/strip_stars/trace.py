@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
+from scipy.linalg import eigh_tridiagonal
 from scipy.special import ndtr
 
 from boresight.geometry.record import Floats, array, record, scalar
@@ -30,9 +31,10 @@ __all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
 _NODES_IN_ROW = 5
 # Radius of a star's image, widths of the optics, that is computed: 99 % of its light.
 _REACH_SIGMA = 3.0
-# Distance, widths of the optics, between the images of stages that are computed; others are interpolated
-# (set by hand).
-_STEP_SIGMA = 0.5
+# Nodes that stand for the stages where their images lie at one place, and the widths of the optics between
+# those images for each further one: exact to 1e-4 of the peak.
+_STAGE_NODES = 3
+_STEP_SIGMA = 1.0
 # Widths of the optics from a row within which its light counts: the rest is 1e-6.
 _LIT_SIGMA = 5.0
 # Terms of the series of columns for each width of the optics that the drift moves the light to either side:
@@ -138,9 +140,18 @@ def _integrals(z: Floats, order: int) -> list[Floats]:
 def _nodes(motion: Motion, sigma_px: float) -> tuple[Floats, Floats, Floats]:
     """Stages, instants within a row and weights (J,) whose sum stands for all of a row's exposure."""
     apart = float(np.hypot(1.0 - motion.rate, motion.drift).max(initial=0.0))
-    wanted = 1 + int(np.ceil(motion.stages * apart / (_STEP_SIGMA * sigma_px)))
-    count = min(motion.stages, wanted)
-    stage = motion.stages * ((np.arange(count) + 0.5) / count - 0.5)
+    wanted = _STAGE_NODES + int(np.ceil(motion.stages * apart / (_STEP_SIGMA * sigma_px)))
+    stage, share = _gauss_sum(motion.stages, min(motion.stages, wanted))
     node, weight = np.polynomial.legendre.leggauss(_NODES_IN_ROW)
-    both = np.repeat(stage, len(node)), np.tile(0.5 * node, count), np.tile(0.5 * weight, count) / count
-    return both
+    weights = np.asarray(np.outer(share, 0.5 * weight), dtype=float)
+    return np.repeat(stage, len(node)), np.tile(0.5 * node, len(stage)), weights.ravel()
+
+
+def _gauss_sum(points: int, count: int) -> tuple[Floats, Floats]:
+    """Nodes and weights (count,) of the mean over `points` integers about 0, exact for polynomials of degree
+    2 count - 1: Gauss's rule of Chebyshev's discrete polynomials (Golub and Welsch 1969, Math. Comp. 23,
+    221)."""
+    k2 = np.arange(1.0, count) ** 2
+    beside = np.sqrt(k2 * (points**2 - k2) / (4.0 * (4.0 * k2 - 1.0)))
+    node, vector = eigh_tridiagonal(np.zeros(count), beside)
+    return np.asarray(node), np.asarray(vector[0] ** 2)
