@@ -57,10 +57,8 @@ class Design:
         problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
         lines = linearised(problem, estimate.R_cs, 1.0).strips
         own = block_diag(*(X @ X.T for line in lines for X in line.X_q))
-        by_theta, shared = (
-            np.concatenate([one for line in lines for one in getattr(line, name)])
-            for name in ("X_theta", "X_shared")
-        )
+        common = np.concatenate([one for line in lines for one in line.along(np.eye(line.n_common))])
+        by_theta, shared = common[:, :3], common[:, 3:]
         S = np.eye(len(own)) + own + shared @ np.linalg.solve(problem.prior_shared, shared.T)
         inverse = np.linalg.inv(S)
         M = inverse @ (

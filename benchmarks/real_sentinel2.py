@@ -169,7 +169,7 @@ def points_csv(strip: Sentinel2, grid: np.ndarray) -> str:
 def imported(root: Path, strip: Sentinel2, level: str, points: str, table, exact: bool) -> Path:
     """A dump of the strip; `exact`: without the errors that a mission has, for the operator's own grids."""
     write_imported(
-        root, sentinel2_mission(strip, "benchmark", attitudes=level, earth_orientation=table), points
+        root, sentinel2_mission([strip], "benchmark", attitudes=level, earth_orientation=table), points
     )
     if exact:
         text = (root / "dump.toml").read_text()

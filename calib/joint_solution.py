@@ -213,39 +213,43 @@ class _Reduced:
 
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
-    of_targets = root * np.concatenate([line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
-    by_theta = np.zeros((*line.tie_r.shape, line.X_theta.shape[2]))
-    of_heads = np.concatenate([by_theta, line.tie_shared, line.tie_r[:, :, None]], axis=2)
-    X_q = np.concatenate([root * line.X_q, line.tie_q], axis=1)
-    Y = np.concatenate([of_targets, of_heads], axis=1)
-    X_qT = np.swapaxes(X_q, 1, 2)
-    cov_q = np.asarray(np.linalg.inv(np.eye(X_q.shape[2]) + X_qT @ X_q), dtype=np.float64)
-    G = X_qT @ Y
+    of_heads = np.concatenate([line.tie_common, line.tie_r[:, :, None]], axis=2)
+    X_q, tie_qT = root * line.X_q, np.swapaxes(line.tie_q, 1, 2)
+    informed = np.eye(X_q.shape[2]) + np.swapaxes(X_q, 1, 2) @ X_q + tie_qT @ line.tie_q
+    cov_q = np.asarray(np.linalg.inv(informed), dtype=np.float64)
+    N, G = np.swapaxes(of_heads, 1, 2) @ of_heads, tie_qT @ of_heads
+    for part in line.common:
+        at = np.append(part.columns, line.n_common)
+        Y = part.of(root) * np.concatenate([part.X, part.of(line.r[:, :, None])], axis=2)
+        N[:, at[:, None], at] += np.swapaxes(Y, 1, 2) @ Y
+        G[:, :, at] += np.swapaxes(part.of(X_q), 1, 2) @ Y
     back = cov_q @ G
-    N = np.swapaxes(Y, 1, 2) @ Y - np.swapaxes(G, 1, 2) @ back
+    N -= np.swapaxes(G, 1, 2) @ back
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
-
-
-def _by_common(line: LinearStrips) -> Floats:
-    """(S, 2 J, 3 C + g) change of r by theta and by the unknowns of the calibration."""
-    return np.concatenate([line.X_theta, line.X_shared], axis=2)
 
 
 def _fitted(line: LinearStrips, part: _Reduced, x: Floats, cov_x: Floats) -> tuple[Floats, Floats, Floats]:
     """Whitened residuals (J, 2), their leverage (J, 2, 2), and the residuals in rad along x and y of c."""
-    S, rows, _ = line.X_theta.shape
-    X = _by_common(line)
-    q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
-    e = line.r - X @ x - (line.X_q @ q[:, :, None])[:, :, 0]
-    Z = X - line.X_q @ part.back[:, :, :-1]
-    J = S * rows // 2
-
-    def blocks(left: Floats, middle: Floats) -> Floats:
-        return (left @ middle).reshape(J, 2, -1) @ np.swapaxes(left.reshape(J, 2, -1), 1, 2)
-
-    leverage = blocks(line.X_q, part.cov_q) + blocks(Z, cov_x)
+    by_x = part.back[:, :, :-1]
+    q = part.back[:, :, -1] - by_x @ x
+    e = line.r - (line.along(x[:, None]) + line.X_q @ q[:, :, None])[:, :, 0]
+    with_x = -by_x @ cov_x
+    cov_q = part.cov_q - with_x @ np.swapaxes(by_x, 1, 2)
+    leverage = np.empty((*e.shape, 2))
+    for own in line.common:
+        at = own.columns
+        across, of_x = with_x[:, :, at], np.broadcast_to(cov_x[at[:, None], at], (len(e), len(at), len(at)))
+        both = np.block([[cov_q, across], [np.swapaxes(across, 1, 2), of_x]])
+        X = np.concatenate([own.of(line.X_q), own.X], axis=2)
+        pairs = X.reshape(-1, 2, X.shape[2])
+        line.rows(leverage, own, (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2))
     along = np.linalg.solve(line.whitener.reshape(-1, 2, 2), e.reshape(-1, 2, 1))[:, :, 0]
-    return e.reshape(J, 2), leverage, np.asarray(along, dtype=np.float64)
+    return e.reshape(-1, 2), leverage.reshape(-1, 2, 2), np.asarray(along, dtype=np.float64)
+
+
+def _after(line: LinearStrips, part: _Reduced, x: Floats) -> Floats:
+    """(S, 2 J, n) change of r by x (3 C + g, n), the strip's own unknowns following."""
+    return line.along(x) - line.X_q @ (part.back[:, :, :-1] @ x)
 
 
 def squared_mahalanobis(step: Step) -> Floats:
@@ -272,13 +276,13 @@ def readmitted(about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterat
     the change needs no new solution.
     """
     parts = list(zip(about.strips, step.reduced))
-    Z = [_by_common(line) - line.X_q @ part.back[:, :, :-1] for line, part in parts]
-    of_all = np.concatenate([part.reshape(-1, 2, part.shape[-1]) for part in Z])
+    covariance = step.solution.covariance_all
     sign = np.where(kept, -1.0, 1.0)[:, None, None]
     leverage = step.leverage
     for row in rows.tolist():
-        across = of_all @ (step.solution.covariance_all @ of_all[row].T)  # (J, 2, 2)
-        own, strip = _of_strip(parts, row)
+        own, strip, by_x = _of_strip(parts, row)
+        moved = covariance @ by_x
+        across = np.concatenate([_after(line, part, moved).reshape(-1, 2, 2) for line, part in parts])
         across[strip] += own
         gain = across @ np.linalg.inv(np.eye(2) + leverage[row])
         e = step.whitened - gain @ step.whitened[row]
@@ -288,8 +292,9 @@ def readmitted(about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterat
         yield squared_over(e, variance), variance
 
 
-def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Floats, slice]:
-    """Covariance (N, 2, 2), by the own unknowns of a target's strip, of that strip's N targets with it."""
+def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Floats, slice, Floats]:
+    """Covariance (N, 2, 2), by the own unknowns of a target's strip, of that strip's N targets with it, and
+    the change (3 C + g, 2) of its residual by the common unknowns, its strip's own following."""
     first = 0
     for line, part in parts:
         S, rows, _ = line.X_q.shape
@@ -297,8 +302,12 @@ def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Flo
         if row < first + S * targets:
             s, j = divmod(row - first, targets)
             first += s * targets
-            own = line.X_q[s] @ (part.cov_q[s] @ line.X_q[s, 2 * j : 2 * j + 2].T)
-            return own.reshape(targets, 2, 2), slice(first, first + targets)
+            X_q = line.X_q[s, 2 * j : 2 * j + 2]
+            own = line.X_q[s] @ (part.cov_q[s] @ X_q.T)
+            alone = np.zeros((S, rows, 2))
+            alone[s, 2 * j : 2 * j + 2] = np.eye(2)
+            by_x = line.onto(alone)[s] - part.back[s, :, :-1].T @ X_q.T
+            return own.reshape(targets, 2, 2), slice(first, first + targets), by_x
         first += S * targets
     raise IndexError(f"no target {row}")
 
@@ -321,12 +330,11 @@ def respond(problem: Problem, about: Linearised, step: Step, columns: Floats) ->
         weight = step.weight[first:last].reshape(group.inside.shape)
         B = columns[first:last].reshape(len(group.place), -1, H)
         weighted = np.repeat(weight, 2, axis=1)[:, :, None] * B
-        own = part.cov_q @ (np.swapaxes(line.X_q, 1, 2) @ weighted)
-        Z = _by_common(line) - line.X_q @ part.back[:, :, :-1]
-        right += np.einsum("sji,sjh->ih", Z, weighted)
-        parts.append((line, part, B, own, Z))
+        of_q = np.swapaxes(line.X_q, 1, 2) @ weighted
+        right += (line.onto(weighted) - np.swapaxes(part.back[:, :, :-1], 1, 2) @ of_q).sum(axis=0)
+        parts.append((line, part, B, part.cov_q @ of_q))
     x = step.solution.covariance_all @ right
-    left = [B - Z @ x - line.X_q @ own for line, part, B, own, Z in parts]
+    left = [B - _after(line, part, x) - line.X_q @ own for line, part, B, own in parts]
     return np.concatenate([one.reshape(-1, 2, H) for one in left]), x
 
 

@@ -17,7 +17,7 @@ and is done once. Strips with equal numbers of exposures, targets and unknowns a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,6 +134,34 @@ class StripGroup:
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
     by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
+    parts: tuple[GroupPart, ...] = scalar("targets by camera")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupPart:
+    """The targets of one camera in a group, and the unknowns of the calibration that move any of them."""
+
+    camera: int  # number, of those that are calibrated
+    targets: Ints | slice  # (I,) of J
+    curves: Ints  # columns of `StripGroup.camera`
+    others: Ints  # columns of `StripGroup.targets_s`
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonColumns:
+    """Change of the residuals of some targets by the common unknowns (theta of C cameras, then those of the
+    calibration) that move any of them."""
+
+    targets: Ints | slice  # (I,) of J
+    columns: Ints  # (m,) of the 3 C + g common unknowns
+    X: Floats  # (S, 2 I, m)
+
+    def of(self, rows: Floats) -> Floats:
+        """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
+        if isinstance(self.targets, slice):
+            return rows
+        S, _, n = rows.shape
+        return rows.reshape(S, -1, 2, n)[:, self.targets].reshape(S, -1, n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,14 +169,34 @@ class LinearStrips:
     """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
 
     r: Floats  # (S, 2 J) residuals
-    X_theta: Floats  # (S, 2 J, 3 C) change of r by theta of C cameras
-    X_shared: Floats  # (S, 2 J, g) change of r by unknowns of the calibration: knots, coordinates
+    common: tuple[CommonColumns, ...]  # change of r by the common unknowns, each target in one
+    n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
     measured: Floats  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
     tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
-    tie_shared: Floats  # (S, h, g)
+    tie_common: Floats  # (S, h, 3 C + g)
     tie_q: Floats  # (S, h, n)
+
+    def along(self, x: Floats) -> Floats:
+        """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
+        out = np.empty((*self.r.shape, x.shape[1]))
+        for part in self.common:
+            self.rows(out, part, part.X @ x[part.columns])
+        return out
+
+    def onto(self, rows: Floats) -> Floats:
+        """(S, 3 C + g, n) sums of rows (S, 2 J, n) over their derivatives by the common unknowns."""
+        out = np.zeros((len(rows), self.n_common, rows.shape[2]))
+        for part in self.common:
+            out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ part.of(rows)
+        return out
+
+    @staticmethod
+    def rows(out: Floats, part: CommonColumns, values: Floats) -> None:
+        """Put the rows (S, 2 I, n) of a part's targets into those (S, 2 J, n) of all."""
+        S, _, n = out.shape
+        out.reshape(S, -1, 2, n)[:, part.targets] = values.reshape(S, -1, 2, n)
 
 
 def prepare_strips(
@@ -295,7 +343,7 @@ def group_strips(
         n = 2 * len(own.knots) + 6 * len(own.ccds) + 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
         size = strip.n_phi, strip.shared_s.shape[2]
-        shapes.setdefault((*size, len(strip.ccd), n, h), []).append(place)
+        shapes.setdefault((*size, *strip.camera.tolist(), n, h), []).append(place)
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 
@@ -317,27 +365,50 @@ def linearise(
     whitener = _inverse_cholesky_2x2(white)
     rows = whitener * group.inside[:, :, None, None]
     own = _along_axes(tangent, group.own)
-    parts = (
-        rows @ (tangent @ difference[..., None]),
-        rows @ _by_theta(R_cs, group.which, tangent @ cross_matrices(w)),
-        rows @ np.concatenate(_by_shared(tangent, tangent_s, group), axis=3),
-        rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3),
-    )
-    r, X_theta, X_shared, X_q = (part.reshape(S, 2 * w.shape[1], part.shape[-1]) for part in parts)
-    by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
-    h = group.ties.shape[1]
-    others = X_shared.shape[2] - by_heads.shape[2]  # the alignments of heads are the last shared unknowns
+
+    def two_rows(part: Floats) -> Floats:
+        return np.asarray(part.reshape(S, 2 * part.shape[1], part.shape[-1]))
+
+    r = two_rows(rows @ (tangent @ difference[..., None]))
+    X_q = two_rows(rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3))
     told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
-    X_shared[:, :, others:] -= told[:, :, :-1]
+    n_theta, curves, n_looks = (
+        3 * (1 if R_cs.single else len(R_cs)),
+        group.camera.shape[2],
+        group.interior_c.shape[3],
+    )
+    first = n_theta + 2 * curves  # of the interior's unknowns
+    n_common = first + n_looks + group.targets_s.shape[3]
+    common = []
+    for part in group.parts:
+        at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
+        changes = [
+            near @ cross_matrices(w[:, at]),
+            _along_axes(near, group.camera[:, at][:, :, part.curves]),
+            near @ group.interior_c[:, at] + near_s @ group.delay_s[:, at],
+            near_s @ group.targets_s[:, at][..., part.others],
+        ]
+        of_looks, of_others = first + np.arange(n_looks), first + n_looks + part.others
+        columns = [3 * part.camera + np.arange(3), n_theta + part.curves, n_theta + curves + part.curves]
+        block = CommonColumns(
+            targets=at,
+            columns=np.concatenate([*columns, of_looks, of_others]),
+            X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
+        )
+        if n_heads := group.by_ties.shape[2] - 1:  # the alignments of heads are the last common unknowns
+            block.X[:, :, -n_heads:] -= block.of(told[:, :, :-1])
+        common.append(block)
+    by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
+    h, unseen = group.ties.shape[1], n_common - by_heads.shape[2]
     return LinearStrips(
         r=r[:, :, 0] - told[:, :, -1],
-        X_theta=X_theta,
-        X_shared=X_shared,
+        common=tuple(common),
+        n_common=n_common,
         X_q=X_q,
         whitener=whitener,
         measured=whitener @ measurement @ np.swapaxes(whitener, 2, 3),
         tie_r=group.ties[:, :, -1],
-        tie_shared=np.concatenate([np.zeros((S, h, others)), by_heads], axis=2),
+        tie_common=np.concatenate([np.zeros((S, h, unseen)), by_heads], axis=2),
         tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
     )
 
@@ -350,22 +421,6 @@ def matrix_of_each(R_cs: Rotation, camera: Ints) -> Floats:
 def turned(C: Floats, v_s: Floats) -> Floats:
     """Vectors (..., 3) of frame s in the frame of each target's camera, by `matrix_of_each`."""
     return v_s @ C.T if C.ndim == 2 else (C @ v_s[..., None])[..., 0]
-
-
-def _by_theta(R_cs: Rotation, camera: Ints, change: Floats) -> Floats:
-    """Changes (S, J, 2, 3) by theta of each target's own camera as columns of the theta of all cameras."""
-    if R_cs.single:
-        return change
-    own = camera[:, :, None] == np.arange(len(R_cs))
-    return np.asarray((own[:, :, None, :, None] * change[:, :, :, None, :]).reshape(*change.shape[:3], -1))
-
-
-def _by_shared(tangent: Floats, tangent_s: Floats, group: StripGroup) -> list[Floats]:
-    """Change (S, J, 2, m) of the residuals along the tangent axes by knots, interior and the other shared
-    unknowns; `tangent` (S, J, 2, 3) in frame c, `tangent_s` in frame s.
-    """
-    interior = tangent @ group.interior_c + tangent_s @ group.delay_s
-    return [_along_axes(tangent, group.camera), interior, tangent_s @ group.targets_s]
 
 
 def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
@@ -390,13 +445,15 @@ def _group(
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
+    which, of_cameras = np.stack([strip.camera for strip in members]), np.stack(camera)
+    targets_s = np.stack([shared.columns_s(strip) for strip in members])
     return StripGroup(
         place=place,
-        which=np.stack([strip.camera for strip in members]),
+        which=which,
         shared_s=shared_s,
         white_s=np.stack(white),
-        targets_s=np.stack([shared.columns_s(strip) for strip in members]),
-        camera=np.stack(camera),
+        targets_s=targets_s,
+        camera=of_cameras,
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
         own=np.stack(own),
@@ -404,8 +461,25 @@ def _group(
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
+        parts=tuple(_parts(which[0], of_cameras, targets_s, 3 * len(shared.heads))),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
+
+
+def _parts(which: Ints, curves: Floats, targets_s: Floats, n_heads: int) -> Iterator[GroupPart]:
+    """The targets of each camera (J,) with the columns that are not zero for all of them; alignments of
+    heads, the last, are always among them."""
+    n_others = targets_s.shape[3] - n_heads
+    for camera in np.unique(which).tolist():
+        at = np.flatnonzero(which == camera)
+        if len(at) == len(which):
+            every = np.arange(curves.shape[2]), np.arange(targets_s.shape[3])
+            yield GroupPart(camera, slice(None), *every)
+            return
+        others = np.flatnonzero(targets_s[:, at, :, :n_others].any(axis=(0, 1, 2)))
+        heads = n_others + np.arange(n_heads)
+        moved = np.flatnonzero(curves[:, at].any(axis=(0, 1)))
+        yield GroupPart(camera, at, moved, np.concatenate([others, heads]))
 
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
@@ -514,7 +588,7 @@ def _distortion(
         weights: Floats = np.zeros((len(curved), len(unknowns.knots)))
         if unknowns.knots:
             weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], unknowns.knots)
-            explained = np.einsum("jk,kl,jl->j", weights, correlation(unknowns.knots), weights)
+            explained = np.sum((weights @ correlation(unknowns.knots)) * weights, axis=1)
             missed = strip.distortion_rad**2 * (1.0 - explained)
         of_ccds = columns_of_ccds(strip.modes_rad, strip.unit, unknowns.ccds)
         columns.append((weights, of_ccds))

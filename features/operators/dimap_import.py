@@ -63,7 +63,7 @@ def dimap_mission(strip: DimapStrip, created_by: str) -> ImportedMission:
         epoch=push.orbit.epoch,
         orbit=push.orbit,
         heads=(head,),
-        camera=push.camera,
+        cameras={"": push.camera},
         strips=(row,),
         errors=ERRORS,
         earth_orientation=None,

@@ -50,7 +50,10 @@ def import_sentinel2_command(
     gipp: Annotated[
         Path, typer.Option(help="Folder or tar archive of the SPAMOD and VIEDIR files that it names.")
     ],
-    band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
+    band: Annotated[
+        list[str],
+        typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
+    ],
     attitudes: Annotated[
         AttitudeLevel,
         typer.Option(
@@ -64,15 +67,16 @@ def import_sentinel2_command(
     points: Points = None,
     object_id: ObjectId = "",
 ) -> Answer:
-    """Make a dump of one band of a Sentinel-2 datastrip: trackers, orbit, look tables, line times.
+    """Make a dump of bands of a Sentinel-2 datastrip: trackers, orbit, look tables, line times.
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
     table = None
     if earth_orientation is not None:
         table = read_earth_orientation(earth_orientation, str(earth_orientation))
-    strip = read_sentinel2(datastrip, gipp, band)
-    mission = sentinel2_mission(strip, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
+    names = BANDS if "all" in band else tuple(dict.fromkeys(band))
+    bands = [read_sentinel2(datastrip, gipp, name) for name in names]
+    mission = sentinel2_mission(bands, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
     return _written(out, mission, points, object_id)
 
 

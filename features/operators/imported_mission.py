@@ -49,6 +49,7 @@ class ImportedStrip:
     t_first_row_s: float = scalar("middle of row 0, TAI seconds since the epoch")
     row_period_s: float = scalar("s")
     lines: int = scalar("number of rows")
+    camera: str = scalar("id of its camera; empty: the only one", default="")
 
 
 @record(kw_only=True)
@@ -60,7 +61,7 @@ class ImportedMission:
     epoch: Epoch = scalar("zero of all times")
     orbit: Orbit = scalar("nodes and interpolation of the ephemeris")
     heads: tuple[ImportedHead, ...] = scalar("sources of attitudes")
-    camera: LookAngleCamera = scalar("look directions")
+    cameras: dict[str, LookAngleCamera] = scalar("look directions by id of the camera; of one alone, empty")
     strips: tuple[ImportedStrip, ...] = scalar("one record a CCD")
     errors: dict[str, float] = scalar("table [errors] of dump.toml")
     earth_orientation: EarthOrientationTable | None = scalar("the operator's own; None: the bundled one")
@@ -108,31 +109,32 @@ def write_imported(
             "sigma_rad": head.sigma_installation_rad.tolist(),
         }
         write_toml(root / f"installation_{head.name}.toml", installation)
-    _camera(root, mission.camera)
+    for name, camera in mission.cameras.items():
+        _camera(root, name, camera)
     strips = (
-        [s.strip_id, s.ccd, "", utc([s.t_first_row_s])[0], repr(s.row_period_s), s.lines]
+        [s.strip_id, s.ccd, "", utc([s.t_first_row_s])[0], repr(s.row_period_s), s.lines, s.camera]
         for s in mission.strips
     )
-    write_csv(root / "strips.csv", ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines"], strips)
+    header = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines", "camera"]
+    write_csv(root / "strips.csv", header, strips)
     if mission.earth_orientation is not None:
         _earth_orientation(root / "earth_orientation.csv", mission.earth_orientation)
-    header = ",".join(PointRow.model_fields) + "\n"
-    (root / POINTS).write_text(points if points is not None else header, encoding="utf-8")
+    no_points = ",".join(PointRow.model_fields) + "\n"
+    (root / POINTS).write_text(points if points is not None else no_points, encoding="utf-8")
     write_toml(root / "dump.toml", _head(mission))
 
 
 def _head(mission: ImportedMission) -> dict[str, Any]:
-    files = {
-        "remote_camera": "remote_camera.toml",
-        "orbit": "orbit.oem",
-        "strips": "strips.csv",
-        "points": POINTS,
-    }
+    files = {"orbit": "orbit.oem", "strips": "strips.csv", "points": POINTS}
+    cameras = [{"id": name, "file": _camera_file(name)} for name in mission.cameras if name]
+    if not cameras:
+        files["remote_camera"] = _camera_file("")
     if mission.earth_orientation is not None:
         files["earth_orientation"] = "earth_orientation.csv"
     return {
         **head_of_dump(mission.mission, mission.created_by),
         "files": files,
+        **({"cameras": cameras} if cameras else {}),
         "errors": mission.errors,
         "light": {"light_time": False, "aberration": False, "refraction": False},
         "star_cameras": [
@@ -155,18 +157,21 @@ def _head(mission: ImportedMission) -> dict[str, Any]:
     }
 
 
-def _camera(root: Path, camera: LookAngleCamera) -> None:
+def _camera(root: Path, name: str, camera: LookAngleCamera) -> None:
     looks = (
         [ccd, float(n), float(x), float(y)]
         for ccd, table in enumerate(camera.ccds)
         for n, x, y in zip(table.samples, table.tan_x, table.tan_y)
     )
-    write_csv(root / "looks.csv", ["ccd", "sample", "x", "y"], looks)
+    table_file = f"looks_{name}.csv" if name else "looks.csv"
+    write_csv(root / table_file, ["ccd", "sample", "x", "y"], looks)
     ccds = [{"n_px": table.n_px} for table in camera.ccds]
-    write_toml(
-        root / "remote_camera.toml",
-        {"model": LOOK_TABLES, "looks": "looks.csv", "directions": "tangents", "ccds": ccds},
-    )
+    model = {"model": LOOK_TABLES, "looks": table_file, "directions": "tangents", "ccds": ccds}
+    write_toml(root / _camera_file(name), model)
+
+
+def _camera_file(name: str) -> str:
+    return f"remote_camera_{name}.toml" if name else "remote_camera.toml"
 
 
 def _earth_orientation(path: Path, table: EarthOrientationTable) -> None:

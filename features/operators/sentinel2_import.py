@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -32,18 +33,18 @@ ERRORS = {  # what the datastrip does not state; the user may state better
 
 
 def sentinel2_mission(
-    strip: Sentinel2,
+    bands: Sequence[Sentinel2],
     created_by: str,
     *,
     attitudes: AttitudeLevel = "raw",
     earth_orientation: EarthOrientationTable | None = None,
 ) -> ImportedMission:
-    """The contents of a dump of one band.
+    """The contents of a dump of one band or of several, each a camera.
 
     Parameters
     ----------
-    strip : Sentinel2
-        As `read_sentinel2` reads it.
+    bands : sequence of Sentinel2
+        Of one datastrip, as `read_sentinel2` reads them.
     created_by : str
         Program and command.
     attitudes : "raw", "corrected" or "refined"
@@ -52,13 +53,15 @@ def sentinel2_mission(
     earth_orientation : EarthOrientationTable, optional
         In place of the datastrip's bulletin, which holds the value of one day.
     """
+    strip = bands[0]  # orbit and attitudes are those of the datastrip
     table = earth_orientation or strip.earth_orientation
     orbit = operator_orbit(strip, table)
-    camera = strip.camera
+    cameras = [refined_camera(band) if attitudes == "refined" else band.camera for band in bands]
+    ids = [band.band if len(bands) > 1 else "" for band in bands]
     if attitudes == "corrected":
         found = {CORRECTED: (strip.corrected, strip.R_cp)}
     elif attitudes == "refined":
-        found, camera = {REFINED: (refined_attitudes(strip), strip.R_cp)}, refined_camera(strip)
+        found = {REFINED: (refined_attitudes(strip), strip.R_cp)}
     else:
         found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
     heads_of = []
@@ -78,21 +81,23 @@ def sentinel2_mission(
             )
         )
     return ImportedMission(
-        mission=f"{strip.satellite} {strip.band}",
+        mission=" ".join([strip.satellite, *(band.band for band in bands)]),
         created_by=created_by,
         epoch=strip.epoch,
         orbit=orbit,
         heads=tuple(heads_of),
-        camera=camera,
+        cameras=dict(zip(ids, cameras)),
         strips=tuple(
             ImportedStrip(
-                strip_id=strip.band,
+                strip_id=band.band,
                 ccd=ccd,
                 t_first_row_s=float(t),
-                row_period_s=strip.row_period_s,
-                lines=strip.lines,
+                row_period_s=band.row_period_s,
+                lines=band.lines,
+                camera=camera,
             )
-            for ccd, t in enumerate(strip.t_first_row_s)
+            for band, camera in zip(bands, ids)
+            for ccd, t in enumerate(band.t_first_row_s)
         ),
         errors={"position_m": round(strip.sigma_position_m, 3), **ERRORS},
         earth_orientation=table,

@@ -92,7 +92,7 @@ def _rows(strip: StripSightings, probability: Floats, R_cs: Rotation, settings: 
         return _Rows(np.zeros((0, 3)), ())
     linear = linearise(problem.groups[0], R_cs, settings)
     weight = np.repeat(np.sqrt(probability), 2)[:, None]
-    X = weight * np.concatenate([linear.X_theta[0], linear.X_q[0]], axis=1)
+    X = weight * np.concatenate([linear.along(np.eye(linear.n_common, 3))[0], linear.X_q[0]], axis=1)
     return _Rows(X, tuple(strip.ground.target_id.tolist()))
 
 

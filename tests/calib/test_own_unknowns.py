@@ -51,9 +51,8 @@ def by_orthogonal_steps(line: LinearStrips) -> np.ndarray:
     """Normal matrices (S, n + 1, n + 1) of theta, shared unknowns and residual, all targets in the fit: the
     own unknowns eliminated by the QR of all rows, their prior first.
     """
-    of_targets = np.concatenate([line.X_q, line.X_theta, line.X_shared, line.r[:, :, None]], axis=2)
-    no_theta = np.zeros((*line.tie_r.shape, 3))
-    of_heads = np.concatenate([line.tie_q, no_theta, line.tie_shared, line.tie_r[:, :, None]], axis=2)
+    of_targets = np.concatenate([line.X_q, line.along(np.eye(line.n_common)), line.r[:, :, None]], axis=2)
+    of_heads = np.concatenate([line.tie_q, line.tie_common, line.tie_r[:, :, None]], axis=2)
     S, n = len(line.r), line.X_q.shape[2]
     prior = np.broadcast_to(np.eye(n, of_targets.shape[2]), (S, n, of_targets.shape[2]))
     R = np.linalg.qr(np.concatenate([prior, of_targets, of_heads], axis=1), mode="r")[:, n:, n:]

@@ -44,7 +44,7 @@ def piloting_directions(spamod: str, viedir: str, detector: int) -> np.ndarray:
 
 def matrix_of(datastrip: Path, gipp: Path, band: str):
     """The mission of corrected attitudes, whose matrix is that of the SPAMOD file."""
-    return sentinel2_mission(read_sentinel2(datastrip, gipp, band), "test", attitudes="corrected")
+    return sentinel2_mission([read_sentinel2(datastrip, gipp, band)], "test", attitudes="corrected")
 
 
 def changed(before: str, after: str) -> list[str]:
@@ -109,7 +109,7 @@ def test_real_gipp_files_take_a_correction_to_5_mm(band):
     (datastrip,) = REAL.glob("*_MTD_L1B_DS_*.xml")
     (spamod,), (viedir,) = REAL.glob("*_SPAMOD_*.xml"), REAL.glob(f"*_VIEDIR_*_{band}.xml")
     strip = read_sentinel2(datastrip, REAL, band)
-    head = sentinel2_mission(strip, "test", attitudes="raw").heads[0]  # its matrix holds the tracker's, too
+    head = sentinel2_mission([strip], "test", attitudes="raw").heads[0]  # its matrix holds the tracker's, too
     made = corrected_gipp(spamod, CORRECTION, head.R_cs0, head.name)
     assert len(changed(spamod.read_text(), made)) == 3
     looks = corrected_gipp(viedir, CORRECTION, head.R_cs0, head.name)

@@ -51,7 +51,7 @@ def drawn_errors(head: int, rows: int, rng: np.random.Generator) -> np.ndarray:
 def dump(tmp_path_factory):
     root = tmp_path_factory.mktemp("heads")
     write_imported(
-        root / "dump", sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "by hand")
+        root / "dump", sentinel2_mission([read_sentinel2(write_sentinel2(root), root, "B04")], "by hand")
     )
     (root / "dump" / "points.csv").write_text(
         "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"

@@ -36,7 +36,7 @@ def dump(tmp_path):
     points = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
     points += "sigma_east_m,sigma_north_m,sigma_up_m\na,B04,1,3,100,1,1,10.0,20.0,50.0,ellipsoidal,1,1,1\n"
     strip = read_sentinel2(write_sentinel2(tmp_path), tmp_path, "B04")
-    write_imported(tmp_path / "dump", sentinel2_mission(strip, "test"), points)
+    write_imported(tmp_path / "dump", sentinel2_mission([strip], "test"), points)
     return tmp_path / "dump"
 
 

@@ -34,7 +34,7 @@ def test_white_noise_is_that_about_each_axis_of_the_head():
 
 
 def test_dump_holds_cameras_heads_noise_strips_and_earth_as_given(tmp_path):
-    mission = sentinel2_mission(read_sentinel2(write_sentinel2(tmp_path), tmp_path, "B04"), "by hand")
+    mission = sentinel2_mission([read_sentinel2(write_sentinel2(tmp_path), tmp_path, "B04")], "by hand")
     heads = tuple(
         replace(head, white_rad=np.array([0.7 + n, 1.9, 11.0 - n]) * ARCSEC)
         for n, head in enumerate(mission.heads)
@@ -54,7 +54,7 @@ def test_dump_holds_cameras_heads_noise_strips_and_earth_as_given(tmp_path):
         assert np.max((rows.R_si * given.R_is).magnitude()) < 1e-12
     for ccd in range(dump.line_camera.n_ccds):
         sample = np.arange(float(dump.line_camera.n_px(ccd)))
-        ours, theirs = (one.directions_from_pixels(ccd, sample) for one in (dump.line_camera, mission.camera))
+        ours, theirs = (one.directions_from_pixels(ccd, sample) for one in (dump.line_camera, mission.cameras[""]))
         assert np.allclose(ours, theirs, atol=1e-15)
         (strip,) = (one for one in mission.strips if one.ccd == ccd)
         (read,) = dump.strips

@@ -70,7 +70,7 @@ def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int, strip_id
 
 def imported(root: Path) -> tuple[ImportedMission, Dump]:
     """The handmade product, and a dump of it with one point."""
-    mission = sentinel2_mission(read_sentinel2(write_sentinel2(root), root, "B04"), "test")
+    mission = sentinel2_mission([read_sentinel2(write_sentinel2(root), root, "B04")], "test")
     write_imported(root / "plain", mission)
     (root / "plain" / "points.csv").write_text(HEADER + "a,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n")
     return mission, open_dump(root / "plain")
