@@ -14,7 +14,7 @@ from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.ledger import Entry, Kind, Ledger
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.calibration.passes import Pass
+from boresight.pipeline.calibration.rounds import Round
 from boresight.pipeline.diagnosis.causes import examined, wrong_convention
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
 from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
@@ -60,9 +60,9 @@ class Assessment:
 
 
 def assessed(
-    basis: Basis, first: Pass, last: Pass, found: InstallationEstimate, omissions: Sequence[Entry]
+    basis: Basis, first: Round, last: Round, found: InstallationEstimate, omissions: Sequence[Entry]
 ) -> Assessment:
-    """The verdict on the estimate `found` of the last pass. `omissions` are all of the calibration."""
+    """The verdict on the estimate `found` of the last round. `omissions` are all of the calibration."""
     dump = basis.dump
     targets = ground_ledger(last.tasks, last.matched, found.R_cs)
     stars = star_ledger(dump, last.sky, last.named, found.R_cs)
@@ -98,9 +98,9 @@ def assessed(
 
 
 def _sighted(
-    basis: Basis, first: Pass, last: Pass, targets: Ledger, stars: Ledger
+    basis: Basis, first: Round, last: Round, targets: Ledger, stars: Ledger
 ) -> tuple[StripSightings, ...]:
-    """The strips of the last pass, with all that was measured in them by any search, each by itself too.
+    """The strips of the last round, with all that was measured in them by any search, each by itself too.
     The ledgers hold the `targets` and the bright `stars` that they must show.
     """
     dump, heads = basis.dump, basis.heads
@@ -130,7 +130,7 @@ def _of_strips(sky: SkySide, named: Sequence[NamedStars]) -> SkySide:
 
 def _explanations(
     basis: Basis,
-    last: Pass,
+    last: Round,
     estimate: InstallationEstimate,
     verdict: Verdict,
     reliability: Reliability,
@@ -147,7 +147,7 @@ def _explanations(
 
 def _target_findings(
     basis: Basis,
-    last: Pass,
+    last: Round,
     estimate: InstallationEstimate,
     reliability: Reliability,
     told: Sequence[Finding],

@@ -3,7 +3,7 @@
     each exposure -> identified stars (`sight_head`)
     each strip of the sky -> detections (`find_in_sky_strips`)
     strips -> matched targets and named stars -> calib.calibrate_strips -> R_cs, and once more with that R_cs,
-    where templates were not predicted as well (`first_and_last_pass`)
+    where templates were not predicted as well (`first_and_last_round`)
     R_cs and all that was measured -> verdict and findings (`assessed`)
 
 With a store, finished work is on disk. In whatever order tasks finish, sums are made in the order of time and
@@ -21,7 +21,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.calibration.assessment import assessed
-from boresight.pipeline.calibration.passes import first_and_last_pass, unused_so_far
+from boresight.pipeline.calibration.rounds import first_and_last_round, unused_so_far
 from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.files.dump import Dump
@@ -121,7 +121,7 @@ def calibrate_dump(
     sky = find_in_sky_strips(dump, heads, settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     basis = Basis(dump, heads, settings, errors, runner)
-    first, last, matchings = first_and_last_pass(basis, sky)
+    first, last, matchings = first_and_last_round(basis, sky)
     found = last.estimate.with_reference(basis.reference)
     omissions = (
         *unused_so_far(basis, sky),

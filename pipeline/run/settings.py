@@ -8,6 +8,7 @@ itself.
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -34,6 +35,7 @@ __all__ = [
 ]
 
 Record = TypeVar("Record")
+RENAMED = {"run.passes": "rounds"}  # keys of before, which are read with a remark
 FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite or NaN
 
 
@@ -45,7 +47,7 @@ class RunSettings:
         1.0  # exposures this far before the first and after the last row belong to a strip
     )
     rematch_sigma_rad: float = 5e-6  # 1-sigma of the search in the second matching: position and clock errors
-    passes: int = (
+    rounds: int = (
         2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
     )
     settled_px: float = (
@@ -53,8 +55,8 @@ class RunSettings:
     )
 
     def __post_init__(self) -> None:
-        if self.passes < 1:
-            raise ValueError(f"passes must be 1 or more, got {self.passes}")
+        if self.rounds < 1:
+            raise ValueError(f"rounds must be 1 or more, got {self.rounds}")
         if not self.settled_px >= 0.0:
             raise ValueError(f"settled_px must not be negative, got {self.settled_px}")
         if not self.exposure_margin_s > 0.0:
@@ -129,6 +131,9 @@ def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, 
     hints = get_type_hints(kind)
     taken: dict[str, Any] = {}
     for key, value in values.items():
+        if new := RENAMED.get(f"{section}.{key}"):
+            warnings.warn(f"{file}: {section}.{key} is called {section}.{new} now", stacklevel=2)
+            key = new
         if key not in hints:
             raise RawDataError(
                 file, f"{section}.{key}", "an unknown key", f"one of {', '.join(sorted(hints))}"

@@ -8,7 +8,7 @@ __all__ = ["stage_words"]
 
 WORDS = (  # for folders of finished units
     (re.compile(r"\bmatching-0$"), "targets, wide search"),
-    (re.compile(r"\bmatching-(\d+)$"), r"targets, pass \1"),
+    (re.compile(r"\bmatching-(\d+)$"), r"targets, round \1"),
     (re.compile(r"\bsky-stars$"), "strips of the sky"),
     (re.compile(r"\bexposures(?:-(.+))?$"), r"star exposures \1"),
 )

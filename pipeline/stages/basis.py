@@ -15,7 +15,7 @@ __all__ = ["Basis"]
 
 @dataclass(frozen=True)
 class Basis:
-    """What every pass and every test of a calibration rests on, the same for all of them."""
+    """What every round and every test of a calibration rests on, the same for all of them."""
 
     dump: Dump
     heads: tuple[HeadSightings, ...]  # its star cameras with their attitudes; the first defines frame s

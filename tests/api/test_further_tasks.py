@@ -91,7 +91,7 @@ def test_a_file_in_place_of_a_folder_is_said() -> None:
     with pytest.raises(bs.RawDataError, match=r"found a file, expected a folder with a dump\.toml"):
         bs.open_dump(MINI / "dump.toml")
     with pytest.raises(ValueError, match=r"settings: .*expected the path of a TOML file, or Settings"):
-        bs.calibrate(MINI, settings={"run": {"passes": 1}})  # type: ignore[arg-type]
+        bs.calibrate(MINI, settings={"run": {"rounds": 1}})  # type: ignore[arg-type]
 
 
 def test_a_result_is_validated_against_its_own_dump_alone(tmp_path: Path) -> None:

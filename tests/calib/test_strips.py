@@ -120,7 +120,9 @@ def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
     at = linearise(group, BOLD, settings)
     turned = linearise(group, deviation_from_theta(theta) * BOLD, settings)
     change = (turned.r - at.r)[0]
-    np.testing.assert_allclose(change, -(at.along(np.eye(at.n_common, 3))[0] @ theta), rtol=0, atol=2e-4 * np.abs(change).max())
+    np.testing.assert_allclose(
+        change, -(at.along(np.eye(at.n_common, 3))[0] @ theta), rtol=0, atol=2e-4 * np.abs(change).max()
+    )
     column = at.X_q[0][:, 3 * 4 : 3 * 5]  # the fifth exposure
     psi = np.array([3e-6, 1e-6, -2e-6])
     covariance = prepare_strip(strip, settings).attitudes.covariance_s[4]

@@ -54,7 +54,9 @@ def test_dump_holds_cameras_heads_noise_strips_and_earth_as_given(tmp_path):
         assert np.max((rows.R_si * given.R_is).magnitude()) < 1e-12
     for ccd in range(dump.line_camera.n_ccds):
         sample = np.arange(float(dump.line_camera.n_px(ccd)))
-        ours, theirs = (one.directions_from_pixels(ccd, sample) for one in (dump.line_camera, mission.cameras[""]))
+        ours, theirs = (
+            one.directions_from_pixels(ccd, sample) for one in (dump.line_camera, mission.cameras[""])
+        )
         assert np.allclose(ours, theirs, atol=1e-15)
         (strip,) = (one for one in mission.strips if one.ccd == ccd)
         (read,) = dump.strips

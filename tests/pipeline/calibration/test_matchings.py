@@ -12,7 +12,7 @@ from fixture_strips import FIXTURE
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.pipeline.calibration import passes
+from boresight.pipeline.calibration import rounds
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.matchings import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.files.dump import open_dump
@@ -45,7 +45,7 @@ def test_matrix_is_that_of_searching_every_strip(
     dump, again = open_dump(FIXTURE), Settings(run=RunSettings(settled_px=0.0))  # all matched again
     from_one = calibrate_dump(dump, again, store).estimate
     searched = lambda tasks, start_from, runner: (tasks, all_searched, [True] * len(tasks))  # noqa: E731
-    monkeypatch.setattr(passes, "match_first", searched)
+    monkeypatch.setattr(rounds, "match_first", searched)
     everywhere = calibrate_dump(dump, again, store).estimate
     sigma = np.sqrt(np.diag(everywhere.cov_theta))
     # The second matching starts from matrices that differ by a tenth of a pixel; positions then agree to some

@@ -448,7 +448,7 @@ SETTINGS = """
 [match]
 template_px = 96
 [run]
-passes = 3
+rounds = 3
 exposure_margin_s = 1.5
 [calibration]
 sigma_clock_s = 2e-4

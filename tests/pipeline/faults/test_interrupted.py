@@ -227,7 +227,7 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
     lines = status_lines(run_status(result))
     assert (
         "star exposures            4 done, 4 not used" in lines
-        and "needs                     targets, pass 1: 1 more: s1" in lines
+        and "needs                     targets, round 1: 1 more: s1" in lines
     )
     assert sum(line.startswith("  exposure 000") for line in lines) == 4
     assert lines[-1] == "not finished: no installation.json yet; the same `boresight calibrate` goes on"

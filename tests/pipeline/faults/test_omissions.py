@@ -62,6 +62,6 @@ def test_the_command_and_status_count_what_is_not_used(damaged: tuple[Path, dict
     assert "2 chips: 2 file not usable" in counts and "4 exposures: 4 file not usable" in counts
     status = CliRunner().invoke(app, ["status", str(folder / "result")]).output
     assert re.search(r"exposures +14 done, 4 not used", status), status
-    assert re.search(r"targets, pass 2 +1 done, [0-9]+ not used", status), status
+    assert re.search(r"targets, round 2 +1 done, [0-9]+ not used", status), status
     assert status.count("file: found no such file, expected an image") >= 3
     assert len(said) == 6

@@ -101,16 +101,19 @@ def test_settings_refuse_what_does_not_exist(tmp_path: Path) -> None:
     for text, where in (
         ("[match]\ntemplate = 3\n", "match.template"),
         ("[colour]\n", "colour"),
-        ("[run]\npasses = 'two'\n", "run.passes"),
-        ("[run]\npasses = 0\n", "run"),
+        ("[run]\nrounds = 'two'\n", "run.rounds"),
+        ("[run]\nrounds = 0\n", "run"),
         ("[calibration]\nsigma_clock_s = -1.0\n", "calibration"),
     ):
         path.write_text(text)
         with pytest.raises(RawDataError) as caught:
             read_settings(path)
         assert caught.value.field == where
-    path.write_text("[match]\ntemplate_px = 96\n[run]\npasses = 3\n[calibration]\nsigma_clock_s = 2e-4\n")
+    path.write_text("[match]\ntemplate_px = 96\n[run]\nrounds = 3\n[calibration]\nsigma_clock_s = 2e-4\n")
     chosen = read_settings(path)
-    assert (chosen.match.template_px, chosen.run.passes) == (96, 3)
+    assert (chosen.match.template_px, chosen.run.rounds) == (96, 3)
+    path.write_text("[run]\npasses = 4\n")  # its name of before
+    with pytest.warns(UserWarning, match=r"run\.passes is called run\.rounds now"):
+        assert read_settings(path).run.rounds == 4
     assert dict(chosen.calibration) == {"sigma_clock_s": 2e-4}
     shutil.rmtree(tmp_path)

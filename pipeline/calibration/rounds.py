@@ -1,4 +1,4 @@
-"""Passes of a calibration: matching and estimation from a matrix, the first from that before launch, each
+"""Rounds of a calibration: matching and estimation from a matrix, the first from that before launch, each
 further one from the estimate before it.
 """
 
@@ -28,13 +28,13 @@ from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 from boresight.pipeline.stages.strip_tasks import matched_strips, strip_tasks
 
-__all__ = ["Pass", "first_and_last_pass", "unused_so_far"]
+__all__ = ["Round", "first_and_last_round", "unused_so_far"]
 
 Array = NDArray[np.float64]
 
 
 @record(kw_only=True)
-class Pass:
+class Round:
     """Matching and estimation from one matrix."""
 
     estimate: InstallationEstimate = scalar("installation matrix")
@@ -52,35 +52,35 @@ class Pass:
         return (*self.matched, *map(as_matched, self.named))
 
 
-def first_and_last_pass(basis: Basis, sky: SkySide) -> tuple[Pass, Pass, list[bool]]:
-    """The first pass, from the pre-launch matrix, and the last, each from the estimate before it; and which
-    matchings of all passes had to be computed. `DataNotSufficientError` where the data do not determine all
+def first_and_last_round(basis: Basis, sky: SkySide) -> tuple[Round, Round, list[bool]]:
+    """The first round, from the pre-launch matrix, and the last, each from the estimate before it; and which
+    matchings of all rounds had to be computed. `DataNotSufficientError` where the data do not determine all
     three angles.
     """
     start = basis.dump.R_cs0, basis.dump.sigma_installation_rad
     mountings = stated_mountings(basis.heads)
-    first = last = _one_pass(1, None, basis, sky, start, mountings)
+    first = last = _one_round(1, None, basis, sky, start, mountings)
     computed = list(first.computed)
-    for number in range(2, basis.settings.run.passes + 1):
+    for number in range(2, basis.settings.run.rounds + 1):
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
         start = last.estimate.R_cs, _rematch_sigma(last.estimate, basis.settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(basis.reference).heads}
-        last = _one_pass(number, last, basis, sky, start, mountings)
+        last = _one_round(number, last, basis, sky, start, mountings)
         computed += last.computed
     return first, last, computed
 
 
-def _one_pass(
+def _one_round(
     number: int,
-    before: Pass | None,
+    before: Round | None,
     basis: Basis,
     sky: SkySide,
     start: tuple[Rotation, Array],
     mountings: Mapping[str, Rotation],
-) -> Pass:
-    """Pass `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
-    `before` is the pass before.
+) -> Round:
+    """Round `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
+    `before` is the round before.
     """
     dump, heads, settings = basis.dump, basis.heads, basis.settings
 
@@ -111,7 +111,7 @@ def _one_pass(
         if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known_so_far, *unmatched])
-    return Pass(
+    return Round(
         estimate=estimate,
         tasks=tuple(tasks),
         matched=tuple(matched),
