@@ -38,8 +38,9 @@ from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.calibration.joint import calibrate_jointly, named_cameras
 from boresight.pipeline.files.dimap_metadata import operator_model
-from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.dump import open_cameras, open_dump
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.results.head_records import noise_of_heads
@@ -166,10 +167,10 @@ def points_csv(strip: Sentinel2, grid: np.ndarray) -> str:
     return "".join(rows)
 
 
-def imported(root: Path, strip: Sentinel2, level: str, points: str, table, exact: bool) -> Path:
-    """A dump of the strip; `exact`: without the errors that a mission has, for the operator's own grids."""
+def imported(root: Path, bands: list[Sentinel2], level: str, points: str, table, exact: bool) -> Path:
+    """A dump of bands; `exact`: without the errors that a mission has, for the operator's own grids."""
     write_imported(
-        root, sentinel2_mission([strip], "benchmark", attitudes=level, earth_orientation=table), points
+        root, sentinel2_mission(bands, "benchmark", attitudes=level, earth_orientation=table), points
     )
     if exact:
         text = (root / "dump.toml").read_text()
@@ -206,6 +207,32 @@ def trackers(root: Path) -> None:
         holds = bool(off[:2].max() <= 0.3 and off[2] <= 1.0)
         text = f'{off[:2].max():.2f}" across and {off[2]:.2f}" about the line of sight'
         verdict(f"{name}, matrix from an independent fit: {text}", 'at most 0.3" and 1"', holds)
+
+
+def points_of(strips: dict[str, Sentinel2], grids: dict[str, np.ndarray]) -> str:
+    """The points of all bands, each with the band in its id."""
+    rows = [points_csv(strip, grids[band])[len(HEADER) :] for band, strip in strips.items()]
+    named = (re.sub("(?m)^", f"{band}.", of.rstrip("\n")) + "\n" for band, of in zip(strips, rows))
+    return HEADER + "".join(named)
+
+
+def between_bands(alone: Path, both: Path) -> None:
+    """The rotation between two bands of one pass against the operator's, which is none: frame c is the
+    instrument's. Their errors by the trackers are the same ones and cancel."""
+    settings = Settings()
+    named = named_cameras(open_cameras(both))
+    joint = calibrate_jointly([(one, calibrate_dump(one.dump, settings)) for one in named], [], settings)
+    sigma = np.sqrt(np.diag(joint.estimate.cov_theta)).reshape(2, 3)
+    of_one = np.sqrt(np.diag(calibrate_dump(open_dump(alone), settings).estimate.cov_theta))
+    (between,) = joint.estimate.between(joint.sigma_installation_rad)
+    turn, own = between.theta, np.sqrt(np.diag(between.covariance))
+    print(
+        f'rotation between the bands {np.round(turn / ARCSEC, 3)}", 1 sigma {np.round(own / ARCSEC, 3)}"; '
+        f'of the bands {np.round(sigma / ARCSEC, 2).tolist()}", of B04 alone {np.round(of_one / ARCSEC, 2)}"'
+    )
+    judge_largest("rotation between the bands:", float(np.abs(turn / own).max()), 2.0, "sigma", 3)
+    judge_largest("its sigma, of that of a band", float((own / sigma[1]).max()), 0.3, "", 3)
+    judge_largest("sigma of B04 beside B02, from that alone", float(np.abs(sigma[1] / of_one - 1.0).max()), 0.02)
 
 
 def constant_part(signal: Signal, fit: NoiseFit) -> np.ndarray:
@@ -286,17 +313,21 @@ def main() -> int:
         seen = {band: looks(strip, grids[band], orbits[band], "taylor") for band, strip in strips.items()}
         operators_parameters(strips, seen)
         points = points_csv(strips["B04"], grids["B04"])
-        exact = imported(work / "corrected", strips["B04"], "corrected", points, table, exact=True)
+        exact = imported(work / "corrected", [strips["B04"]], "corrected", points, table, exact=True)
         ((turn, sigma),) = through_calibrate(exact).values()
         found, sigma = 1e6 * turn, 1e6 * sigma
         off = float((np.abs(found - CONSTANT) / sigma).max())
         print(f"`import` and `calibrate`, B04: {np.round(found, 3)} +- {np.round(sigma, 3)} urad")
         judge_largest("B04 through `import` and `calibrate`, off by", off, 3.0, "sigma", len(seen["B04"][0]))
         print("\n3. raw star trackers through `import` and `calibrate`")
-        raw = imported(work / "raw", strips["B04"], "raw", points, table, exact=False)
+        raw = imported(work / "raw", [strips["B04"]], "raw", points, table, exact=False)
         noise = noise_of_heads(open_dump(raw), Settings())
         state_noise(raw, dict(zip(noise.names, noise.fit.heads)))
         trackers(raw)
+        print("\n   both bands as the cameras of one dump, with the noise that was stated")
+        both = imported(work / "both", list(strips.values()), "raw", points_of(strips, grids), table, exact=False)
+        state_noise(both, dict(zip(noise.names, noise.fit.heads)))
+        between_bands(raw, both)
         print("\n4. the trackers against each other, without any ground")
         between_trackers(raw)
     return exit_status()

@@ -137,7 +137,7 @@ def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tup
     too many are rejected, they have weight 0 and no rivals.
     """
     weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
-    if _too_many(problem, kept):
+    if not len(rejected) or _too_many(problem, kept):
         return weight, {int(j): np.zeros(0, dtype=np.int64) for j in rejected}
     step = solve_weighted(problem, about, weight)
     for j, (statistic, variance) in zip(rejected.tolist(), readmitted(about, kept, step, rejected)):

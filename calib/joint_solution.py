@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -133,21 +134,39 @@ class Linearised:
     strips: list[LinearStrips]  # one a group
 
 
-@record(kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One linear solution about `R_cs` with given weights."""
 
-    R_cs: Rotation = scalar("matrix about which the problem is linearised")
-    pairs: InformationPairs = scalar("normal equations of each strip")
-    solution: Solution = scalar("theta and the shared unknowns")
-    chi2: float = scalar("weighted sum of squares, priors included, less that of the heads by themselves")
-    whitened: Floats = array("J, 2", "residuals, all unknowns estimated, in units of the noise")
-    weight: Floats = array("J", "of the targets, 0 to 1")
-    leverage: Floats = array("J, 2, 2", "covariance of the fitted direction in units of the noise")
-    residual_c: Floats = array("J, 2", "residuals along x and y of frame c, rad")
-    whitener: Floats = array("J, 2, 2", "takes residuals in rad along the two tangent axes to `whitened`")
-    measured: Floats = array("J, 2, 2", "part of the whitened noise that the image measurement makes")
-    reduced: list[_Reduced] = scalar("groups with their own unknowns eliminated, at these weights")
+    R_cs: Rotation  # matrix about which the problem is linearised
+    strips: list[LinearStrips]  # one a group, about it
+    pairs: InformationPairs  # normal equations of each strip
+    solution: Solution  # theta and the shared unknowns
+    chi2: float  # weighted sum of squares, priors included, less that of the heads by themselves
+    whitened: Floats  # (J, 2) residuals, all unknowns estimated, in units of the noise
+    weight: Floats  # (J,) of the targets, 0 to 1
+    reduced: list[_Reduced]  # groups with their own unknowns eliminated, at these weights
+
+    @cached_property
+    def leverage(self) -> Floats:
+        """Covariance (J, 2, 2) of the fitted direction in units of the noise."""
+        covariance = self.solution.covariance_all
+        return np.concatenate([_leverage(*of, covariance) for of in zip(self.strips, self.reduced)])
+
+    @cached_property
+    def whitener(self) -> Floats:
+        """(J, 2, 2), takes residuals in rad along the two tangent axes to `whitened`."""
+        return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.strips])
+
+    @property
+    def measured(self) -> Floats:
+        """Part (J, 2, 2) of the whitened noise that the image measurement makes."""
+        return np.concatenate([line.measured.reshape(-1, 2, 2) for line in self.strips])
+
+    @property
+    def residual_c(self) -> Floats:
+        """Residuals (J, 2) along x and y of frame c, rad."""
+        return np.asarray(np.linalg.solve(self.whitener, self.whitened[:, :, None])[:, :, 0])
 
     @property
     def variance(self) -> Floats:
@@ -185,19 +204,14 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
     limit = problem.settings.sigma_observable_rad
     solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
     x = np.concatenate([solution.theta, solution.shared])
-    fitted = [_fitted(line, part, x, solution.covariance_all) for line, part in zip(about.strips, reduced)]
-    whitened, leverage, along = (np.concatenate(part) for part in zip(*fitted))
     return Step(
         R_cs=about.R_cs,
+        strips=about.strips,
         pairs=pairs,
         solution=solution,
         chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2,
-        whitened=whitened,
+        whitened=np.concatenate([_whitened(*of, x) for of in zip(about.strips, reduced)]),
         weight=weight,
-        leverage=leverage,
-        residual_c=along,
-        whitener=np.concatenate([line.whitener.reshape(-1, 2, 2) for line in about.strips]),
-        measured=np.concatenate([line.measured.reshape(-1, 2, 2) for line in about.strips]),
         reduced=reduced,
     )
 
@@ -228,23 +242,27 @@ def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
 
 
-def _fitted(line: LinearStrips, part: _Reduced, x: Floats, cov_x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Whitened residuals (J, 2), their leverage (J, 2, 2), and the residuals in rad along x and y of c."""
-    by_x = part.back[:, :, :-1]
-    q = part.back[:, :, -1] - by_x @ x
+def _whitened(line: LinearStrips, part: _Reduced, x: Floats) -> Floats:
+    """Whitened residuals (J, 2) at the solution x (3 C + g,)."""
+    q = part.back[:, :, -1] - part.back[:, :, :-1] @ x
     e = line.r - (line.along(x[:, None]) + line.X_q @ q[:, :, None])[:, :, 0]
+    return np.asarray(e.reshape(-1, 2))
+
+
+def _leverage(line: LinearStrips, part: _Reduced, cov_x: Floats) -> Floats:
+    """Covariance (J, 2, 2) of the fitted directions, that of the common unknowns being `cov_x`."""
+    by_x = part.back[:, :, :-1]
     with_x = -by_x @ cov_x
     cov_q = part.cov_q - with_x @ np.swapaxes(by_x, 1, 2)
-    leverage = np.empty((*e.shape, 2))
+    S, leverage = len(line.r), np.empty((*line.r.shape, 2))
     for own in line.common:
         at = own.columns
-        across, of_x = with_x[:, :, at], np.broadcast_to(cov_x[at[:, None], at], (len(e), len(at), len(at)))
+        across, of_x = with_x[:, :, at], np.broadcast_to(cov_x[at[:, None], at], (S, len(at), len(at)))
         both = np.block([[cov_q, across], [np.swapaxes(across, 1, 2), of_x]])
         X = np.concatenate([own.of(line.X_q), own.X], axis=2)
         pairs = X.reshape(-1, 2, X.shape[2])
         line.rows(leverage, own, (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2))
-    along = np.linalg.solve(line.whitener.reshape(-1, 2, 2), e.reshape(-1, 2, 1))[:, :, 0]
-    return e.reshape(-1, 2), leverage.reshape(-1, 2, 2), np.asarray(along, dtype=np.float64)
+    return leverage.reshape(-1, 2, 2)
 
 
 def _after(line: LinearStrips, part: _Reduced, x: Floats) -> Floats:

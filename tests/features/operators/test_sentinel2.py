@@ -10,7 +10,9 @@ from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.refining import fit_correction
+from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom, refined_camera
+from boresight.features.operators.sentinel2_import import sentinel2_mission
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
@@ -18,6 +20,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import open_cameras
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "sentinel2"
 needs_real_data = pytest.mark.skipif(
@@ -57,6 +60,22 @@ def test_pixels_of_a_real_datastrip_lie_where_its_operator_puts_them(interpolati
             ours = push.ground_points(detector - 1, [sample], [line - 1.0], ConstantHeight(height))
             there = ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
             assert np.linalg.norm(ours - there) < largest_m
+
+
+@needs_real_data
+def test_bands_of_a_real_datastrip_are_the_cameras_of_one_dump(tmp_path):
+    bands = [read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, band) for band in ("B04", "B02")]
+    write_imported(tmp_path / "both", sentinel2_mission(bands, "test"))
+    views = {view.camera: view for view in open_cameras(tmp_path / "both", allow_stale_eop=True)}
+    assert sorted(views) == ["B02", "B04"]
+    for band in bands:
+        view = views[band.band]
+        assert {strip.strip_id for strip in view.strips} == {band.band}
+        assert [head.name for head in view.heads] == ["STR1", "STR2"]
+        for ccd in (0, 11):
+            at = np.array([0.0, 1295.5])
+            ours, theirs = (one.directions_from_pixels(ccd, at) for one in (view.line_camera, band.camera))
+            np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
