@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -45,6 +46,7 @@ __all__ = ["keep_whole", "match_strip"]
 
 Keep = Callable[[TargetMatch], TargetMatch]
 
+_AT_ONCE = 64  # targets that are measured before their pictures are given to `keep`
 _SPARE_PX = 8  # of the strip read around a search window: the filters' reach
 
 
@@ -83,11 +85,11 @@ def match_strip(scene: Scene, *, each: Each = map, keep: Keep = keep_whole) -> S
     uncertain = bool(plan.windows) and max(w.radius_px for w in plan.windows) > 2.0 * settings.margin_px + 2.0
     if not uncertain or _is_predicted(scene):
         prior = np.diag(scene.sigma_installation_rad**2)
-        found = _found(scene, searched, np.zeros(3), prior, keep)
+        found = _found(scene, searched, np.zeros(3), prior, each, keep)
         if not uncertain or _is_confirmed(found, settings):
             return _matches(found, refused, 1.0)
     vote = search_common_rotation(scene, plan, each)
-    found = _found(scene, searched, vote.parameters, vote.covariance, keep)
+    found = _found(scene, searched, vote.parameters, vote.covariance, each, keep)
     log_chance = _log_chance(vote, found.matches, settings)
     if log_chance > np.log(settings.probability_chance):
         refused = [*refused, *_no_common_rotation(scene, searched, vote, len(found.matches), log_chance)]
@@ -104,9 +106,11 @@ class _Found:
     theta: Floats  # (3,) rad, the matches' common rotation
 
 
-def _found(scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, keep: Keep) -> _Found:
+def _found(
+    scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, each: Each, keep: Keep
+) -> _Found:
     """Targets around the places predicted with a common rotation, (3,) rad, of a covariance (3, 3)."""
-    found, not_found = _measured(scene, searched, theta, covariance, keep)
+    found, not_found = _measured(scene, searched, theta, covariance, each, keep)
     matches, inconsistent, theta = consistent_matches(scene, found, theta)
     return _Found(matches, [*not_found, *inconsistent], theta)
 
@@ -207,12 +211,11 @@ def _no_matches(refused: tuple[Entry, ...], chance: float) -> StripMatches:
 
 
 def _measured(
-    scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, keep: Keep
+    scene: Scene, searched: Sequence[int], theta: Floats, covariance: Floats, each: Each, keep: Keep
 ) -> tuple[list[TargetMatch], list[Entry]]:
     """Matches and refusals of targets in all CCDs, predicted with a common rotation."""
     model = scene.pushbroom.with_installation(deviation_from_theta(theta) * scene.pushbroom.R_cs)
-    seen: set[int] = set()
-    matches, refused = [], []
+    places: list[tuple[int, int, Floats, int, float]] = []  # target, CCD, (sample, line), radius, side
     for ccd in scene.strip.ccds:
         lines, samples = scene.strip.shape(ccd)
         xy_px = scene.trajectories.pixels(ccd, theta)
@@ -220,27 +223,31 @@ def _measured(
         here = [n for n in searched if ((xy_px[n] >= -0.5) & (xy_px[n] < end_px)).all()]
         if not here:
             continue
-        seen.update(here)
-        initial_px = scene.trajectories.pixels(ccd, np.zeros(3)) if theta.any() else xy_px
         radii = _search_radii_px(scene, model, here, ccd, xy_px, covariance)
         sides = chip_sides_px((scene.chips[n] for n in here), model, ccd, xy_px[here], scene.surface).tolist()
-        for n, radius, side in zip(here, radii, sides):
-            outcome = _measured_one(scene, model, n, ccd, xy_px[n], radius, side)
+        places += [(n, ccd, xy_px[n], *of) for n, *of in zip(here, radii, sides)]
+    matches, refused = [], []
+    initial_px = {ccd: scene.trajectories.pixels(ccd, np.zeros(3)) for ccd in {ccd for _, ccd, *_ in places}}
+    for first in range(0, len(places), _AT_ONCE):
+        some = places[first : first + _AT_ONCE]
+        for (n, ccd, *_), outcome in zip(some, each(partial(_measured_one, scene, model), some)):
             if isinstance(outcome, Entry):
                 refused.append(_of_target(outcome, scene.targets[n].target_id, ccd))
             else:
-                matches.append(keep(replace(outcome, predicted_px=initial_px[n])))
+                matches.append(keep(replace(outcome, predicted_px=initial_px[ccd][n])))
+    seen = {n for n, *_ in places}
     unseen = [scene.targets[n].target_id for n in searched if n not in seen]
     refused += [_of_target(not_matched(Reason.OUTSIDE_CCDS), name) for name in unseen]
     return matches, refused
 
 
 def _measured_one(
-    scene: Scene, model: Pushbroom, n: int, ccd: int, xy_px: Floats, radius: int, side_px: float
+    scene: Scene, model: Pushbroom, place: tuple[int, int, Floats, int, float]
 ) -> TargetMatch | Entry:
     """Target n in one CCD, searched within `radius` px of `xy_px` (sample, line), where `model` predicts it,
-    with a chip of `side_px`.
+    with a chip of `side_px`: these are the `place`.
     """
+    n, ccd, xy_px, radius, side_px = place
     template = _template(scene, model, n, ccd, xy_px, side_px)
     if isinstance(template, Entry):
         return template
