@@ -92,7 +92,7 @@ def _cases(images: Images) -> None:
     for pair in combinations(images, 2):
         found = [_ncc(*_chip_and_window(images, pair, at)) for at in _grid(images, pair)]
         offsets[pair] = np.median([place for place, height in found if height > 0.4], axis=0)
-    print("  case          chips  NCC right  kept of these   kept  > 1 px and 3 sigma  NCC there  > 3 px   ms")
+    print("  case          chips  NCC right  kept of these   kept  > 1 px, 3 sigma  NCC there  > 3 px   ms")
     for name, spoil in CASES.items():
         rng, count, start = np.random.default_rng(7), Counter[str](), time.process_time()
         for pair, at in ((years, at) for years in offsets for at in _grid(images, years)):
@@ -104,12 +104,12 @@ def _cases(images: Images) -> None:
                 miss = np.abs(place - offsets[pair])
                 far = bool(((miss > 1.0) & (miss > 3.0 * np.sqrt(np.diag(cov)))).any())
                 count["far"] += far
-                count["moved"] += far and np.abs(place - peer).max() < 0.5  # another method sees it there, too
+                count["moved"] += far and np.abs(place - peer).max() < 0.5  # it was moved
                 count["gross"] += bool(miss.max() > FAR_PX)
         ms, n = 1e3 * (time.process_time() - start) / count["chips"], count["kept"]
         print(
             f"  {name:14s}{count['chips']:5d} {count['right']:10d} {count['both']:14d} {n:6d} "
-            f"{count['far']:19d} {count['moved']:10d} {count['gross']:7d} {ms:4.0f}"
+            f"{count['far']:16d} {count['moved']:10d} {count['gross']:7d} {ms:4.0f}"
         )
         if count["right"]:
             what = f"NAIP, {name}: kept of what band-pass NCC above 0.4 finds right"

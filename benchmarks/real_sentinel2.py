@@ -232,7 +232,8 @@ def between_bands(alone: Path, both: Path) -> None:
     )
     judge_largest("rotation between the bands:", float(np.abs(turn / own).max()), 2.0, "sigma", 3)
     judge_largest("its sigma, of that of a band", float((own / sigma[1]).max()), 0.3, "", 3)
-    judge_largest("sigma of B04 beside B02, from that alone", float(np.abs(sigma[1] / of_one - 1.0).max()), 0.02)
+    off = float(np.abs(sigma[1] / of_one - 1.0).max())
+    judge_largest("sigma of B04 beside B02, from that alone", off, 0.02)
 
 
 def constant_part(signal: Signal, fit: NoiseFit) -> np.ndarray:
@@ -325,7 +326,8 @@ def main() -> int:
         state_noise(raw, dict(zip(noise.names, noise.fit.heads)))
         trackers(raw)
         print("\n   both bands as the cameras of one dump, with the noise that was stated")
-        both = imported(work / "both", list(strips.values()), "raw", points_of(strips, grids), table, exact=False)
+        points = points_of(strips, grids)
+        both = imported(work / "both", list(strips.values()), "raw", points, table, exact=False)
         state_noise(both, dict(zip(noise.names, noise.fit.heads)))
         between_bands(raw, both)
         print("\n4. the trackers against each other, without any ground")
