@@ -54,6 +54,23 @@ class InformationPairs:
         """Components of theta."""
         return 3 * len(self.cameras)
 
+    def of_camera(self, name: str) -> InformationPairs:
+        """The pairs about the matrix of one of several cameras; theta of the others, without a prior, are the
+        first shared unknowns. `ValueError` for another name."""
+        if self.cameras == (name,):
+            return self
+        first = 3 * self.cameras.index(name)
+        unknowns = [_of(camera, axis) for camera in self.cameras for axis in "xyz"] + list(self.shared)
+        own, every = slice(first, first + 3), np.arange(len(unknowns))
+        order = np.concatenate([every[own], np.delete(every, own)])
+        return InformationPairs(
+            self.names,
+            self.F[:, order[:, None], order],
+            self.F_theta[:, order],
+            self.R_cs_ref[first // 3],
+            tuple(unknowns[n] for n in order[3:]),
+        )
+
     def merged(self, other: InformationPairs) -> InformationPairs:
         """Both sets together, about this one's reference. `ValueError` for a name in both, other cameras."""
         if self.cameras != other.cameras:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from boresight.accepted import PathLike, number_of, path_of
+from boresight.accepted import PathLike, number_of, path_of, wrong
 from boresight.features.mission.mounting_comparison import Comparison, compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
 from boresight.features.mission.what_if import WhatIf, what_if_of
@@ -12,7 +12,7 @@ from boresight.features.mission.what_if import WhatIf, what_if_of
 __all__ = ["compare", "what_if"]
 
 
-def compare(first: PathLike, second: PathLike, *, false_alarm: float = 0.01) -> Comparison:
+def compare(first: PathLike, second: PathLike, *, false_alarm: float = 0.01, camera: str = "") -> Comparison:
     """Whether the matrices of two results differ by more than their errors.
 
     Parameters
@@ -21,6 +21,8 @@ def compare(first: PathLike, second: PathLike, *, false_alarm: float = 0.01) -> 
         Folders of finished results.
     false_alarm : float, optional
         Probability that equal mountings are said to differ.
+    camera : str, optional
+        Which camera, of results of several.
 
     Returns
     -------
@@ -43,11 +45,13 @@ def compare(first: PathLike, second: PathLike, *, false_alarm: float = 0.01) -> 
     0
     """
     limit = number_of(false_alarm, "false_alarm", 1e-9, 0.5)
-    saved = [read_saved_mounting(path_of(one, name)) for one, name in ((first, "first"), (second, "second"))]
-    return compare_mountings(saved[0], saved[1], limit)
+    which = _checked(camera)
+    folders = path_of(first, "first"), path_of(second, "second")
+    one, other = (read_saved_mounting(folder, which) for folder in folders)
+    return compare_mountings(one, other, limit)
 
 
-def what_if(result: PathLike, factors: Mapping[str, float]) -> WhatIf:
+def what_if(result: PathLike, factors: Mapping[str, float], *, camera: str = "") -> WhatIf:
     """A finished result with the errors of its strips larger by factors, without a new calibration.
 
     Parameters
@@ -56,6 +60,8 @@ def what_if(result: PathLike, factors: Mapping[str, float]) -> WhatIf:
         Folder of a finished result.
     factors : mapping of float
         By the strip's name, the factor by which all its errors are larger; infinite leaves the strip out.
+    camera : str, optional
+        Which camera, of a result of several.
 
     Returns
     -------
@@ -78,4 +84,10 @@ def what_if(result: PathLike, factors: Mapping[str, float]) -> WhatIf:
     >>> bs.what_if(est, {"s02": float("inf")}).strips
     ('s01', 's03')
     """
-    return what_if_of(path_of(result, "result"), factors)
+    return what_if_of(path_of(result, "result"), factors, _checked(camera))
+
+
+def _checked(camera: str) -> str:
+    if not isinstance(camera, str):
+        raise wrong("camera", camera, "the id of a camera")
+    return camera

@@ -9,6 +9,7 @@ import typer
 
 from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
+from boresight.pipeline.console.arguments import CameraOption
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
 from boresight.pipeline.files.whole_file import write_text
 
@@ -24,6 +25,7 @@ def compare_command(
     false_alarm: Annotated[
         float, typer.Option(help="Probability that equal mountings are said to differ.", min=1e-9, max=0.5)
     ] = 0.01,
+    camera: CameraOption = "",
 ) -> Answer:
     """Test whether the matrices of two results differ; exit with 4 where they do.
 
@@ -32,7 +34,8 @@ def compare_command(
 
     Example: boresight compare may june --html june-against-may.html
     """
-    found = compare_mountings(read_saved_mounting(first), read_saved_mounting(second), false_alarm)
+    one, other = (read_saved_mounting(folder, camera) for folder in (first, second))
+    found = compare_mountings(one, other, false_alarm)
     if html is not None:
         write_text(html, found.card())
     return Answer(

@@ -221,7 +221,7 @@ def _difference_covariance(
 def _of_strips(saved: SavedMounting, strips: list[str]) -> InformationPairs:
     """The information of some strips of a result."""
     scale = dict.fromkeys(saved.strips.tolist(), 0.0) | dict.fromkeys(strips, 1.0)
-    return read_mounting(saved.folder, saved.id, scale)
+    return read_mounting(saved.folder, saved.id, scale, saved.of_several)
 
 
 def _common_strips(first: SavedMounting, second: SavedMounting) -> list[str]:

@@ -18,7 +18,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.identity import identity_of_result, saved_about
-from boresight.pipeline.results.reading import read_installation, read_mounting, read_saved_result
+from boresight.pipeline.results.reading import of_camera, read_installation, read_mounting, read_saved_result
 from boresight.pipeline.run.digests import digest
 
 __all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_at"]
@@ -59,6 +59,7 @@ class SavedMounting:
     strips_utc: Texts = array("N", "their middles")
     track_deg: Floats = array("N, 4", "latitude and longitude below the satellite at begin and end; NaN")
     facts: dict[str, Any] = scalar("program, inputs, settings: what may differ between results")
+    of_several: str = scalar("id of the camera, where the result has several; else empty", default="")
 
 
 def instant_s(utc: str) -> float:
@@ -71,9 +72,12 @@ def utc_at(t_s: float) -> str:
     return f"{ORIGIN.utc_from_seconds(np.array([t_s]))[0][:19]}Z"
 
 
-def read_saved_mounting(folder: Path) -> SavedMounting:
-    """The result in a folder; `RawDataError` where it is damaged or not finished."""
-    saved, content = read_saved_result(folder), read_installation(folder)
+def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
+    """The result in a folder, of several cameras that of `camera`; `RawDataError` where it is damaged, not
+    finished, or of other cameras."""
+    content = read_installation(folder)
+    camera = camera if content.get("cameras") else ""
+    saved, matrix = read_saved_result(folder, camera), of_camera(content, camera, folder)
     identity, about = identity_of_result(folder), saved_about(folder)
     context = _content(folder / "evidence" / "context.json")
     path = folder / "sightings" / "passes.parquet"
@@ -89,7 +93,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
     known = "beta_rad" in passes.column_names and len(u) > 0
     heads = content.get("heads") or [{"name": ""}]
     ends = [list_values(passes, name, 2) for name in ("begin_deg", "end_deg")] if known else []
-    per_rad = [np.nan if one is None else one for one in content.get("ground_m_per_rad") or [None] * 3]
+    per_rad = [np.nan if one is None else one for one in matrix.get("ground_m_per_rad") or [None] * 3]
     return SavedMounting(
         id=identity.result,
         folder=folder.resolve(),
@@ -97,7 +101,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
         utc=utc_at(t_s),
         mission=str(about.get("mission") or context.get("mission", "")),
         satellite=str(context.get("satellite", "")),
-        camera=str(context.get("camera", "")),
+        camera=camera or str(context.get("camera", "")),
         head=str(heads[0]["name"]),
         star_camera=digest(context.get("star_camera")),
         model=digest([cameras, [settings.get(key) for key in OF_DISTORTION]]),
@@ -106,7 +110,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
         R_cs0=deviation_from_theta(saved.theta).inv() * saved.R_cs,
         covariance=saved.cov_theta,
         ground_m_per_rad=np.array(per_rad, dtype=float),
-        pair=read_mounting(folder, identity.result),
+        pair=read_mounting(folder, identity.result, camera=camera),
         cos_sin=np.array([np.cos(u).mean(), np.sin(u).mean()]),
         beta_rad=float(column(passes, "beta_rad").mean()) if known else np.nan,
         temperature_c=_temperature_c(folder),
@@ -121,6 +125,7 @@ def read_saved_mounting(folder: Path) -> SavedMounting:
             "packages": _content(folder / "run.json").get("packages", {}),
             "settings": content.get("settings", {}),
         },
+        of_several=camera,
     )
 
 

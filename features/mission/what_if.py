@@ -77,8 +77,9 @@ def strips_of_result(result: Path) -> list[str]:
     return [str(name) for name in read_pairs(result).names]
 
 
-def what_if_of(result: Path, factors: Mapping[str, float]) -> WhatIf:
-    """A finished result with the errors of strips larger by factors, by the strip's name.
+def what_if_of(result: Path, factors: Mapping[str, float], camera: str = "") -> WhatIf:
+    """A finished result, of several cameras that of `camera`, with the errors of strips larger by factors, by
+    the strip's name.
 
     `ValueError` for an unknown strip or a factor not above 0; `DataNotSufficientError` where what is left
     does not determine the matrix.
@@ -93,7 +94,7 @@ def what_if_of(result: Path, factors: Mapping[str, float]) -> WhatIf:
     if wrong := [name for name, factor in factors.items() if not factor > 0.0]:
         raise ValueError(f"the factor of strip {wrong[0]!r} is {factors[wrong[0]]}, expected above 0")
     scale = {name: float(factor) ** -2.0 for name, factor in factors.items()}
-    now, then = (read_mounting(result, "result", one) for one in ({}, scale))
+    now, then = (read_mounting(result, "result", one, camera) for one in ({}, scale))
     prior = prior_information(now.shared)
     found = [
         solve_total(one.F[0], one.F_theta[0], prior, sigma_observable_rad=OBSERVABLE_RAD)

@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 from boresight.features.mission.what_if import strips_of_result, what_if_of
-from boresight.pipeline.console.arguments import ResultArgument
+from boresight.pipeline.console.arguments import CameraOption, ResultArgument
 from boresight.pipeline.console.messages import Answer
 
 __all__ = ["what_if_command"]
@@ -22,6 +22,7 @@ def what_if_command(
         list[str] | None,
         typer.Option(help="STRIP=FACTOR: its errors are larger by that factor. May be repeated."),
     ] = None,
+    camera: CameraOption = "",
 ) -> Answer:
     """Leave out or reweight strips of a finished result: shift and 1-sigma of the matrix, at once.
 
@@ -34,7 +35,7 @@ def what_if_command(
         for text in sigma or ():
             name, _, factor = text.rpartition("=")
             factors[name] = float(factor)
-        found = what_if_of(result, factors)
+        found = what_if_of(result, factors, camera)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     return Answer(text=found.summary(), content=found.content())

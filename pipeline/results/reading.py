@@ -131,14 +131,16 @@ def read_installation(result: Path) -> dict[str, Any]:
     return content
 
 
-def read_saved_result(result: Path) -> SavedResult:
-    """The result in a folder; of several dumps, the joint matrix without any exposures.
+def read_saved_result(result: Path, camera: str = "") -> SavedResult:
+    """The result in a folder; of several dumps, the joint matrix without any exposures; of several cameras
+    the matrix of `camera`.
 
-    `RawDataError` when it is not there or damaged.
+    `RawDataError` when it is not there or damaged, or where it is of other cameras.
     """
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
-    quaternion = _numbers(content, "quaternion", (4,), name)
+    matrix = of_camera(content, camera, result)
+    quaternion = _numbers(matrix, "quaternion", (4,), name)
     if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
         raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
     path = result / "sightings" / "exposures.parquet"
@@ -152,8 +154,8 @@ def read_saved_result(result: Path) -> SavedResult:
         raise RawDataError(str(path), "column R_si", str(error), "rotations") from error
     return SavedResult(
         R_cs=Rotation.from_quat(quaternion),
-        theta=_numbers(content, "theta_rad", (3,), name),
-        cov_theta=_numbers(content, "covariance_rad2", (3, 3), name),
+        theta=_numbers(matrix, "theta_rad", (3,), name),
+        cov_theta=_numbers(matrix, "covariance_rad2", (3, 3), name),
         installation=content,
         exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
         t_exposures_s=column(table, "t_s"),
@@ -162,6 +164,18 @@ def read_saved_result(result: Path) -> SavedResult:
         usable=column(table, "usable").astype(bool),
         earth=_earth(content, name),
     )
+
+
+def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, Any]:
+    """What a result's installation.json says of one of several cameras; of a single one, all.
+    `RawDataError` for another camera."""
+    matrices = {str(one.get("name")): one for one in content.get("cameras") or ()}
+    if not camera and not matrices:
+        return content
+    if camera not in matrices:
+        expected = f"one of {', '.join(matrices)}" if matrices else "none: it is of one camera"
+        raise RawDataError(str(result), "--camera", camera or "nothing", expected)
+    return matrices[camera]
 
 
 def _earth(content: dict[str, Any], file: str) -> SavedEarth:
@@ -190,22 +204,18 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
     `RawDataError` where the result is not made from `dump`, or is of several dumps or cameras and none is
     given.
     """
-    cameras = read_json(result / "installation.json").get("cameras") if camera or dumps_in(result) else None
-    if cameras is not None or camera:
-        matrices = {str(one.get("name")): one for one in cameras or ()}
+    if camera or (dumps_in(result) and "cameras" in read_json(result / "installation.json")):
+        joint = read_saved_result(result, camera)
         folders = [name for name in dumps_in(result) if name in (camera, f"{dump and dump.name}-{camera}")]
-        if camera not in matrices or not folders:
-            expected = f"one of {', '.join(matrices)}" if matrices else "none: it is of one camera"
-            raise RawDataError(str(result), "--camera", camera or "nothing", expected)
-        folder, matrix, name = result / folders[0], matrices[camera], f"{result}: camera {camera}"
+        if not folders:
+            raise RawDataError(
+                str(result), "--dump", "nothing" if dump is None else str(dump), "one of its dumps"
+            )
+        folder = result / folders[0]
         if dump is not None:
             check_dump_of(folder, dump)
-        return folder, dataclasses.replace(
-            read_saved_result(folder),
-            R_cs=Rotation.from_quat(_numbers(matrix, "quaternion", (4,), name)),
-            theta=_numbers(matrix, "theta_rad", (3,), name),
-            cov_theta=_numbers(matrix, "covariance_rad2", (3, 3), name),
-        )
+        own = read_saved_result(folder)
+        return folder, dataclasses.replace(own, R_cs=joint.R_cs, theta=joint.theta, cov_theta=joint.cov_theta)
     if not (names := dumps_in(result)):
         if dump is not None:
             check_dump_of(result, dump)
@@ -253,13 +263,19 @@ def pairs_in(path: Path) -> InformationPairs:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 
 
-def read_mounting(result: Path, name: str, scale: Mapping[str, float] | None = None) -> InformationPairs:
+def read_mounting(
+    result: Path, name: str, scale: Mapping[str, float] | None = None, camera: str = ""
+) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
-    them see, biases of orbit and clock, rotations of the Earth and alignments of further heads eliminated.
+    them see, biases of orbit and clock, rotations of the Earth, alignments of further heads and matrices of
+    other cameras than `camera` eliminated.
     The camera's distortion stays, since other results share it. `scale`: of each strip's information by the
     strip's name, instead of 1; 0 leaves it out. `RawDataError` if not readable.
     """
     pairs = read_pairs(result)
+    if camera not in pairs.cameras:
+        raise RawDataError(str(result), "--camera", camera or "nothing", f"one of {', '.join(pairs.cameras)}")
+    pairs = pairs.of_camera(camera)
     if scale is not None:
         of_strip = np.array([scale.get(one, 1.0) for one in pairs.names.tolist()])
         F, right = of_strip[:, None, None] * pairs.F, of_strip[:, None] * pairs.F_theta
@@ -270,7 +286,10 @@ def read_mounting(result: Path, name: str, scale: Mapping[str, float] | None = N
     biases = tuple(unknown for unknown in own if unknown in BIASES)
     earth = tuple(unknown for unknown in own if is_earth(unknown))
     offsets = tuple(unknown for unknown in own if unknown.startswith("reference/"))
-    coordinates = [unknown for unknown in own if unknown not in alignments + biases + earth + offsets]
+    others = tuple(unknown for unknown in own if unknown.startswith("camera/"))
+    coordinates = [
+        unknown for unknown in own if unknown not in alignments + biases + earth + offsets + others
+    ]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
@@ -278,8 +297,9 @@ def read_mounting(result: Path, name: str, scale: Mapping[str, float] | None = N
     try:
         of_earth = prior_of_predictions(earth)
         of_ground = _prior_of_targets(result, targets), bias_prior(biases), of_earth, np.eye(len(offsets))
-        eliminated = coordinate_names(targets) + biases + earth + offsets + alignments
-        return pairs.as_one(name, eliminated, block_diag(*of_ground, weak))
+        eliminated = coordinate_names(targets) + biases + earth + offsets + alignments + others
+        free = np.eye(len(others))  # 1 rad: a camera without strips is any
+        return pairs.as_one(name, eliminated, block_diag(*of_ground, weak, free))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

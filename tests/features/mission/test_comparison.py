@@ -58,7 +58,7 @@ def test_the_difference_turns_the_first_matrix_into_the_second():
 def test_a_strip_in_both_results_is_not_counted_as_two(monkeypatch):
     """The second result is the strip of the first and another: Hausman's difference of variances."""
     errors, like = [], bare_result(PAIR)
-    monkeypatch.setattr(comparison, "read_mounting", lambda folder, name, scale: PAIR)
+    monkeypatch.setattr(comparison, "read_mounting", lambda folder, name, scale, camera: PAIR)
     for seed in range(200):
         mission = DrawnMission(PAIR, np.random.default_rng(seed))
         first = mission.result(like, "a", 0.0, np.zeros(3))

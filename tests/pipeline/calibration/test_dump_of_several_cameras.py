@@ -116,6 +116,23 @@ def test_pixels_of_a_camera_are_located_with_its_matrix(seen: tuple[Path, Path],
     assert (frames / "installation.tf").is_file() and w * w + x * x + y * y + z * z == pytest.approx(1.0)
 
 
+def test_what_if_and_compare_take_one_of_several_cameras(seen: tuple[Path, Path]) -> None:
+    left, right = content(seen[1])["cameras"]
+    for one in (left, right):
+        said = json.loads(ran("what-if", seen[1], "--camera", one["name"], "--json").stdout)["result"]
+        now = np.array(said["covariance_now_rad2"])
+        np.testing.assert_allclose(now, one["covariance_rad2"], rtol=0, atol=1e-6 * now.max())
+    assert "found nothing, expected one of left, right" in refused("what-if", seen[1])
+    alone = json.loads(ran("compare", seen[1] / "right", seen[1], "--camera", "right", "--json").stdout)[
+        "result"
+    ]
+    off = theta_between(
+        Rotation.from_quat(right["quaternion"]), Rotation.from_quat(content(seen[1] / "right")["quaternion"])
+    )
+    np.testing.assert_allclose(np.abs(alone["theta_c_rad"]), np.abs(off), rtol=0, atol=1e-9)
+    assert alone["p_value"] > 1e-3  # the same observations, with those of the other camera
+
+
 def test_a_dump_says_its_cameras_once_and_its_strips_name_them(
     seen: tuple[Path, Path], tmp_path: Path
 ) -> None:
