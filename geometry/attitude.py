@@ -15,10 +15,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Attitude",
@@ -30,6 +31,7 @@ __all__ = [
     "NominalMotion",
     "interpolation_weights",
     "lagrange_weights",
+    "linear_weights",
 ]
 
 Array = NDArray[np.float64]
@@ -107,6 +109,18 @@ def interpolation_weights(
     weights = np.zeros((len(instants), len(nodes)))
     np.put_along_axis(weights, start[:, None] + np.arange(local.shape[1]), local, axis=1)
     return weights
+
+
+def linear_weights(t_nodes: Array, t: Array, inside: Bools | None = None) -> sparse.csr_array:
+    """Sparse weights (J, K) by which values at nodes (K,) give values at instants (J,), linearly between two
+    nodes, beyond the ends those of the nearest; rows of zeros for instants that are not `inside`.
+    """
+    k = np.clip(np.searchsorted(t_nodes, t, side="right") - 1, 0, max(len(t_nodes) - 2, 0))
+    after = np.minimum(k + 1, len(t_nodes) - 1)
+    share = np.clip((t - t_nodes[k]) / np.maximum(t_nodes[after] - t_nodes[k], 1e-9), 0.0, 1.0)
+    values = np.stack([1.0 - share, share], axis=1) * (1.0 if inside is None else inside[:, None])
+    rows, columns = np.repeat(np.arange(len(t)), 2), np.stack([k, after], axis=1).ravel()
+    return sparse.csr_array((values.ravel(), (rows, columns)), shape=(len(t), len(t_nodes)))
 
 
 @record
