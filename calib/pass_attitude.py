@@ -59,8 +59,8 @@ def is_smoothed(strip: StripSightings) -> bool:
 
 
 def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Floats:
-    """Density (3,) of the random walk of the accelerations of strips whose attitudes are smoothed."""
-    stated = 15.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**5
+    """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed."""
+    stated = 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
     rows = [rows for strip in strips if len((rows := _rows_of(strip, settings))[0].t_s)]
     return most_likely_motion(rows, stated) if rows else np.full(3, stated)
 
@@ -128,7 +128,8 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     others = [other.head for other in strip.others if _here(other.t_s, times).any()]
     heads = [strip.carrier, *others]
     R_si, root = np.tile(np.eye(3), (J, 1, 1)), np.zeros((J, 3, 0))
-    by_constants, told = np.zeros((J, 3, 3 * len(heads))), np.zeros((0, 1 + 3 * len(heads)))
+    by_constants: Floats = np.zeros((J, 3, 3 * len(heads)))
+    told: Floats = np.zeros((0, 1 + 3 * len(heads)))
     chi2, dof = 0.0, 0
     if inside.any():
         found = SmoothedAttitude.of(rows, q)
@@ -139,12 +140,12 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         by_constants[inside] = found.by_constants(t_s[inside])
         told, chi2, dof = found.constants, found.chi2, found.dof
     r, T = told[:, 0], told[:, 1:]
-    constant = np.zeros((3 * len(heads), 0))
+    constant: Floats = np.zeros((3 * len(heads), 0))
     for h, head in enumerate(rows):
         own = np.flatnonzero(head.noise.constant_rad > 0.0)
         column = np.zeros((3 * len(heads), len(own)))
         column[3 * h : 3 * h + 3] = head.noise.R_sn.as_matrix()[:, own] * head.noise.constant_rad[own]
-        constant = np.column_stack([constant, column])
+        constant = np.concatenate([constant, column], axis=1)
     is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
     n, m = root.shape[2], constant.shape[1]
     tie = HeadTie(

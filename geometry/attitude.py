@@ -179,6 +179,7 @@ class AttitudeTrack:
         "lagrange, or taylor: to second order about the nearest exposure (`interpolation_weights`)",
         default="lagrange",
     )
+    is_smoothed: bool = scalar("whether errors of neighbouring attitudes are alike", default=False)
     _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)
     _rotvec_s: Array = field(
@@ -241,9 +242,13 @@ class AttitudeTrack:
     def covariance_s(self, t_s: ArrayLike) -> Array:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.
 
-        The exposures' errors, propagated through the weights, plus the interpolation error.
+        The exposures' errors, propagated through the weights, plus the interpolation error; of smoothed
+        attitudes, their own.
         """
         t = np.asarray(t_s, dtype=float)
+        if self.is_smoothed:
+            assert self.cov_s is not None
+            return np.asarray((linear_weights(self.t_s, t) @ self.cov_s.reshape(-1, 9)).reshape(-1, 3, 3))
         covariance = self.interpolation_sigma_rad(t)[:, :, None] ** 2 * np.eye(3)
         if self.cov_s is not None:
             weights = interpolation_weights(self.t_s, t, self.interpolation, self.points)

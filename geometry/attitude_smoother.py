@@ -1,16 +1,15 @@
 """Attitude over a pass as a process: the rows of all star cameras, smoothed, with the covariance between
 instants.
 
-Relative to the nominal motion, about its axes o, the satellite's rotation x has a rate v and an acceleration
-a, which is a random walk of density q about each axis; every head h has an error g_h about its own axes n, of
-correlation exp(-|t - t'| / τ), and one that is constant over the pass, b_h about the axes of s (alignment,
-slow errors):
+Relative to the nominal motion, about its axes o, the satellite's rotation x has a rate v, which is a random
+walk of density q about each axis; every head h has an error g_h about its own axes n, of correlation
+exp(-|t - t'| / τ), and one that is constant over the pass, b_h about the axes of s (alignment, slow errors):
 
-    dx = v dt,  dv = a dt,  da = white noise of density q;  a row  y = R_so x + R_sn g_h + b_h + white noise.
+    dx = v dt,   dv = white noise of density q,   a row of head h:  y = R_so x + R_sn g_h + b_h + white noise.
 
 The states at the rows' instants are a Markov chain, their information matrix is block tridiagonal, and its
-Cholesky factor costs time in proportion to the rows. Between two rows x is the quintic through x, v and a of
-both, but for a bridge of known covariance. All is linear in the constants, which stay open: the rows tell the
+Cholesky factor costs time in proportion to the rows. Between two rows x is the cubic through x and v of both,
+but for a bridge of known covariance. All is linear in the constants, which stay open: the rows tell the
 states given b, their change by b, and something about b itself. Angles in radians, times in seconds.
 """
 
@@ -21,24 +20,26 @@ from dataclasses import dataclass, replace
 from math import factorial
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dpstrf
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion"]
+__all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion", "smoothed_track"]
 
-ORDER = 3  # states of the motion about an axis: rotation, rate, acceleration
+ORDER = 2  # states of the motion about an axis: rotation and rate
 MOTION = 3 * ORDER  # of all axes
 MERGED = 0.3  # of the usual step: rows nearer together share a node
 ALONE_S = 0.5  # step where every head has one row
-DIFFUSE_RAD = 1.0  # 1-sigma of what nothing is known about: rotation, rate by the second, constants
+DIFFUSE_RAD = 1.0  # 1-sigma of constants of which nothing is known
+DIFFUSE = 1e3  # the same of rotation and rate before the first row, in units of a row's error and steps
 NEGLIGIBLE = 1e-4  # of the largest variance of a rotation: less is left out of a root
 WINDOWS = 2.0 ** np.arange(-2.0, 6.0)  # steps over which a motion would let rows be averaged, that are tried
 NEAR = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of the best for all axes, for each axis by itself
-SPREAD = 3.2  # 1-sigma of the logarithm of q about the stated one
+SPREAD = 2.5  # 1-sigma of the logarithm of q about the stated one
 MOST_NODES = 240  # that are asked for the motion; more would not change it
 
 
@@ -59,7 +60,7 @@ class HeadRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nodes:
-    """What the rows of H heads say of the states at N nodes, D each: x, v, a, errors g of all heads."""
+    """What the rows of H heads say of the states at N nodes, D each: x, v, errors g of all heads."""
 
     t_s: Floats  # (N,) instants
     begins: Bools  # (N,) nodes that begin a pass, whose state nothing before tells
@@ -68,6 +69,7 @@ class _Nodes:
     squares: Floats  # (1 + 3 H, 1 + 3 H) weighted sums of squares of the same
     variance: Floats  # (D - MOTION,) of the errors g
     time_s: Floats  # (D - MOTION,) their correlation times
+    trend: Floats  # (ORDER, 3) rotation and rate at the first node that are taken out of the rows
     step_s: float  # usual step of the head of the fewest rows
     white2: float  # usual variance of the white part, rad²
 
@@ -82,13 +84,15 @@ class _Nodes:
         D, m, column = MOTION + sum(map(len, axes)), 1 + 3 * len(heads), MOTION
         information, by_rows = np.zeros((len(t_s), D, D)), np.zeros((len(t_s), D, m))
         squares, R_so = np.zeros((m, m)), middle.as_matrix()
-        for h, (head, own) in enumerate(zip(heads, axes)):
+        turns = [(head.R_so * middle.inv()).as_rotvec() @ R_so for head in heads]
+        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0], rcond=None)[0]
+        for h, (head, own, turn) in enumerate(zip(heads, axes, turns)):
             at = np.searchsorted(t_s, head.t_s, side="right") - 1
             H, y = np.zeros((len(at), 3, D)), np.zeros((len(at), 3, m))
             for n, share in enumerate(_step(head.t_s - t_s[at])[:, 0].T):
                 H[:, :, 3 * n : 3 * n + 3] = share[:, None, None] * R_so
             H[:, :, column : column + len(own)] = head.noise.R_sn.as_matrix()[:, own]
-            y[:, :, 0] = (head.R_so * middle.inv()).as_rotvec()
+            y[:, :, 0] = (turn - _step(head.t_s - t_s[0])[:, 0] @ trend) @ R_so.T
             y[:, :, 1 + 3 * h : 4 + 3 * h] = np.eye(3)
             column += len(own)
             W = np.linalg.inv(head.covariance_s)
@@ -104,6 +108,7 @@ class _Nodes:
             squares=squares,
             variance=np.concatenate([h.noise.correlated_rad[own] ** 2 for h, own in zip(heads, axes)]),
             time_s=np.concatenate([h.noise.correlation_time_s[own] for h, own in zip(heads, axes)]),
+            trend=trend,
             step_s=step,
             white2=float(np.median(np.trace(heads[0].covariance_s, axis1=1, axis2=2)) / 3.0),
         )
@@ -150,11 +155,12 @@ def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
     diagonal[after, g, g] += 1.0 / spread
     below[before, g, g] = -decay / spread
     first = np.flatnonzero(nodes.begins)[:, None]
-    diagonal[first, np.arange(MOTION), np.arange(MOTION)] += DIFFUSE_RAD**-2
+    loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
+    diagonal[first, np.arange(MOTION), np.arange(MOTION)] += 1.0 / loose2
     diagonal[first, g, g] += 1.0 / nodes.variance
     size = 3.0 * np.linalg.slogdet(INVERSE)[1] * len(dt) - 3.0 * ORDER**2 * np.log(dt).sum()
     size -= ORDER * len(dt) * np.log(q).sum() + np.log(spread).sum()
-    size -= len(first) * (np.log(nodes.variance).sum() + 2.0 * MOTION * np.log(DIFFUSE_RAD))
+    size -= len(first) * (np.log(nodes.variance).sum() + np.log(loose2).sum())
     return diagonal, below, float(size)
 
 
@@ -166,14 +172,14 @@ INVERSE = np.linalg.inv(COVARIANCE)
 
 
 def _step(dt: Floats) -> Floats:
-    """(N, ORDER, ORDER) by which x, v and a become those `dt` (N,) later."""
+    """(N, ORDER, ORDER) by which x and v become those `dt` (N,) later."""
     ahead = np.arange(ORDER) - np.arange(ORDER)[:, None]
     shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in ahead.tolist()])
     return np.asarray(shares * dt[:, None, None] ** np.maximum(ahead, 0))
 
 
 def _spread(dt: Floats, of_second: Floats, sign: float = 1.0) -> Floats:
-    """(N, ORDER, ORDER) covariance of x, v and a `dt` (N,) later from that after a second, or the inverse."""
+    """(N, ORDER, ORDER) covariance of x and v `dt` (N,) later from that after a second, or the inverse."""
     return np.asarray(of_second * dt[:, None, None] ** (sign * _POWER))
 
 
@@ -206,7 +212,7 @@ def _solved(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, Floats, float]:
 
 
 def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> Floats:
-    """Densities q (3,) of the accelerations' random walks, rad²/s⁵, given the rows of passes of one
+    """Densities q (3,) of the rates' random walks, rad²/s³, given the rows of passes of one
     satellite, with a wide prior about a `stated` one; 0: none.
     """
     share = max(MOST_NODES // len(passes), 8)
@@ -248,10 +254,10 @@ class SmoothedAttitude:
 
     t_s: Floats  # (N,) instants of the nodes
     middle: Rotation  # R_so about which x is small
-    states: Floats  # (N, MOTION, 1 + 3 H) x, v, a; their change by the constants of each head
+    states: Floats  # (N, MOTION, 1 + 3 H) x, v; their change by the constants of each head
     back: Floats  # (N - 1, D, D) by which a state follows from the next one
     full: Floats  # (N, D, D) covariance of the states, the constants given
-    q: Floats  # (3,) density of the accelerations' random walks, rad²/s⁵
+    q: Floats  # (3,) density of the rates' random walks, rad²/s³
     constants: Floats  # (m, 1 + 3 H) rows r, T of unit variance: r = T b + noise is told of the constants
     chi2: float  # weighted sum of squares that the best states and constants leave
     dof: int  # its degrees of freedom
@@ -274,11 +280,13 @@ class SmoothedAttitude:
         root = np.sqrt(np.maximum(values[seen], DIFFUSE_RAD**-2))
         r, T = (vectors[:, seen].T @ left[1:, 0]) / root, root[:, None] * vectors[:, seen].T
         rows = sum(len(head.t_s) for head in heads)
+        of_motion = states[:, :MOTION] * np.where(np.arange(states.shape[2]), -1.0, 1.0)
+        of_motion[:, :, 0] += (_step(nodes.t_s - nodes.t_s[0]) @ nodes.trend).reshape(N, MOTION)
         return cls(
             t_s=nodes.t_s,
             middle=middle,
-            states=states[:, :MOTION] * np.where(np.arange(states.shape[2]), -1.0, 1.0),
-            back=back,
+            states=of_motion,
+            back=np.asarray(back, dtype=float),
             full=full,
             q=q,
             constants=np.column_stack([r, T]),
@@ -311,32 +319,29 @@ class SmoothedAttitude:
         """
         J, D = len(t_s), self.full.shape[1]
         k, here, after, s = self._around(t_s)
-        joint = np.zeros((J, 3, J, 3))
+        joint = np.zeros((3 * J, 3 * J))
         known, done = np.zeros((D, 0)), np.zeros(0, dtype=np.int64)  # a state with rotations later than it
         last = len(self.t_s) - 1
         for node in np.unique(k)[::-1].tolist():
-            rows = np.flatnonzero(k == node)
+            here_of = np.flatnonzero(k == node)
+            rows = (3 * here_of[:, None] + np.arange(3)).ravel()
+            between = np.eye(D)
             for later in range(last - 1, node, -1):
-                known = self.back[later] @ known
-            next_one, known = known, self.back[node] @ known
+                between = self.back[later] @ between
+            next_one = between @ known
             both = self.back[node] @ self.full[node + 1]
-            A, B = here[rows].reshape(-1, D), after[rows].reshape(-1, D)
-            own = A @ self.full[node] @ A.T + B @ self.full[node + 1] @ B.T
-            own += A @ both @ B.T + B @ both.T @ A.T
-            same = own.reshape(len(rows), 3, len(rows), 3)
-            at = np.full((len(rows),) * 2, node)
-            same += (
-                self._bridge(at, s[rows, None], s[rows]).reshape(at.shape)[:, None, :, None]
-                * np.diag(self.q)[:, None]
-            )
-            joint[np.ix_(rows, range(3), rows, range(3))] = same
-            cross = (A @ known + B @ next_one).reshape(len(rows), 3, len(done), 3)
-            joint[np.ix_(rows, range(3), done, range(3))] = cross
-            joint[np.ix_(done, range(3), rows, range(3))] = np.moveaxis(cross, (0, 1), (2, 3))
-            new = self.full[node] @ A.T + both @ B.T
-            known, done, last = np.column_stack([known, new]), np.concatenate([done, rows]), node
-        largest = float(np.max(np.einsum("jaja->ja", joint), initial=0.0))
-        root, order, rank, _ = dpstrf(joint.reshape(3 * J, 3 * J), tol=NEGLIGIBLE * largest, lower=1)
+            A, B = here[here_of].reshape(-1, D), after[here_of].reshape(-1, D)
+            cross = A @ both @ B.T
+            own = A @ self.full[node] @ A.T + B @ self.full[node + 1] @ B.T + cross + cross.T
+            bridge = self._bridge(np.array([node]), s[here_of, None], s[here_of])
+            joint[np.ix_(rows, rows)] = own + np.kron(bridge, np.diag(self.q))
+            known = self.back[node] @ next_one
+            with_later = A @ known + B @ next_one
+            joint[np.ix_(rows, done)], joint[np.ix_(done, rows)] = with_later, with_later.T
+            known = np.column_stack([known, self.full[node] @ A.T + both @ B.T])
+            done, last = np.concatenate([done, rows]), node
+        largest = float(np.max(np.diag(joint), initial=0.0))
+        root, order, rank, _ = dpstrf(joint, tol=NEGLIGIBLE * largest, lower=1)
         found = np.zeros((3 * J, rank))
         found[order - 1] = np.tril(root)[:, :rank]
         return np.asarray(self.middle.as_matrix() @ found.reshape(J, 3, rank))
@@ -372,18 +377,37 @@ class SmoothedAttitude:
         """Covariance for q = 1 of the rotations s and u seconds after node k, the states at k and the next
         given.
         """
+        shape = np.broadcast_shapes(k.shape, s.shape, u.shape)
         k, s, u = (one.ravel() for one in np.broadcast_arrays(k, s, u))
         dt = self.t_s[k + 1] - self.t_s[k]
         first, last = np.minimum(s, u), np.maximum(s, u)
         free = np.einsum("ni,ni->n", _spread(first, COVARIANCE)[:, 0], _step(last - first)[:, 0])
         by_next = np.einsum("ni,nik,nk->n", _pinned(s, dt), _spread(dt, COVARIANCE), _pinned(u, dt))
-        return np.asarray(free - by_next)
+        return np.asarray(free - by_next).reshape(shape)
 
 
 def _pinned(s: Floats, dt: Floats) -> Floats:
     """Shares (J, ORDER) of the states at the next node, `dt` after one, in the rotation `s` after it."""
     left = _spread(s, COVARIANCE)[:, :1] @ np.swapaxes(_step(dt - s), 1, 2)
     return np.asarray((left @ _spread(dt, INVERSE, -1.0))[:, 0])
+
+
+def smoothed_track(
+    heads: Sequence[HeadRows], nominal: NominalMotion, sigma_alignment_rad: float = 0.0
+) -> AttitudeTrack:
+    """The attitudes of the first of some heads, at its own instants, by the rows of all; alignments of the
+    others are known to `sigma_alignment_rad`, 1-sigma.
+    """
+    found, t_s = SmoothedAttitude.of(heads, most_likely_motion([heads], 0.0)), heads[0].t_s
+    of_heads = [(head.noise.R_sn.as_matrix() * head.noise.constant_rad**2) for head in heads]
+    known = block_diag(*(V @ head.noise.R_sn.as_matrix().T for V, head in zip(of_heads, heads)))
+    known[3:, 3:] += sigma_alignment_rad**2 * np.eye(len(known) - 3)
+    r, T = found.constants[:, 0], found.constants[:, 1:]
+    gain = np.linalg.solve(T @ known @ T.T + np.eye(len(r)), T @ known).T
+    left, by_constants = known - gain @ T @ known, found.by_constants(t_s)
+    R_so = Rotation.from_rotvec(by_constants @ (gain @ r)) * found.R_so(t_s)
+    covariance = found.covariance_s(t_s) + by_constants @ left @ np.swapaxes(by_constants, 1, 2)
+    return AttitudeTrack(t_s, R_so * nominal.R_oi(t_s), nominal, covariance, is_smoothed=True)
 
 
 def _blocks(factor: Floats, N: int, D: int) -> tuple[Floats, Floats]:
