@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
+from scipy import sparse
 
-from boresight.calib.heads import HeadTie
+from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.record import Floats, Ints, shape_of
@@ -61,7 +62,7 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
     joined = {
         name: np.concatenate([getattr(one, name) for one in passes])
         for name in columns
-        if name not in ("weights", "shared_s")
+        if name not in ("weights", "shared_s", "by_alignments_s")
     }
     t_s = joined["t_s"]
     position = _process(settings.sigma_position_m * joined["move_s"], t_s, settings.position_time_s, number)
@@ -75,15 +76,18 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
     names += [f"position/{n}" for n in range(position.shape[2])] + [
         f"clock/{n}" for n in range(clock.shape[2])
     ]
+    heads = tuple(sorted({head for one in passes for head in one.heads}))
     return replace(
         passes[0],
         **joined,
         attitudes=ExposureAttitudes.together([one.attitudes for one in passes]),
         used=np.concatenate([one.used for one in passes]),
-        weights=_blocks([one.weights[:, None] for one in passes])[:, 0],
+        weights=sparse.block_diag([one.weights for one in passes], format="csr"),
         shared_s=np.concatenate([phi, motion, position, clock], axis=2),
         unknowns=tuple(names),
         ties=_ties(passes),
+        heads=heads,
+        by_alignments_s=np.concatenate([of_heads(p.heads, p.by_alignments_s, heads) for p in passes]),
         n_phi=phi.shape[2],
     )
 

@@ -68,8 +68,7 @@ class Problem:
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
         carrying = [strip for strip in prepared if strip.inside.any()]
-        tied = {tie.head for strip in carrying for tie in strip.ties}
-        heads = tuple(sorted(tied | {strip.carrier for strip in carrying if strip.carrier}))
+        heads = tuple(sorted({head for strip in carrying for head in strip.heads}))
         seen = [one for one in passes if one.inside.any()]
         shared = find_shared(seen, settings, heads, interior)
         groups = [condensed(group) for group in group_strips(passes, shared, settings)]
@@ -92,31 +91,26 @@ class Problem:
             rank=rank,
             settings=settings,
             cameras=cameras,
-            agreement=_agreement(carrying, heads, len(tied)),
+            agreement=_agreement(carrying, heads),
         )
 
 
-def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...], n_tied: int) -> HeadAgreement:
-    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated;
-    `n_tied` heads are compared with others.
-    """
-    n, tied = 3 * n_tied, [strip for strip in strips if any(len(tie.r) for tie in strip.ties)]
-    parts = np.zeros((len(tied), 3 * len(heads) + 1, 3 * len(heads) + 1))
-    for s, strip in enumerate(tied):
-        columns = [alignment_columns(tie, heads, strip.carrier) for tie in strip.ties]
-        residual = np.concatenate([tie.r for tie in strip.ties])
-        Y = np.column_stack([np.concatenate(columns), residual])
-        by_phi = np.concatenate([tie.by_phi for tie in strip.ties])
-        G = by_phi.T @ Y
-        parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + by_phi.T @ by_phi, G)
-    rows = sum(len(tie.r) for strip in tied for tie in strip.ties)
-    together = _left_by_alignments(parts.sum(axis=0))
-    apart = sum(_left_by_alignments(part) for part in parts)
+def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadAgreement:
+    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated."""
+    ties = [tie for strip in strips for tie in strip.ties]
+    parts = np.zeros((len(ties), 3 * len(heads) + 1, 3 * len(heads) + 1))
+    for s, tie in enumerate(ties):
+        Y = np.column_stack([alignment_columns(tie, heads), tie.r])
+        G = tie.by_phi.T @ Y
+        parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + tie.by_phi.T @ tie.by_phi, G)
+    total = parts.sum(axis=0)
+    together, apart = _left_by_alignments(total), sum(_left_by_alignments(part) for part in parts)
+    rows = sum(len(tie.r) for tie in ties) - (int(np.linalg.matrix_rank(total[:-1, :-1])) if ties else 0)
     return HeadAgreement(
-        chi2=max(together, 0.0),
-        dof=max(rows - n, 0),
+        chi2=max(together, 0.0) + sum(tie.chi2 for tie in ties),
+        dof=rows + sum(tie.dof for tie in ties),
         gain=max(together - apart, 0.0),
-        dof_gain=sum(3 * sum(len(tie.r) > 0 for tie in strip.ties) for strip in tied) - n if tied else 0,
+        dof_gain=rows,
     )
 
 

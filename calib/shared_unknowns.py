@@ -26,12 +26,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.ground_references import ReferenceField, fields_of
-from boresight.calib.heads import head_names
+from boresight.calib.heads import head_names, of_heads
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import EARTH_ROTATION_RATE
 from boresight.geometry.record import Bools, array, record, scalar
 
@@ -196,11 +195,10 @@ def _earth(predictions: tuple[str, ...]) -> SharedError:
 
 
 def _alignments(heads: tuple[str, ...]) -> SharedError:
-    """Of all heads targets see only the one that carries the strip, as an error of all its attitudes."""
+    """Of the heads whose rows make the attitude at the targets."""
 
     def columns(strip: PreparedStrip) -> Array:
-        n = heads.index(strip.carrier) if strip.carrier else -1
-        return _of_each([n] * len(strip.ccd), len(heads), -cross_matrices(strip.v_s))
+        return of_heads(strip.heads, strip.by_alignments_s, heads)
 
     names = head_names(heads)
     return SharedError(names, np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2, columns)

@@ -30,8 +30,9 @@ from boresight.calib.distortion import (
     residual_distortion,
     unit_numbers,
 )
-from boresight.calib.heads import HeadTie, alignment_columns, interpolated, tie_of_head
+from boresight.calib.heads import HeadTie, alignment_columns
 from boresight.calib.orbit_bias import bias_columns
+from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import (
     MICRORADIAN,
@@ -40,10 +41,8 @@ from boresight.calib.shared_unknowns import (
     earth_axes,
     find_shared,
 )
-from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, missed_covariance, motion_of
-from boresight.geometry.attitude import Interpolation, InterpolationNodes, interpolation_weights
+from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
-from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
 
@@ -57,8 +56,6 @@ __all__ = [
     "prepare_strips",
     "tangent_axes",
 ]
-
-NEGLIGIBLE_MOTION_RAD = 0.01 * ARCSEC  # a tenth of the vibration of the paper's Table 1
 
 
 @record(kw_only=True)
@@ -76,7 +73,9 @@ class PreparedStrip:
     sample: Floats = array("J", "position along the CCD, px")
     line: Floats = array("J", "row, px")
     t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
-    weights: Floats = array("J, U", "of the attitudes of the exposures used in that at the target's instant")
+    weights: Floats = array(
+        "J, U", "by which rotations of the exposures used rotate the attitude; dense or sparse"
+    )
     curve: Ints = array("J", "curve of the residual distortion that holds there")
     place: Floats = array("J", "position along that curve, correlation lengths")
     distortion_rad: Floats = array("J", "1-sigma of that curve, per axis")
@@ -102,7 +101,9 @@ class PreparedStrip:
     move_s: Floats = array(
         "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
     )
-    ties: tuple[HeadTie, ...] = scalar("rows of the other heads")
+    ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their alignments")
+    heads: tuple[str, ...] = scalar("heads whose alignments change the attitude at the targets")
+    by_alignments_s: Floats = array("J, 3, A", "change of v_s by these alignments, three each")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
@@ -204,131 +205,91 @@ def prepare_strips(
 ) -> list[PreparedStrip]:
     """The strips of `cameras`, with the motion between exposures that all of them show."""
     fitted = with_attitudes(strips, settings.attitudes)
-    motion = motion_of(fitted, settings)
-    return [
-        prepare_strip(strip, settings, motion if has_few_exposures(strip) else AT_REST, cameras)
-        for strip in fitted
-    ]
+    interpolated, smoothed = (
+        [one for one in fitted if is_smoothed(one) is wanted] for wanted in (False, True)
+    )
+    motion, rates = motion_of(interpolated, settings), smoothed_motion(smoothed, settings)
+
+    def motion_in(strip: StripSightings) -> SlowMotion | Floats:
+        if is_smoothed(strip):
+            return rates
+        return motion if has_few_exposures(strip) else AT_REST
+
+    return [prepare_strip(strip, settings, motion_in(strip), cameras) for strip in fitted]
 
 
 def prepare_strip(
     strip: StripSightings,
     settings: CalibrationSettings,
-    motion: SlowMotion = AT_REST,
+    motion: SlowMotion | Floats | None = None,
     cameras: Sequence[str] = ("",),
 ) -> PreparedStrip:
     """The strip with every target in frame s at its own instant, and the unknowns common to its targets;
-    `motion` is what the satellite does between the exposures. The rows of each of `cameras` have a clock.
+    `motion` is what the satellite does between the exposures (`attitude_of`; None: nothing, or what the rows
+    of the strip itself show). The rows of each of `cameras` have a clock.
 
     Attitudes of exposures are fitted where the strip has none.
     """
-    attitudes = with_attitudes([strip], settings.attitudes)[0].attitudes
+    strip = with_attitudes([strip], settings.attitudes)[0]
+    if motion is None:
+        motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST
+    attitude, ground, attitudes = attitude_of(strip, settings, motion), strip.ground, strip.attitudes
     assert attitudes is not None
-    ground, used = strip.ground, attitudes.usable
-    nodes = InterpolationNodes.of_exposures(
-        np.array([exposure.t_s for exposure in strip.exposures])[used],
-        Rotation.from_matrix(attitudes.R_si[used]),
-        strip.R_oi_exposures[used],
-    )
-    inside, weights = _weights(nodes.t_s, ground.t_s, strip.interpolation)
-    R_si = _interpolated(nodes, strip.R_oi_targets, weights, inside)
-    v_s = np.einsum("jab,jb->ja", R_si, ground.u_i)
-    move_s = R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
-    own_s = nodes.covariance(attitudes.covariance_s[used])
-    root = _root_of_attitude_errors(strip, own_s, nodes.t_s, settings)
-    phi = -cross_matrices(v_s) @ np.tensordot(weights, root, axes=1)
-    between = _by_motion(motion, nodes.t_s, ground.t_s, weights, inside)
-    moved = (-cross_matrices(v_s)[:, :, None, :] * between[:, None, :, None]).reshape(len(v_s), 3, -1)
+    v_s = np.einsum("jab,jb->ja", attitude.R_si, ground.u_i)
+    move_s = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    by_rotation = -cross_matrices(v_s)
     position = move_s * settings.sigma_position_m
-    rate_s = _rotation_rate(nodes)
-    late = move_s @ ground.v_rel_i[:, :, None] + np.cross(rate_s, v_s)[:, :, None]
+    late = move_s @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
     camera = np.array(
         [cameras.index(name) if cameras[1:] else 0 for name in strip.camera_of_target.tolist()], int
     )
     clock = late * settings.sigma_clock_s
     clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
-    ties = _ties(strip, nodes, root, settings)
     references = ground.referenced()
     models = [settings.of(name) for name in cameras]
     curve, place, distortion_rad, modes_rad = residual_distortion(ground, camera, models)
-    names = [f"phi/{k}/{axis}" for k in range(len(nodes.t_s)) for axis in "xyz"]
-    motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PreparedStrip(
         strip_id=strip.strip_id,
         strip=strip.strip_of_target,
         attitudes=attitudes,
-        used=used,
-        inside=inside,
+        used=attitudes.usable,
+        inside=attitude.inside,
         target_id=ground.target_id,
         camera=camera,
         ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
         t_s=ground.t_s,
-        weights=weights @ nodes.share,
+        weights=attitude.weights,
         curve=curve,
         place=place,
         distortion_rad=distortion_rad,
         modes_rad=modes_rad,
         u_c=ground.u_c,
         cov_c=ground.cov_c,
-        R_si=R_si,
+        R_si=attitude.R_si,
         v_s=v_s,
-        shared_s=np.concatenate([phi, moved, position, clocks], axis=2),
-        unknowns=(*names, *motions, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
-        coordinates_s=_by_coordinates(ground, R_si, move_s),
+        shared_s=np.concatenate([by_rotation @ attitude.root_s, position, clocks], axis=2),
+        unknowns=(*attitude.names, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
+        coordinates_s=_by_coordinates(ground, attitude.R_si, move_s),
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         reference=references.name,
         reference_s=-move_s @ references.axes_i,
         reference_sigma_m=references.sigma_m,
         reference_place=references.place,
-        earth_s=R_si @ ground.earth_i,
+        earth_s=attitude.R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
         move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
-        ties=ties,
+        ties=attitude.ties,
+        heads=attitude.heads,
+        by_alignments_s=by_rotation @ attitude.by_alignments,
         is_star=ground.is_star,
         carrier=strip.carrier,
-        n_phi=len(names),
+        n_phi=attitude.n_phi,
     )
-
-
-def _ties(
-    strip: StripSightings, nodes: InterpolationNodes, root: Floats, settings: CalibrationSettings
-) -> tuple[HeadTie, ...]:
-    """Rows of the other heads over the strip, by the names of the heads."""
-    if not len(nodes.t_s):
-        return ()
-    return tuple(
-        tie_of_head(other, nodes.t_s, nodes.R_si, nodes.R_oi, root, settings.sigma_vibration_rad)
-        for other in sorted(strip.others, key=lambda one: one.head)
-    )
-
-
-def _by_motion(motion: SlowMotion, nodes: Floats, t_s: Floats, weights: Floats, inside: Bools) -> Floats:
-    """Square root (J, M) of the covariance, about each axis, of the motion that the interpolation misses."""
-    root = np.zeros((len(t_s), 0))
-    if len(motion.time_s) and len(nodes) > 1 and inside.any():
-        values, vectors = np.linalg.eigh(missed_covariance(motion, t_s[inside], nodes, weights[inside]))
-        large = values > NEGLIGIBLE_MOTION_RAD**2
-        root = np.zeros((len(t_s), int(large.sum())))
-        root[inside] = vectors[:, large] * np.sqrt(values[large])
-    return root
-
-
-def _root_of_attitude_errors(
-    strip: StripSightings, covariance_s: Floats, times: Floats, settings: CalibrationSettings
-) -> Floats:
-    """Square root (K, 3, 3 K) of the covariance of the attitude errors phi of K exposures: their own, the
-    vibration that an exposure sees, and what their head's errors have in common.
-    """
-    K = len(times)
-    covariance = strip.noise.coloured_covariance_s(times)
-    each = np.arange(K)
-    covariance[each, :, each, :] += covariance_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
-    return np.asarray(np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K))
 
 
 def group_strips(
@@ -485,48 +446,8 @@ def _parts(which: Ints, curves: Floats, targets_s: Floats, n_heads: int) -> Iter
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
     """Rows (h, n_phi + 3 heads + 1) of the other heads in a strip."""
     none = np.zeros((0, n_phi + 3 * len(shared.heads) + 1))
-    rows = [
-        np.column_stack([tie.by_phi, alignment_columns(tie, shared.heads, strip.carrier), tie.r])
-        for tie in strip.ties
-    ]
+    rows = [np.column_stack([tie.by_phi, alignment_columns(tie, shared.heads), tie.r]) for tie in strip.ties]
     return np.concatenate([none, *rows])
-
-
-def _weights(times: Floats, t_s: Floats, interpolation: Interpolation) -> tuple[Bools, Floats]:
-    """Which instants the exposures cover, and the weights (J, K) of the exposures there, zero where not
-    covered.
-
-    One exposure alone covers half a second around it, by the nominal motion.
-    """
-    if len(times) == 0:
-        return np.zeros(len(t_s), dtype=bool), np.zeros((len(t_s), 0))
-    if len(times) == 1:
-        inside = np.abs(t_s - times[0]) <= 0.5
-        return inside, inside[:, None].astype(float)
-    before, after = 0.5 * (times[1] - times[0]), 0.5 * (times[-1] - times[-2])
-    inside = (t_s >= times[0] - before) & (t_s <= times[-1] + after)
-    weights = np.zeros((len(t_s), len(times)))
-    weights[inside] = interpolation_weights(times, t_s[inside], interpolation)
-    return inside, weights
-
-
-def _interpolated(
-    nodes: InterpolationNodes, R_oi_targets: Rotation, weights: Floats, inside: Bools
-) -> Floats:
-    """Attitudes (J, 3, 3) at the targets' instants; the identity where the exposures do not cover them."""
-    R_si_targets = np.tile(np.eye(3), (len(weights), 1, 1))
-    if inside.any():
-        here = interpolated(nodes.R_si, nodes.R_oi, weights[inside], R_oi_targets[inside])
-        R_si_targets[inside] = here.as_matrix()
-    return R_si_targets
-
-
-def _rotation_rate(nodes: InterpolationNodes) -> Floats:
-    """Mean rotation rate (3,) of the sky in frame s, rad/s; zero for one exposure alone."""
-    if len(nodes.t_s) < 2:
-        return np.zeros(3)
-    rotvec = (nodes.R_si[-1] * nodes.R_si[0].inv()).as_rotvec()
-    return np.asarray(rotvec / (nodes.t_s[-1] - nodes.t_s[0]))
 
 
 def _direction_by_position(ground: GroundSightings) -> Floats:

@@ -15,10 +15,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Attitude",
@@ -30,6 +31,7 @@ __all__ = [
     "NominalMotion",
     "interpolation_weights",
     "lagrange_weights",
+    "linear_weights",
 ]
 
 Array = NDArray[np.float64]
@@ -109,6 +111,18 @@ def interpolation_weights(
     return weights
 
 
+def linear_weights(t_nodes: Array, t: Array, inside: Bools | None = None) -> sparse.csr_array:
+    """Sparse weights (J, K) by which values at nodes (K,) give values at instants (J,), linearly between two
+    nodes, beyond the ends those of the nearest; rows of zeros for instants that are not `inside`.
+    """
+    k = np.clip(np.searchsorted(t_nodes, t, side="right") - 1, 0, max(len(t_nodes) - 2, 0))
+    after = np.minimum(k + 1, len(t_nodes) - 1)
+    share = np.clip((t - t_nodes[k]) / np.maximum(t_nodes[after] - t_nodes[k], 1e-9), 0.0, 1.0)
+    values = np.stack([1.0 - share, share], axis=1) * (1.0 if inside is None else inside[:, None])
+    rows, columns = np.repeat(np.arange(len(t)), 2), np.stack([k, after], axis=1).ravel()
+    return sparse.csr_array((values.ravel(), (rows, columns)), shape=(len(t), len(t_nodes)))
+
+
 @record
 class InterpolationNodes:
     """N nodes of an interpolation from K exposures: those nearer together than a tenth of the mean step are
@@ -165,6 +179,7 @@ class AttitudeTrack:
         "lagrange, or taylor: to second order about the nearest exposure (`interpolation_weights`)",
         default="lagrange",
     )
+    is_smoothed: bool = scalar("whether errors of neighbouring attitudes are alike", default=False)
     _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)
     _rotvec_s: Array = field(
@@ -227,9 +242,13 @@ class AttitudeTrack:
     def covariance_s(self, t_s: ArrayLike) -> Array:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.
 
-        The exposures' errors, propagated through the weights, plus the interpolation error.
+        The exposures' errors, propagated through the weights, plus the interpolation error; of smoothed
+        attitudes, their own.
         """
         t = np.asarray(t_s, dtype=float)
+        if self.is_smoothed:
+            assert self.cov_s is not None
+            return np.asarray((linear_weights(self.t_s, t) @ self.cov_s.reshape(-1, 9)).reshape(-1, 3, 3))
         covariance = self.interpolation_sigma_rad(t)[:, :, None] ** 2 * np.eye(3)
         if self.cov_s is not None:
             weights = interpolation_weights(self.t_s, t, self.interpolation, self.points)

@@ -136,6 +136,8 @@ def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:
     interpolation between them where enough exposures determine it.
     """
     track, C = model.track, model.pushbroom.R_cs.as_matrix()
+    if track.is_smoothed:
+        return np.asarray(C @ track.covariance_s(t_s) @ C.T)
     missed = np.nan_to_num(track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
     weights = interpolation_weights(track.t_s, t_s, track.interpolation, track.points)
     assert track.cov_s is not None  # `strip_model` gives it

@@ -141,6 +141,11 @@ class Head:
         return source.line_of_sight_s if isinstance(source, SolvedAttitudes) else np.array(Z)
 
     @property
+    def is_smoothed(self) -> bool:
+        """Whether its attitudes are smoothed: solved by itself, not interpolated in an operator's way."""
+        return isinstance(self.source, SolvedAttitudes) and self.interpolation == "lagrange"
+
+    @property
     def n_exposures(self) -> int:
         """Number of exposures, or of attitudes."""
         source = self.source

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
+from boresight.geometry.attitude_smoother import smoothed_track
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Ints, array, record, scalar
@@ -25,6 +26,7 @@ from boresight.pipeline.results.ownership import check_dump_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, settings_from_values
 from boresight.pipeline.stages.coverage import rows_not_covered
+from boresight.pipeline.stages.head import rows_of_heads
 
 __all__ = [
     "Calibrated",
@@ -103,14 +105,26 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
         reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
         raise DataNotSufficientError(reason)
     covariance = calibrated.attitude_covariance_s[near]
-    track = AttitudeTrack(
-        result.t_exposures_s[near],
-        result.R_si[near],
-        dump.orbit,
-        covariance,
-        interpolation=dump.heads[0].interpolation,
-    )
+    if dump.heads[0].is_smoothed:
+        mountings = _mountings(calibrated)
+        track = smoothed_track(rows_of_heads(dump, result.t_exposures_s[near], mountings), dump.orbit)
+    else:
+        track = AttitudeTrack(
+            result.t_exposures_s[near],
+            result.R_si[near],
+            dump.orbit,
+            covariance,
+            interpolation=dump.heads[0].interpolation,
+        )
     return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs, calibrated.effects), track)
+
+
+def _mountings(calibrated: Calibrated) -> dict[str, Rotation]:
+    """Installation matrices of the dump's heads, those of the result where it has several."""
+    stated = {head.name: head.R_cs0 for head in calibrated.dump.heads}
+    found = calibrated.result.installation.get("heads") or []
+    own = {calibrated.dump.heads[0].name: calibrated.result.R_cs}
+    return stated | own | {one["name"]: Rotation.from_matrix(one["R_cs"]) for one in found}
 
 
 def whole_strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.shared_unknowns import SharedUnknowns
-from boresight.calib.strips import _weights, group_strips, linearise, prepare_strip
+from boresight.calib.strips import group_strips, linearise, prepare_strip
 from boresight.features.paper.frames import calibrate_frames
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.constants import ARCSEC
@@ -231,6 +232,7 @@ def test_measurements_of_slanted_covariance_are_whitened_to_unit_variance():
 def test_one_exposure_covers_half_a_second_to_either_side_of_it_wherever_it_is():
     for at in (-813.25, 0.0, 5211.9):
         t = at + np.array([-0.51, -0.49, 0.0, 0.49, 0.51])
-        inside, weights = _weights(np.array([at]), t, "lagrange")
+        inside = _covered(np.array([at]), t)
+        weights = _weights(np.array([at]), t, inside, "lagrange")
         assert inside.tolist() == [False, True, True, True, False]
         np.testing.assert_array_equal(weights, inside[:, None])

@@ -1,0 +1,237 @@
+"""Attitude of a pass at its targets' instants: what it is, the root of its joint covariance, and what other
+inputs change it.
+
+Of a single head whose attitudes come from stars, the attitude relative to the nominal motion is interpolated
+between the exposures, by Lagrange polynomials; their errors phi_k stay unknowns, and so does the motion that
+the interpolation misses. Of heads that solve attitudes themselves, and of several, the rows of all are
+smoothed (`geometry.attitude_smoother`). There the unknowns are the independent parts of what is left unknown,
+and the constant errors of the heads; the rows tell something of these and of the alignments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.heads import HeadTie
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.slow_motion import SlowMotion, missed_covariance
+from boresight.geometry.attitude import (
+    Interpolation,
+    InterpolationNodes,
+    interpolation_weights,
+    linear_weights,
+)
+from boresight.geometry.attitude_smoother import HeadRows, SmoothedAttitude, most_likely_motion
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.sightings import StripSightings
+
+__all__ = ["PassAttitude", "attitude_of", "is_smoothed", "smoothed_motion"]
+
+NEGLIGIBLE_MOTION_RAD = 0.01 * ARCSEC  # a tenth of the vibration of the paper's Table 1
+RATE_OVER_S = 30.0  # around the middle of a pass, over which it has one rate
+IN_STEPS_OF = 12  # unknowns of a pass: passes of equal numbers are reduced together
+
+
+@record(kw_only=True)
+class PassAttitude:
+    """Attitude at the instants of J targets, from U exposures."""
+
+    inside: Bools = array("J", "whether the exposures cover the instant")
+    R_si: Floats = array("J, 3, 3", "GCRS to frame s; the identity where they do not")
+    rate_s: Floats = array("3", "mean rotation rate of the sky in frame s, rad/s")
+    root_s: Floats = array("J, 3, P", "rotation about the axes of s by unknowns of unit variance, rad")
+    names: tuple[str, ...] = array("P", "of these unknowns")
+    n_phi: int = scalar("of them, the first, that the rows of heads tell of")
+    weights: Floats = array("J, U", "by which a rotation of the exposures rotates it; dense or sparse")
+    heads: tuple[str, ...] = scalar("heads whose alignments change it")
+    by_alignments: Floats = array("J, 3, A", "rotation about the axes of s by these, three each")
+    ties: tuple[HeadTie, ...] = scalar("what the rows tell of alignments and unknowns")
+
+
+def is_smoothed(strip: StripSightings) -> bool:
+    """Whether the attitudes of a strip are smoothed: of several heads, or solved by the head itself."""
+    solved = bool(strip.exposures) and not any(len(one.hip) for one in strip.exposures)
+    return strip.interpolation == "lagrange" and (bool(strip.others) or solved)
+
+
+def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Floats:
+    """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed."""
+    stated = 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
+    rows = [rows for strip in strips if len((rows := _rows_of(strip, settings))[0].t_s)]
+    return most_likely_motion(rows, stated) if rows else np.full(3, stated)
+
+
+def attitude_of(
+    strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion | Floats
+) -> PassAttitude:
+    """The attitude at the targets of a strip with fitted attitudes; `motion` is what the satellite does
+    between the exposures.
+    """
+    if isinstance(motion, SlowMotion):
+        return _interpolated(strip, settings, motion)
+    return _smoothed(strip, settings, motion)
+
+
+def _used(strip: StripSightings) -> tuple[Floats, Rotation, Rotation, Floats]:
+    """Instants, attitudes R_si and R_oi, and covariances of the usable exposures."""
+    attitudes = strip.attitudes
+    assert attitudes is not None
+    used = attitudes.usable
+    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
+    R_si = Rotation.from_matrix(attitudes.R_si[used]) if used.any() else Rotation.identity(0)
+    return times, R_si, strip.R_oi_exposures[used], attitudes.covariance_s[used]
+
+
+def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion) -> PassAttitude:
+    times, R_si, R_oi, own_s = _used(strip)
+    nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
+    t_s, K = strip.ground.t_s, len(nodes.t_s)
+    inside = _covered(nodes.t_s, t_s)
+    weights = _weights(nodes.t_s, t_s, inside, strip.interpolation)
+    R_si_targets = np.tile(np.eye(3), (len(t_s), 1, 1))
+    if inside.any():
+        D = nodes.R_si * nodes.R_oi.inv()
+        middle = D[len(D) // 2]
+        turned = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
+        R_si_targets[inside] = (turned * middle * strip.R_oi_targets[inside]).as_matrix()
+    covariance = strip.noise.coloured_covariance_s(nodes.t_s)
+    each = np.arange(K)
+    own_s = nodes.covariance(own_s)
+    covariance[each, :, each, :] += own_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
+    root = np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K)
+    between = _by_motion(motion, nodes.t_s, t_s, weights, inside)
+    moved = (np.eye(3)[:, None, :] * between[:, None, :, None]).reshape(len(t_s), 3, -1)
+    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"]
+    motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
+    return PassAttitude(
+        inside=inside,
+        R_si=R_si_targets,
+        rate_s=_rotation_rate(nodes.t_s, nodes.R_si),
+        root_s=np.concatenate([np.tensordot(weights, root, axes=1), moved], axis=2),
+        names=(*names, *motions),
+        n_phi=len(names),
+        weights=weights @ nodes.share,
+        heads=(),
+        by_alignments=np.zeros((len(t_s), 3, 0)),
+        ties=(),
+    )
+
+
+def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -> PassAttitude:
+    rows, t_s = _rows_of(strip, settings), strip.ground.t_s
+    times, J = rows[0].t_s, len(t_s)
+    inside = _covered(times, t_s)
+    others = [other.head for other in strip.others if _here(other.t_s, times).any()]
+    heads = [strip.carrier, *others]
+    R_si, root = np.tile(np.eye(3), (J, 1, 1)), np.zeros((J, 3, 0))
+    by_constants: Floats = np.zeros((J, 3, 3 * len(heads)))
+    told: Floats = np.zeros((0, 1 + 3 * len(heads)))
+    chi2, dof = 0.0, 0
+    if inside.any():
+        found = SmoothedAttitude.of(rows, q)
+        R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
+        part = found.root_s(t_s[inside])
+        root = np.zeros((J, 3, -(-part.shape[2] // IN_STEPS_OF) * IN_STEPS_OF))
+        root[inside, :, : part.shape[2]] = part
+        by_constants[inside] = found.by_constants(t_s[inside])
+        told, chi2, dof = found.constants, found.chi2, found.dof
+    r, T = told[:, 0], told[:, 1:]
+    constant: Floats = np.zeros((3 * len(heads), 0))
+    for h, head in enumerate(rows):
+        own = np.flatnonzero(head.noise.constant_rad > 0.0)
+        column = np.zeros((3 * len(heads), len(own)))
+        column[3 * h : 3 * h + 3] = head.noise.R_sn.as_matrix()[:, own] * head.noise.constant_rad[own]
+        constant = np.concatenate([constant, column], axis=1)
+    is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
+    n, m = root.shape[2], constant.shape[1]
+    tie = HeadTie(
+        heads=tuple(filter(None, heads)),
+        r=r,
+        by_phi=np.column_stack([np.zeros((len(r), n)), T @ constant]),
+        by_alpha=-T[:, is_known],
+        chi2=chi2,
+        dof=dof,
+    )
+    return PassAttitude(
+        inside=inside,
+        R_si=R_si,
+        rate_s=_rotation_rate(times, rows[0].R_so * _used(strip)[2]),
+        root_s=np.concatenate([root, by_constants @ constant], axis=2),
+        names=(*(f"attitude/{k}" for k in range(n)), *(f"constant/{k}" for k in range(m))),
+        n_phi=n + m,
+        weights=linear_weights(times, t_s, inside),
+        heads=tie.heads,
+        by_alignments=-by_constants[:, :, is_known],
+        ties=(tie,) if others and inside.any() else (),
+    )
+
+
+def _here(t_s: Floats, times: Floats) -> Bools:
+    """Rows (K,) of another head that lie between the first and the last of the reference head's."""
+    return (t_s >= times[0]) & (t_s <= times[-1]) if len(times) else np.zeros(len(t_s), dtype=bool)
+
+
+def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> list[HeadRows]:
+    """Rows of the head that carries a strip, and of all others that have some between them."""
+    times, R_si, R_oi, covariance_s = _used(strip)
+    vibration = settings.sigma_vibration_exposure_rad**2 * np.eye(3)
+    first = HeadRows(
+        t_s=times, R_so=R_si * R_oi.inv(), covariance_s=covariance_s + vibration, noise=strip.noise
+    )
+    rows = [first]
+    for other in strip.others:
+        if (here := _here(other.t_s, times)).any():
+            A = other.R_sh.as_matrix()
+            rows.append(
+                HeadRows(
+                    t_s=other.t_s[here],
+                    R_so=other.R_sh * other.R_hi[here] * other.R_oi[here].inv(),
+                    covariance_s=A @ other.covariance_h[here] @ A.T + vibration,
+                    noise=other.noise_s,
+                )
+            )
+    return rows
+
+
+def _covered(times: Floats, t_s: Floats) -> Bools:
+    """Which instants (J,) the exposures cover, half a step beyond the first and the last of them; one alone
+    covers half a second around it.
+    """
+    if len(times) < 2:
+        return np.abs(t_s - times[0]) <= 0.5 if len(times) else np.zeros(len(t_s), dtype=bool)
+    before, after = 0.5 * (times[1] - times[0]), 0.5 * (times[-1] - times[-2])
+    return (t_s >= times[0] - before) & (t_s <= times[-1] + after)
+
+
+def _weights(times: Floats, t_s: Floats, inside: Bools, interpolation: Interpolation) -> Floats:
+    """Weights (J, K) of the exposures; zero where they do not cover. One alone follows the nominal motion."""
+    weights = np.zeros((len(t_s), len(times)))
+    if len(times) == 1:
+        weights[inside] = 1.0
+    elif len(times):
+        weights[inside] = interpolation_weights(times, t_s[inside], interpolation)
+    return weights
+
+
+def _rotation_rate(times: Floats, R_si: Rotation) -> Floats:
+    """Mean rotation rate (3,) of the sky in frame s, rad/s; zero for one exposure alone."""
+    if len(times) < 2:
+        return np.zeros(3)
+    near = np.flatnonzero(np.abs(times - 0.5 * (times[0] + times[-1])) <= RATE_OVER_S)
+    first, last = (near[0], near[-1]) if len(near) > 1 else (0, len(times) - 1)
+    return np.asarray((R_si[last] * R_si[first].inv()).as_rotvec() / (times[last] - times[first]))
+
+
+def _by_motion(motion: SlowMotion, nodes: Floats, t_s: Floats, weights: Floats, inside: Bools) -> Floats:
+    """Square root (J, M) of the covariance, about each axis, of the motion that the interpolation misses."""
+    root = np.zeros((len(t_s), 0))
+    if len(motion.time_s) and len(nodes) > 1 and inside.any():
+        values, vectors = np.linalg.eigh(missed_covariance(motion, t_s[inside], nodes, weights[inside]))
+        large = values > NEGLIGIBLE_MOTION_RAD**2
+        root = np.zeros((len(t_s), int(large.sum())))
+        root[inside] = vectors[:, large] * np.sqrt(values[large])
+    return root

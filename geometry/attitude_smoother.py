@@ -1,0 +1,420 @@
+"""Attitude over a pass as a process: the rows of all star cameras, smoothed, with the covariance between
+instants.
+
+Relative to the nominal motion, about its axes o, the satellite's rotation x has a rate v, which is a random
+walk of density q about each axis; every head h has an error g_h about its own axes n, of correlation
+exp(-|t - t'| / τ), and one that is constant over the pass, b_h about the axes of s (alignment, slow errors):
+
+    dx = v dt,   dv = white noise of density q,   a row of head h:  y = R_so x + R_sn g_h + b_h + white noise.
+
+The states at the rows' instants are a Markov chain, their information matrix is block tridiagonal, and its
+Cholesky factor costs time in proportion to the rows. Between two rows x is the cubic through x and v of both,
+but for a bridge of known covariance. All is linear in the constants, which stay open: the rows tell the
+states given b, their change by b, and something about b itself. Angles in radians, times in seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import factorial
+
+import numpy as np
+from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dpstrf
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion
+from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+
+__all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion", "smoothed_track"]
+
+ORDER = 2  # states of the motion about an axis: rotation and rate
+MOTION = 3 * ORDER  # of all axes
+MERGED = 0.3  # of the usual step: rows nearer together share a node
+ALONE_S = 0.5  # step where every head has one row
+DIFFUSE_RAD = 1.0  # 1-sigma of constants of which nothing is known
+DIFFUSE = 1e3  # the same of rotation and rate before the first row, in units of a row's error and steps
+NEGLIGIBLE = 1e-4  # of the largest variance of a rotation: less is left out of a root
+WINDOWS = 2.0 ** np.arange(-2.0, 6.0)  # steps over which a motion would let rows be averaged, that are tried
+NEAR = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of the best for all axes, for each axis by itself
+SPREAD = 2.5  # 1-sigma of the logarithm of q about the stated one
+MOST_NODES = 240  # that are asked for the motion; more would not change it
+
+
+@record(kw_only=True)
+class HeadRows:
+    """Attitudes of one head over a pass, turned to frame s by its alignment as far as that is known."""
+
+    t_s: Floats = array("K", "instants, increasing, TAI seconds since the epoch")
+    R_so: Rotation = array("K", "nominal frame to frame s")
+    covariance_s: Floats = array("K, 3, 3", "of the white part of each error, rad²")
+    noise: AttitudeNoise = scalar("the correlated and the constant part; its `R_sn` leads to frame s")
+
+    def within(self, first_s: float, last_s: float) -> HeadRows:
+        """The rows from one instant to another."""
+        rows = slice(*np.searchsorted(self.t_s, [first_s, last_s]))
+        return replace(self, t_s=self.t_s[rows], R_so=self.R_so[rows], covariance_s=self.covariance_s[rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Nodes:
+    """What the rows of H heads say of the states at N nodes, D each: x, v, errors g of all heads."""
+
+    t_s: Floats  # (N,) instants
+    begins: Bools  # (N,) nodes that begin a pass, whose state nothing before tells
+    information: Floats  # (N, D, D) on the states
+    by_rows: Floats  # (N, D, 1 + 3 H) right-hand sides: by the rows, by the constants of each head
+    squares: Floats  # (1 + 3 H, 1 + 3 H) weighted sums of squares of the same
+    variance: Floats  # (D - MOTION,) of the errors g
+    time_s: Floats  # (D - MOTION,) their correlation times
+    trend: Floats  # (ORDER, 3) rotation and rate at the first node that are taken out of the rows
+    step_s: float  # usual step of the head of the fewest rows
+    white2: float  # usual variance of the white part, rad²
+
+    @classmethod
+    def of(cls, heads: Sequence[HeadRows], middle: Rotation) -> _Nodes:
+        """Nodes at the rows, and one step before and after; `middle` is an attitude R_so near all of them."""
+        every = np.sort(np.concatenate([head.t_s for head in heads]))
+        step = max((float(np.median(np.diff(h.t_s))) for h in heads if len(h.t_s) > 1), default=ALONE_S)
+        first = every[_group_starts(every, MERGED * step)]
+        t_s = np.concatenate([[first[0] - step], first, [first[-1] + step]])
+        axes = [np.flatnonzero(head.noise.correlated_rad > 0.0) for head in heads]
+        D, m, column = MOTION + sum(map(len, axes)), 1 + 3 * len(heads), MOTION
+        information, by_rows = np.zeros((len(t_s), D, D)), np.zeros((len(t_s), D, m))
+        squares, R_so = np.zeros((m, m)), middle.as_matrix()
+        turns = [(head.R_so * middle.inv()).as_rotvec() @ R_so for head in heads]
+        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0], rcond=None)[0]
+        for h, (head, own, turn) in enumerate(zip(heads, axes, turns)):
+            at = np.searchsorted(t_s, head.t_s, side="right") - 1
+            H, y = np.zeros((len(at), 3, D)), np.zeros((len(at), 3, m))
+            for n, share in enumerate(_step(head.t_s - t_s[at])[:, 0].T):
+                H[:, :, 3 * n : 3 * n + 3] = share[:, None, None] * R_so
+            H[:, :, column : column + len(own)] = head.noise.R_sn.as_matrix()[:, own]
+            y[:, :, 0] = (turn - _step(head.t_s - t_s[0])[:, 0] @ trend) @ R_so.T
+            y[:, :, 1 + 3 * h : 4 + 3 * h] = np.eye(3)
+            column += len(own)
+            W = np.linalg.inv(head.covariance_s)
+            HtW = np.swapaxes(H, 1, 2) @ W
+            np.add.at(information, at, HtW @ H)
+            np.add.at(by_rows, at, HtW @ y)
+            squares += np.tensordot(y, W @ y, axes=([0, 1], [0, 1]))
+        return cls(
+            t_s=t_s,
+            begins=np.arange(len(t_s)) == 0,
+            information=information,
+            by_rows=by_rows,
+            squares=squares,
+            variance=np.concatenate([h.noise.correlated_rad[own] ** 2 for h, own in zip(heads, axes)]),
+            time_s=np.concatenate([h.noise.correlation_time_s[own] for h, own in zip(heads, axes)]),
+            trend=trend,
+            step_s=step,
+            white2=float(np.median(np.trace(heads[0].covariance_s, axis1=1, axis2=2)) / 3.0),
+        )
+
+    @classmethod
+    def together(cls, parts: Sequence[_Nodes]) -> _Nodes:
+        """Several passes one after another, each beginning anew; of heads with errors of equal sizes."""
+        names = ("t_s", "begins", "information", "by_rows")
+        return replace(
+            parts[0],
+            squares=sum((part.squares for part in parts), np.zeros_like(parts[0].squares)),
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names},
+        )
+
+
+def _group_starts(t_s: Floats, reach_s: float) -> Ints:
+    """Rows of increasing instants (K,) that begin a group at most `reach_s` long."""
+    rows = [0]
+    while (after := int(np.searchsorted(t_s, t_s[rows[-1]] + reach_s, side="right"))) < len(t_s):
+        rows.append(after)
+    return np.array(rows, dtype=np.int64)
+
+
+def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
+    """Prior information on the states: blocks (N, D, D), those below the diagonal (N - 1, D, D), and the
+    logarithm of its determinant; `q` (3,).
+    """
+    N, D, _ = nodes.information.shape
+    goes = ~nodes.begins[1:]
+    dt = np.diff(nodes.t_s)[goes, None]
+    F, Q_inverse = _step(dt[:, 0]), _spread(dt[:, 0], INVERSE, -1.0)
+    g = np.arange(MOTION, D)
+    decay = np.exp(-dt / nodes.time_s)
+    spread = -np.expm1(-2.0 * dt / nodes.time_s) * nodes.variance
+    diagonal, below = np.zeros((N, D, D)), np.zeros((N - 1, D, D))
+    before, after = np.flatnonzero(goes)[:, None], np.flatnonzero(goes)[:, None] + 1
+    told, back = np.swapaxes(F, 1, 2) @ Q_inverse @ F, -Q_inverse @ F
+    for i, k in np.ndindex(ORDER, ORDER):
+        rows, columns = np.arange(3) + 3 * i, np.arange(3) + 3 * k
+        diagonal[before, rows, columns] += told[:, i, k, None] / q
+        diagonal[after, rows, columns] += Q_inverse[:, i, k, None] / q
+        below[before, rows, columns] = back[:, i, k, None] / q
+    diagonal[before, g, g] += decay**2 / spread
+    diagonal[after, g, g] += 1.0 / spread
+    below[before, g, g] = -decay / spread
+    first = np.flatnonzero(nodes.begins)[:, None]
+    loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
+    diagonal[first, np.arange(MOTION), np.arange(MOTION)] += 1.0 / loose2
+    diagonal[first, g, g] += 1.0 / nodes.variance
+    size = 3.0 * np.linalg.slogdet(INVERSE)[1] * len(dt) - 3.0 * ORDER**2 * np.log(dt).sum()
+    size -= ORDER * len(dt) * np.log(q).sum() + np.log(spread).sum()
+    size -= len(first) * (np.log(nodes.variance).sum() + np.log(loose2).sum())
+    return diagonal, below, float(size)
+
+
+# Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
+_RISES = np.array([factorial(ORDER - 1 - n) for n in range(ORDER)], dtype=float)
+_POWER = 2 * ORDER - 1 - np.add.outer(np.arange(ORDER), np.arange(ORDER))
+COVARIANCE = 1.0 / (_POWER * np.outer(_RISES, _RISES))
+INVERSE = np.linalg.inv(COVARIANCE)
+
+
+def _step(dt: Floats) -> Floats:
+    """(N, ORDER, ORDER) by which x and v become those `dt` (N,) later."""
+    ahead = np.arange(ORDER) - np.arange(ORDER)[:, None]
+    shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in ahead.tolist()])
+    return np.asarray(shares * dt[:, None, None] ** np.maximum(ahead, 0))
+
+
+def _spread(dt: Floats, of_second: Floats, sign: float = 1.0) -> Floats:
+    """(N, ORDER, ORDER) covariance of x and v `dt` (N,) later from that after a second, or the inverse."""
+    return np.asarray(of_second * dt[:, None, None] ** (sign * _POWER))
+
+
+def _factor(diagonal: Floats, below: Floats) -> Floats:
+    """Lower Cholesky factor, banded (2 D, N D), of blocks (N, D, D) and those below them (N - 1, D, D)."""
+    N, D, _ = diagonal.shape
+    band = np.zeros((2 * D, N, D))
+    for column in range(D):
+        band[: D - column, :, column] = diagonal[:, column:, column].T
+        band[D - column : 2 * D - column, :-1, column] = below[:, :, column].T
+    return np.asarray(cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True))
+
+
+def _solved(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, Floats, float]:
+    """The factor; states (N, D, 1 + 3 H) by rows and constants; what is left of the sums of squares,
+    (1 + 3 H, 1 + 3 H); and the logarithm of the likelihood, the constants unknown.
+    """
+    diagonal, below, of_prior = _process(nodes, q)
+    diagonal += nodes.information
+    factor = _factor(diagonal, below)
+    N, D, m = nodes.by_rows.shape
+    right = nodes.by_rows.reshape(N * D, m)
+    states = np.asarray(cho_solve_banded((factor, True), right))
+    left = nodes.squares - right.T @ states
+    left = 0.5 * (left + left.T)
+    known = left[1:, 1:] + np.eye(m - 1) / DIFFUSE_RAD**2
+    chi2 = left[0, 0] - left[0, 1:] @ np.linalg.solve(known, left[1:, 0])
+    size = 2.0 * np.log(factor[0]).sum() - of_prior + np.linalg.slogdet(known)[1]
+    return factor, states.reshape(N, D, m), left, -0.5 * float(size + chi2)
+
+
+def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> Floats:
+    """Densities q (3,) of the rates' random walks, rad²/s³, given the rows of passes of one
+    satellite, with a wide prior about a `stated` one; 0: none.
+    """
+    share = max(MOST_NODES // len(passes), 8)
+    chosen = passes[:: -(-len(passes) * 8 // MOST_NODES)]
+    nodes = _Nodes.together([_centred(heads, share) for heads in chosen])
+
+    def posterior(q: Floats) -> float:
+        away = np.log(q / stated) / SPREAD if stated else np.zeros(3)
+        return _solved(nodes, q)[3] - 0.5 * float(away @ away)
+
+    usual = nodes.white2 * nodes.step_s ** (1 - 2 * ORDER)
+    q = np.full(
+        3, max((usual / one ** (2 * ORDER) for one in WINDOWS), key=lambda q: posterior(np.full(3, q)))
+    )
+    for axis in range(3):
+        tried = q[axis] / NEAR ** (2 * ORDER)
+        fit = np.array([posterior(np.where(np.arange(3) == axis, one, q)) for one in tried])
+        weight = np.exp(fit - fit.max())
+        q[axis] = np.exp(np.log(tried) @ weight / weight.sum())
+    return q
+
+
+def _centred(heads: Sequence[HeadRows], most: int) -> _Nodes:
+    """Nodes of the middle of a pass, the heads brought together in the mean."""
+    t_s = heads[0].t_s
+    here = t_s[max((len(t_s) - most) // 2, 0) :][:most]
+    parts = [one for head in heads if len((one := head.within(here[0], here[-1] + 1e-9)).t_s)]
+    middle = parts[0].R_so[len(here) // 2]
+    turns = [(part.R_so * middle.inv()).as_rotvec() for part in parts]
+    around = [np.array([np.interp(p.t_s, parts[0].t_s, turns[0][:, k]) for k in range(3)]).T for p in parts]
+    off = [np.mean(turn - one, axis=0) for turn, one in zip(turns, around)]
+    moved = [replace(p, R_so=Rotation.from_rotvec(-by) * p.R_so) for p, by in zip(parts, off)]
+    return _Nodes.of(moved, middle)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothedAttitude:
+    """The attitude over a pass as the rows of H heads tell it, at N nodes."""
+
+    t_s: Floats  # (N,) instants of the nodes
+    middle: Rotation  # R_so about which x is small
+    states: Floats  # (N, MOTION, 1 + 3 H) x, v; their change by the constants of each head
+    back: Floats  # (N - 1, D, D) by which a state follows from the next one
+    full: Floats  # (N, D, D) covariance of the states, the constants given
+    q: Floats  # (3,) density of the rates' random walks, rad²/s³
+    constants: Floats  # (m, 1 + 3 H) rows r, T of unit variance: r = T b + noise is told of the constants
+    chi2: float  # weighted sum of squares that the best states and constants leave
+    dof: int  # its degrees of freedom
+
+    @classmethod
+    def of(cls, heads: Sequence[HeadRows], q: Floats) -> SmoothedAttitude:
+        """The attitude by the rows of all heads, the first with at least one."""
+        middle = heads[0].R_so[len(heads[0].t_s) // 2]
+        nodes = _Nodes.of(heads, middle)
+        factor, states, left, _ = _solved(nodes, q)
+        N, D, _ = states.shape
+        L, below = _blocks(factor, N, D)
+        back = -np.linalg.solve(np.swapaxes(L[:-1], 1, 2), np.swapaxes(below, 1, 2))
+        own = np.linalg.inv(L)
+        full = np.swapaxes(own, 1, 2) @ own  # of each state, the next one given
+        for k in range(N - 2, -1, -1):
+            full[k] += back[k] @ full[k + 1] @ back[k].T
+        values, vectors = np.linalg.eigh(left[1:, 1:])
+        seen = slice(3, None)  # a constant that all heads have in common is not seen
+        root = np.sqrt(np.maximum(values[seen], DIFFUSE_RAD**-2))
+        r, T = (vectors[:, seen].T @ left[1:, 0]) / root, root[:, None] * vectors[:, seen].T
+        rows = sum(len(head.t_s) for head in heads)
+        of_motion = states[:, :MOTION] * np.where(np.arange(states.shape[2]), -1.0, 1.0)
+        of_motion[:, :, 0] += (_step(nodes.t_s - nodes.t_s[0]) @ nodes.trend).reshape(N, MOTION)
+        return cls(
+            t_s=nodes.t_s,
+            middle=middle,
+            states=of_motion,
+            back=np.asarray(back, dtype=float),
+            full=full,
+            q=q,
+            constants=np.column_stack([r, T]),
+            chi2=max(float(left[0, 0] - r @ r), 0.0),
+            dof=max(3 * rows - MOTION - len(r), 0),
+        )
+
+    def R_so(self, t_s: Floats) -> Rotation:
+        """Nominal frame to frame s at instants (J,) from a step before the first row to one after the last,
+        without constant errors.
+        """
+        return Rotation.from_rotvec(self._mean(t_s)[:, :, 0]) * self.middle
+
+    def by_constants(self, t_s: Floats) -> Floats:
+        """Rotation (J, 3, 3 H) about the axes of s, at instants (J,), by the constants of each head."""
+        return self._mean(t_s)[:, :, 1:]
+
+    def covariance_s(self, t_s: Floats) -> Floats:
+        """Covariance (J, 3, 3), rad², of the rotation about the axes of s at instants (J,), b given."""
+        k, here, after, s = self._around(t_s)
+        both = self.back[k] @ self.full[k + 1]  # of a state with the next one
+        cross = here @ both @ np.swapaxes(after, 1, 2)
+        total = here @ self.full[k] @ np.swapaxes(here, 1, 2) + cross + np.swapaxes(cross, 1, 2)
+        total += after @ self.full[k + 1] @ np.swapaxes(after, 1, 2)
+        return self._in_s(total + self._bridge(k, s, s)[:, None, None] * np.diag(self.q))
+
+    def root_s(self, t_s: Floats) -> Floats:
+        """Rotation (J, 3, n) about the axes of s, at instants (J,), by n independent errors of unit variance:
+        a root of the joint covariance, the constants given.
+        """
+        J, D = len(t_s), self.full.shape[1]
+        k, here, after, s = self._around(t_s)
+        joint = np.zeros((3 * J, 3 * J))
+        known, done = np.zeros((D, 0)), np.zeros(0, dtype=np.int64)  # a state with rotations later than it
+        last = len(self.t_s) - 1
+        for node in np.unique(k)[::-1].tolist():
+            here_of = np.flatnonzero(k == node)
+            rows = (3 * here_of[:, None] + np.arange(3)).ravel()
+            between = np.eye(D)
+            for later in range(last - 1, node, -1):
+                between = self.back[later] @ between
+            next_one = between @ known
+            both = self.back[node] @ self.full[node + 1]
+            A, B = here[here_of].reshape(-1, D), after[here_of].reshape(-1, D)
+            cross = A @ both @ B.T
+            own = A @ self.full[node] @ A.T + B @ self.full[node + 1] @ B.T + cross + cross.T
+            bridge = self._bridge(np.array([node]), s[here_of, None], s[here_of])
+            joint[np.ix_(rows, rows)] = own + np.kron(bridge, np.diag(self.q))
+            known = self.back[node] @ next_one
+            with_later = A @ known + B @ next_one
+            joint[np.ix_(rows, done)], joint[np.ix_(done, rows)] = with_later, with_later.T
+            known = np.column_stack([known, self.full[node] @ A.T + both @ B.T])
+            done, last = np.concatenate([done, rows]), node
+        largest = float(np.max(np.diag(joint), initial=0.0))
+        root, order, rank, _ = dpstrf(joint, tol=NEGLIGIBLE * largest, lower=1)
+        found = np.zeros((3 * J, rank))
+        found[order - 1] = np.tril(root)[:, :rank]
+        return np.asarray(self.middle.as_matrix() @ found.reshape(J, 3, rank))
+
+    def _mean(self, t_s: Floats) -> Floats:
+        """Rotation (J, 3, 1 + 3 H) about the axes of s: as estimated, and by the constants."""
+        k, here, after, _ = self._around(t_s)
+        both = here[:, :, :MOTION] @ self.states[k] + after[:, :, :MOTION] @ self.states[k + 1]
+        return np.asarray(self.middle.as_matrix() @ both)
+
+    def _in_s(self, covariance: Floats) -> Floats:
+        M = self.middle.as_matrix()
+        return np.asarray(M @ covariance @ M.T)
+
+    def _around(self, t_s: Floats) -> tuple[Ints, Floats, Floats, Floats]:
+        """Node (J,) before each instant, the shares (J, 3, D) of its state and of the next one in the
+        rotation, and the seconds (J,) since it; `ValueError` for an instant beyond the nodes.
+        """
+        outside = ~((t_s >= self.t_s[0]) & (t_s <= self.t_s[-1]))
+        if np.any(outside):
+            span = f"{self.t_s[0]:.6f} ... {self.t_s[-1]:.6f} s"
+            raise ValueError(f"{outside.sum()} of {len(t_s)} instants lie outside the attitudes: {span}")
+        k = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, len(self.t_s) - 2)
+        s, dt = t_s - self.t_s[k], self.t_s[k + 1] - self.t_s[k]
+        by_after = _pinned(s, dt)
+        by_here = _step(s)[:, 0] - (by_after[:, None] @ _step(dt))[:, 0]
+        here, after = np.zeros((2, len(t_s), 3, self.full.shape[1]))
+        for axis in range(3):
+            here[:, axis, axis:MOTION:3], after[:, axis, axis:MOTION:3] = by_here, by_after
+        return k, here, after, s
+
+    def _bridge(self, k: Ints, s: Floats, u: Floats) -> Floats:
+        """Covariance for q = 1 of the rotations s and u seconds after node k, the states at k and the next
+        given.
+        """
+        shape = np.broadcast_shapes(k.shape, s.shape, u.shape)
+        k, s, u = (one.ravel() for one in np.broadcast_arrays(k, s, u))
+        dt = self.t_s[k + 1] - self.t_s[k]
+        first, last = np.minimum(s, u), np.maximum(s, u)
+        free = np.einsum("ni,ni->n", _spread(first, COVARIANCE)[:, 0], _step(last - first)[:, 0])
+        by_next = np.einsum("ni,nik,nk->n", _pinned(s, dt), _spread(dt, COVARIANCE), _pinned(u, dt))
+        return np.asarray(free - by_next).reshape(shape)
+
+
+def _pinned(s: Floats, dt: Floats) -> Floats:
+    """Shares (J, ORDER) of the states at the next node, `dt` after one, in the rotation `s` after it."""
+    left = _spread(s, COVARIANCE)[:, :1] @ np.swapaxes(_step(dt - s), 1, 2)
+    return np.asarray((left @ _spread(dt, INVERSE, -1.0))[:, 0])
+
+
+def smoothed_track(
+    heads: Sequence[HeadRows], nominal: NominalMotion, sigma_alignment_rad: float = 0.0
+) -> AttitudeTrack:
+    """The attitudes of the first of some heads, at its own instants, by the rows of all; alignments of the
+    others are known to `sigma_alignment_rad`, 1-sigma.
+    """
+    found, t_s = SmoothedAttitude.of(heads, most_likely_motion([heads], 0.0)), heads[0].t_s
+    of_heads = [(head.noise.R_sn.as_matrix() * head.noise.constant_rad**2) for head in heads]
+    known = block_diag(*(V @ head.noise.R_sn.as_matrix().T for V, head in zip(of_heads, heads)))
+    known[3:, 3:] += sigma_alignment_rad**2 * np.eye(len(known) - 3)
+    r, T = found.constants[:, 0], found.constants[:, 1:]
+    gain = np.linalg.solve(T @ known @ T.T + np.eye(len(r)), T @ known).T
+    left, by_constants = known - gain @ T @ known, found.by_constants(t_s)
+    R_so = Rotation.from_rotvec(by_constants @ (gain @ r)) * found.R_so(t_s)
+    covariance = found.covariance_s(t_s) + by_constants @ left @ np.swapaxes(by_constants, 1, 2)
+    return AttitudeTrack(t_s, R_so * nominal.R_oi(t_s), nominal, covariance, is_smoothed=True)
+
+
+def _blocks(factor: Floats, N: int, D: int) -> tuple[Floats, Floats]:
+    """Blocks (N, D, D) on the diagonal of a banded factor (2 D, N D), and those below them (N - 1, D, D)."""
+    band = factor.reshape(2 * D, N, D)
+    diagonal, below = np.zeros((N, D, D)), np.zeros((N - 1, D, D))
+    for column in range(D):
+        diagonal[:, column:, column] = band[: D - column, :, column].T
+        below[:, :, column] = band[D - column : 2 * D - column, :-1, column].T
+    return diagonal, below
