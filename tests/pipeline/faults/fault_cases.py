@@ -161,7 +161,7 @@ def judged(case: Case) -> Case:
     parts = ("cause", "item", "text", "file", "field")
     text = ": ".join(str(first[key]) for key in parts if first.get(key)) if first else ""
     named = bool(case["words"]) and is_told(case, text)
-    as_rival = any(is_told(case, f"{rival} {first['text']}") for rival in (first and first["rivals"]) or ())
+    as_rival = any(is_told(case, f"{rival} {first['text']}") for rival in (first or {}).get("rivals") or ())
     own = set(case["own"])
     allowed = own | {name.partition("-")[0] for name in own}  # a target is named with its strip
     accused, left_open = set(), False
