@@ -34,14 +34,17 @@ PERCENT = 1e-2
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
 # Usual size of an error, in its unit, by the beginning of its cause: larger ones are rarer, a size x is less
 # likely than a usual one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure
-# that warms and cools; an orbit's velocity is known as its positions are. The first row that fits counts.
+# that warms and cools; an orbit's velocity is known as its positions are; heights and datums are mistaken by
+# tens of metres. The first row that fits counts.
 USUAL = {
     "clock of the exposures": 10.0,
     "clock of the rows, curved": 1.0,
     "clock of the rows": 10.0,
     "row period": 0.05,
     "lines": 1.0,
+    "orbit or targets, height": 30.0,
     "orbit or targets": 3.0,
+    "datum": 30.0,
     "velocity of the orbit": 1e-3,
     "attitude": 10.0,
     "mounting drifts": 1.0,
@@ -56,10 +59,16 @@ USUAL = {
     "principal point": 1.0,
     "radial distortion": 1.0,
     "line of sight": 1.0,
-    "reference": 3.0,
 }
-RARE = ("mounting", "lines of a strip", "clock of the rows, curved", "length of a CCD", "bend of a CCD")
-RARER = 30.0  # times rarer than what is stated wrong by hand (set by hand)
+# How much rarer than what is stated wrong by hand a cause is, by its beginning (set by hand).
+RARE = {
+    "mounting": 30.0,
+    "lines of a strip": 30.0,
+    "clock of the rows, curved": 30.0,
+    "length of a CCD": 30.0,
+    "bend of a CCD": 30.0,
+    "datum": 3.0,
+}
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
@@ -93,7 +102,7 @@ class Hypothesis(InputError):
     @property
     def rarity(self) -> float:
         """How much rarer its cause is than others."""
-        return RARER if self.cause.startswith(RARE) else 1.0
+        return next((times for cause, times in RARE.items() if self.cause.startswith(cause)), 1.0)
 
     @property
     def remedy(self) -> str:
@@ -157,6 +166,7 @@ Place = tuple[str, tuple[Subject, ...], Bools]
 def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first is named."""
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
+    found += _of_datum(of)
     if len(of.prepared) > 1:
         found += [*_of_attitude(of), *_of_mounting(of), *_of_images(of)]
     found += [*_of_motion(of), *_of_lines(of)]
@@ -380,20 +390,26 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     yield from _in_each(_all_strips(of), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of), rest)
-    yield from _in_each(*_references(of))
 
 
-def _references(of: HypothesisInputs) -> tuple[list[Place], list[Hypothesis]]:
-    """Each ground reference, where targets have several, and its offset."""
-    name, moves = of.column("reference"), np.moveaxis(of.C @ of.column("reference_s"), 2, 0)
-    names = np.unique(name).tolist()
-    places: list[Place] = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
-    axes = (("east", ("east", "west")), ("north", ("north", "south")), ("height", SIZES))
-    words = [(axis, tuple(f"too far {one}" for one in both)) for axis, both in axes[:2]] + [axes[2]]
-    return places, [
-        _error(f"ground reference, {axis}", "m", of.target_files, "reference", change, (more, less))
-        for (axis, (more, less)), change in zip(words, moves)
+def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """Coordinates of targets that are all off alike: of a pass, of all, or of one of several references."""
+    moves = np.moveaxis(-of.C @ of.column("reference_s"), 2, 0)
+    axes = (
+        ("east", ("too far east", "too far west")),
+        ("north", ("too far north", "too far south")),
+        ("height", SIZES),
+    )
+    errors = [
+        _error(f"datum of the targets, {axis}", "m", of.target_files, "", change, words)
+        for (axis, words), change in zip(axes, moves)
     ]
+    # The height of all, or of a pass, is that of the orbit.
+    yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
+    name = of.column("reference")
+    names = np.unique(name).tolist()
+    places = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
+    yield from _in_each(places, [replace(one, field="reference") for one in errors])
 
 
 def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:

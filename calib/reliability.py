@@ -46,6 +46,7 @@ from boresight.calib.joint_solution import (
     squared_over,
 )
 from boresight.calib.moved_input import MovedInput
+from boresight.calib.noise_groups import NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import StarEffects, star_effects, summed
@@ -153,6 +154,10 @@ class Reliability:
     of_bias: tuple[Hypothesis, ...] = scalar(
         "those about the ground, of a largest possible size, that explain its bias", default=()
     )
+    rest: tuple[float, int] | None = scalar(
+        "chi-square that the causes leave, and its degrees of freedom; None: no cause, or one of noise",
+        default=None,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +173,11 @@ class _Fit:
     statistic: Floats  # (J,) of the observations, chi-square of two degrees of freedom
     residual: Floats  # (J, 2) whitened
     variance: Floats  # (J, 2, 2) of the residuals
+
+    def rest(self, limit: float, n: int) -> tuple[float, int]:
+        """Chi-square of the observations kept, of n, and its degrees of freedom."""
+        kept = int(self.kept.sum())
+        return self.criterion - limit * (n - kept), 2 * kept - len(self.theta) - len(self.size)
 
 
 @record(kw_only=True)
@@ -266,9 +276,10 @@ def examine(
         ),
     )
     tests = _tests(one, limits)
-    findings, chosen, last = _causes(one, tests, limits)
-    suspects, of_bias = tuple(_suspects(one, chosen, last)), tuple(_of_bias(one, estimate))
-    return Reliability(tuple(tests), tuple(findings), suspects, of_bias)
+    findings, chosen, last, noise = _causes(one, tests, limits)
+    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
+    rest = last.rest(one.limit, int(one.problem.inside.sum())) if chosen and noise is None else None
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest)
 
 
 def _adjustment(
@@ -391,10 +402,16 @@ def _noncentrality(p: float) -> float:
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
 
 
-def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[Contradiction]:
+def _suspects(
+    one: _Adjustment, chosen: Sequence[int], last: _Fit, noise: NoiseGroup | None
+) -> Iterator[Contradiction]:
     """Observations that the last fit, with the hypotheses `chosen`, rejects: beyond the limit of all of them
-    together, and beyond what the linear form leaves of a large error that concerns them.
+    together, and beyond what the linear form leaves of a large error that concerns them. Where a group has
+    larger errors than stated, it is held against these.
     """
+    if noise:
+        scaled = np.where(noise.inside, last.statistic / noise.factor**2, last.statistic)
+        last = replace(last, statistic=scaled, kept=last.kept | (scaled < one.limit))
     left = NOT_LINEAR * (last.size / last.sigma) ** 2 * np.any(one.B[:, :, chosen] != 0.0, axis=1)
     limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.ccds))) + left.sum(axis=1)
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
@@ -410,12 +427,13 @@ def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[C
 
 def _causes(
     one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings
-) -> tuple[list[Finding], list[int], _Fit]:
+) -> tuple[list[Finding], list[int], _Fit, NoiseGroup | None]:
     """Forward selection: hypotheses that explain more than chance, each beside those before it; their rows,
-    and the fit with all of them as unknowns.
+    and the fit with all of them as unknowns. It ends with a group whose errors are larger than stated, where
+    that explains more than any hypothesis.
     """
     if not _suspicious(one, tests, limits):
-        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0))
+        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minimum(one, []), 0.0
@@ -425,6 +443,19 @@ def _causes(
         trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
+        noise = noisiest(
+            before.statistic,
+            one.limit,
+            limits.sigma_understated,
+            one.strip_id,
+            one.ccds,
+            one.is_star,
+            one.problem.inside,
+        )
+        if noise and noise.gain > max(worth.values(), default=0.0):
+            p_value = float(chdtrc(1, noise.gain)) * n
+            if p_value <= limits.probability_found:
+                return [*findings, _of_noise(one, noise, before, p_value, limits)], chosen, before, noise
         if not gain:
             break
         most = max(worth.values())
@@ -449,7 +480,36 @@ def _causes(
         findings.append(further)
         before = trials[best]
         strongest = max(strongest, gain[best], float((before.size[-1] / before.sigma[-1]) ** 2))
-    return findings, chosen, before
+    return findings, chosen, before, None
+
+
+def _of_noise(
+    one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float, limits: ReliabilitySettings
+) -> Finding:
+    """The finding about a group whose errors are larger than stated, and the matrix with these."""
+    squared = np.where(noise.inside, noise.factor**2, 1.0)
+    kept = one.problem.inside & (before.statistic / squared < one.limit)
+    solution = solve_weighted(one.problem, one.about, kept / squared).solution
+    moved = solution.theta - one.step.solution.theta
+    effect = float(np.sqrt(moved @ one.step.solution.information @ moved))
+    rejected = np.flatnonzero(noise.inside & ~before.kept).tolist()
+    return Finding(
+        cause="noise of the image points or coordinates",
+        item=noise.item,
+        subjects=noise.subjects,
+        text=f"{noise.factor:.2g} times the stated errors: check their stated sigmas, and vibration and "
+        "distortion in dump.toml.",
+        value=noise.factor,
+        sigma=noise.factor / np.sqrt(4.0 * noise.inside.sum()),
+        unit="times the stated",
+        file="dump.toml",
+        field="errors",
+        refutes=effect > limits.harm_sigma and p_value <= limits.probability_refuted,
+        effect_rad=-moved,
+        effect_sigma=effect,
+        p_value=min(p_value, 1.0),
+        explains=tuple(one.subject(n) for n in rejected),
+    )
 
 
 def _is_possible(h: Hypothesis, fit: _Fit) -> bool:

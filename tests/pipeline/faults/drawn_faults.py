@@ -15,12 +15,27 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from faults import LATE, Facts, Fault, edited, faults_of, later, repaint, sized, table, write, write_text
+from faults import (
+    LATE,
+    Facts,
+    Fault,
+    edited,
+    faults_of,
+    ground_moved,
+    later,
+    repaint,
+    sized,
+    table,
+    write,
+    write_text,
+)
 from scipy.spatial.transform import Rotation
 
 __all__ = ["drawn"]
 
-TWO_AT_ONCE = 1 / 6  # share of the cases
+# Shares of the cases: files and conventions that are mistaken, which have no size; two faults at once.
+CONVENTIONS, TWO_AT_ONCE = 0.25, 0.15
+NO_SIZE = ("", "sign", "pair", "day", "strip", "files", "times", "targets", "a strip", "deg")
 Q = ("qx", "qy", "qz", "qw")
 Row = dict[str, str]
 # How an error goes with the part of a strip or of a CCD, 0 to 1, that has passed; `at` is where it steps.
@@ -43,14 +58,18 @@ def drawn(root: Path, seed: int, n: int) -> Fault:
         of_kind = kinds[names[int(rng.integers(len(names)))]]
         return of_kind[int(rng.integers(len(of_kind)))]
 
-    if rng.random() >= TWO_AT_ONCE:
-        return one(sorted(kinds))
-    small = sorted(
-        kind for kind, those in kinds.items() if not any(f.harmless or f.unit == "" for f in those)
+    def has_size(kind: str) -> bool:
+        return not any(fault.harmless or fault.unit in NO_SIZE for fault in kinds[kind])
+
+    with_size = sorted(kind for kind in kinds if has_size(kind))
+    if (what := rng.random()) < CONVENTIONS:
+        return one(sorted(kinds.keys() - set(with_size)))
+    first = one(with_size)
+    return (
+        first
+        if what > CONVENTIONS + TWO_AT_ONCE
+        else both(first, one([kind for kind in with_size if kind != first.kind]))
     )
-    first = one(small)
-    second = one([kind for kind in small if kind != first.kind])
-    return both(first, second)
 
 
 def both(first: Fault, second: Fault) -> Fault:
@@ -128,7 +147,7 @@ def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for kind, column, profile, over, smallest, strips, one, words in rows:
         times, px = sized(smallest, rng, 10.0)
         make = partial(_points, column, profile, over, px, at, strips, one)
-        own = everything if one is None else (name, *facts.strips)
+        own = everything if one is None else (name, *facts.strips, *facts.of_ccds((ccd,), strips))
         item = strip if strips is of_strip else "all" if one is None else name
         yield Fault(kind, item, px, f"px {column}", times, make, words, f"{words[0]}|{strip}", own)
     for place, strips in (("a strip", of_strip), ("all strips", in_all)):
@@ -223,7 +242,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for axis, smallest in (("height", 60.0), ("east", 15.0), ("north", 15.0)):
             times, metres = sized(smallest, rng, 10.0)
             words = (any_of(strips), "height|datum|ground|orbit|clock|attitude|coordinates")
-            make = partial(_ground_moved, facts.listed, strips, axis, metres)
+            make = partial(ground_moved, facts.listed, strips, axis, metres)
             yield Fault(
                 f"ground {axis} {place}".strip(),
                 "/".join(strips[:3]),
@@ -236,20 +255,6 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 (*strips, *facts.ground) if in_chips else strips,
                 harmless=in_chips and axis != "height",
             )
-
-
-def _ground_moved(listed: str, strips: tuple[str, ...], axis: str, metres: float, dump: Path) -> None:
-    def edit(row: Row) -> None:
-        if row.get("strip", row["id"].partition("-")[0]) not in strips:
-            return
-        if axis == "height":
-            row["height_m"] = repr(float(row["height_m"]) + metres)
-            return
-        narrow = np.cos(np.radians(float(row["lat_deg"]))) if axis == "east" else 1.0
-        column = "lon_deg" if axis == "east" else "lat_deg"
-        row[column] = f"{float(row[column]) + metres / (111_200.0 * narrow):.10f}"
-
-    edited(listed, edit, dump)
 
 
 # ---- attitudes and mounting ----

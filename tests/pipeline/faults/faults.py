@@ -125,6 +125,22 @@ def toml_number(name: str, key: str, edit: Callable[[float], float], which: int 
     write_text(dump / name, pattern.sub(replaced, (dump / name).read_text()))
 
 
+def ground_moved(listed: str, strips: tuple[str, ...], axis: str, metres: float, dump: Path) -> None:
+    """Coordinates of the targets of some strips, of all where none is named, moved east, north or in height."""
+
+    def edit(row: dict[str, str]) -> None:
+        if strips and row.get("strip", row["id"].partition("-")[0]) not in strips:
+            return
+        if axis == "height":
+            row["height_m"] = repr(float(row["height_m"]) + metres)
+            return
+        narrow = np.cos(np.radians(float(row["lat_deg"]))) if axis == "east" else 1.0
+        column = "lon_deg" if axis == "east" else "lat_deg"
+        row[column] = f"{float(row[column]) + metres / (111_200.0 * narrow):.10f}"
+
+    edited(listed, edit, dump)
+
+
 def states(edit: Callable[[np.ndarray, np.ndarray, np.ndarray], None], dump: Path) -> None:
     """Change the positions (K, 3), km, and velocities of the orbit; its times (K,) are given in s."""
     head, mark, body = (dump / "orbit.oem").read_text().partition("META_STOP\n")
@@ -185,6 +201,14 @@ class Facts:
     @property
     def star_images(self) -> bool:
         return (self.root / "exposures.csv").is_file()
+
+    def of_ccds(self, ccds: tuple[int, ...], strips: tuple[str, ...]) -> tuple[str, ...]:
+        """Ids of the measured points in some CCDs of some strips."""
+        if self.listed != "points.csv":
+            return ()
+        header, *rows = table(self.root / "points.csv")
+        cells = [dict(zip(header, row)) for row in rows]
+        return tuple(one["id"] for one in cells if int(one["ccd"]) in ccds and one["strip"] in strips)
 
     @property
     def of_ground(self) -> tuple[str, ...]:
@@ -389,6 +413,7 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for strip in facts.strips:
         first = int(rng.integers(0, facts.ccds - 1))
         make, own = partial(exchanged, strip, first, first + 1), (f"CCD {first}", f"CCD {first + 1}", strip)
+        own = (*own, *facts.of_ccds((first, first + 1), (strip,)))
         words = (strip, f"ccd {first}\\b|ccds? {first} and", "exchang|swap|file")
         yield Fault(
             "CCD files exchanged", f"{strip} CCD {first}/{first + 1}", 1, "files", 30.0, make, words, "", own
@@ -852,16 +877,13 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             "m",
             times,
             partial(one, name, partial(add, "height_m", metres)),
-            (name, "height"),
+            (name,),
             "height",
             (name,),
         )
-    for column, axis, scale in (
-        ("lat_deg", "north", metres_per_deg),
-        ("lon_deg", "east", 0.81 * metres_per_deg),
-    ):
+    for axis in ("north", "east"):
         for times, metres in [sized(12.0, rng)]:
-            make = partial(edited, listed, partial(add, column, metres / scale))
+            make = partial(ground_moved, listed, (), axis, metres)
             yield Fault(
                 f"all targets {axis}",
                 "",
