@@ -142,6 +142,11 @@ class HypothesisInputs:
         """Pass (J,) of each target."""
         return np.repeat(np.arange(len(self.prepared)), [len(one.ccd) for one in self.prepared])
 
+    def subject(self, row: int) -> Subject:
+        """The observation of a row."""
+        is_star, strip, name, ccd = (self.column(n)[row] for n in ("is_star", "strip", "target_id", "ccd"))
+        return Subject(Kind.STAR if is_star else Kind.TARGET, strip=str(strip), ccd=int(ccd), id=str(name))
+
     def in_c(self, change_s: Floats) -> Floats:
         """Vectors (J, 3) of frame s in the frame of each target's camera."""
         return turned(self.C, change_s)
