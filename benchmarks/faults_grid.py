@@ -3,11 +3,12 @@
     python benchmarks/faults_grid.py [--cases 24] [--seed 1] [--dump points]
     python benchmarks/faults_grid.py --cases 600 --work WORK --minutes 25
 
-Faults that `tests/pipeline/faults/drawn_faults.py` draws by a seed (kind, place, profile, size, two at once)
-are put into copies of the dumps of `fault_dumps.py` in turn and calibrated by the command `boresight calibrate
---json --no-report`, in a process forked from one that has imported everything; what the fault leaves unchanged
-comes from the store of the sound dump's result. How a case is judged says `fault_cases.py`. With --work a run
-goes on where an earlier one of the same commit ended: WORK/faults_grid.jsonl keeps a line for each case.
+Faults that `tests/pipeline/faults/drawn_faults.py` draws by a seed (kind, place, profile, size, two at
+once) are put into copies of the dumps of `fault_dumps.py` in turn and calibrated by the command `boresight
+calibrate --json --no-report`, in a process forked from one that has imported everything; what the fault
+leaves unchanged comes from the store of the sound dump's result. How a case is judged says `fault_cases.py`.
+With --work a run goes on where an earlier one of the same commit ended: WORK/faults_grid.jsonl keeps a line
+for each case.
 """
 
 from __future__ import annotations
@@ -27,7 +28,6 @@ import record  # of this folder; sets the number of threads before NumPy is load
 
 sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
 
-import numpy as np  # isort: skip
 from drawn_faults import drawn
 from fault_cases import Case, calibrated, case_of, imported, is_asked, judged, true_rotation
 from fault_dumps import DUMPS, linked, sound_dump
@@ -132,7 +132,8 @@ def line_of(case: Case) -> str:
     flag += f"innocents {','.join(found['innocents'][:6])} " if found["innocents"] else ""
     flag += "" if found["named"] or case["harmless"] else "not named "
     return (
-        f"{case['dump']:8s} {case['seed']} {case['name'][:64]:44s} x{case['times']:<4.3g} exit {case['exit']} "
+        f"{case['dump']:8s} {case['seed']} {case['name'][:64]:44s} x{case['times']:<4.3g} "
+        f"exit {case['exit']} "
         f"{case['verdict'][:22]:22s} NEES {nees:>8s} {errors:24s} {flag}| {found['first'][:170]}"
     )
 

@@ -613,10 +613,13 @@ def _finding(
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
     others = _rivals(h, [one.table[n] for n in rivals if n != best])
+    excluded = _excluded(one, best, trials, rivals, before) if not others else None
     parts = [f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others]
     while len(f"{h.cause} {h.item} {text}{''.join(parts)}".split()) > MOST_WORDS and len(parts) > 1:
         parts, others = parts[:-1], others[:-1]
     text += "".join(parts)
+    if excluded and len(f"{h.cause} {h.item} {text}; not {_named(excluded)}".split()) <= MOST_WORDS:
+        text += f"; not {_named(excluded)}"
     return Finding(
         cause=h.cause,
         item=h.item,
@@ -641,6 +644,19 @@ def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     alike = [other for other in others if other.cause == h.cause][:MOST_RIVALS]
     another = [other for other in others if other.cause != h.cause][:1]
     return [*alike, *(another if len(alike) < MOST_RIVALS else ())]
+
+
+def _excluded(
+    one: _Adjustment, best: int, trials: Mapping[int, _Fit], rivals: Sequence[int], before: _Fit
+) -> Hypothesis | None:
+    """The cause of another kind that explains most of what the `best` one does, but for what excludes it."""
+    gain = {n: before.criterion - fit.criterion for n, fit in trials.items()}
+    others = [
+        n
+        for n in trials
+        if n not in rivals and one.table[n].cause != one.table[best].cause and 2.0 * gain[n] > gain[best]
+    ]
+    return one.table[max(others, key=lambda n: gain[n])] if others else None
 
 
 def _named(h: Hypothesis) -> str:

@@ -1,5 +1,5 @@
-"""Faults drawn by a seed: what is wrong, where, how it goes with time or over the field, how large it is, and in
-one case of six a second fault beside it.
+"""Faults drawn by a seed: what is wrong, where, how it goes with time or over the field, how large it is, and
+in some cases a second fault beside it.
 
 To the kinds of `faults.faults_of` come profiles of what was measured or stated: rows, samples, ground,
 attitudes and image lines that jump, drift, bend, scatter or are cut to a step, in a strip, several strips, a
@@ -31,11 +31,12 @@ from faults import (
 )
 from scipy.spatial.transform import Rotation
 
-__all__ = ["drawn"]
+__all__ = ["both", "by_kind", "drawn"]
 
 # Shares of the cases: files and conventions that are mistaken, which have no size; two faults at once.
 CONVENTIONS, TWO_AT_ONCE = 0.25, 0.15
 NO_SIZE = ("", "sign", "pair", "day", "strip", "files", "times", "targets", "a strip", "deg")
+BENT = "curved|row|clock|drift|bends"
 Q = ("qx", "qy", "qz", "qw")
 Row = dict[str, str]
 # How an error goes with the part of a strip or of a CCD, 0 to 1, that has passed; `at` is where it steps.
@@ -50,9 +51,7 @@ PROFILES: dict[str, Callable[[float, float], float]] = {
 def drawn(root: Path, seed: int, n: int) -> Fault:
     """Case `n` of a dump."""
     rng = np.random.default_rng([seed, n])
-    kinds = defaultdict[str, list[Fault]](list)
-    for fault in (*faults_of(root, rng), *_profiles(Facts.of(root), rng)):
-        kinds[fault.kind].append(fault)
+    kinds = by_kind(root, rng)
 
     def one(names: list[str]) -> Fault:
         of_kind = kinds[names[int(rng.integers(len(names)))]]
@@ -70,6 +69,14 @@ def drawn(root: Path, seed: int, n: int) -> Fault:
         if what > CONVENTIONS + TWO_AT_ONCE
         else both(first, one([kind for kind in with_size if kind != first.kind]))
     )
+
+
+def by_kind(root: Path, rng: np.random.Generator) -> dict[str, list[Fault]]:
+    """All kinds of a dump, each in all its places, of sizes that `rng` draws."""
+    kinds = defaultdict[str, list[Fault]](list)
+    for fault in (*faults_of(root, rng), *_profiles(Facts.of(root), rng)):
+        kinds[fault.kind].append(fault)
+    return dict(kinds)
 
 
 def both(first: Fault, second: Fault) -> Fault:
@@ -127,7 +134,7 @@ def any_of(names: tuple[str, ...]) -> str:
 
 
 def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
-    """Rows and samples of points: lines lost or twice, bent clocks, CCDs that are longer or bent, more noise."""
+    """Rows and samples of points: lines lost or twice, bent clocks, longer or bent CCDs, more noise."""
     strip = facts.strips[int(rng.integers(len(facts.strips)))]
     ccd, at = int(rng.integers(facts.ccds)), float(rng.uniform(0.25, 0.75))
     name, camera = f"CCD {ccd}", f"ccd {ccd}\\b"
@@ -137,8 +144,8 @@ def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         # kind, column, profile of it, over which column, smallest px, strips, CCD, words
         ("lines lost", "line", "step", "line", 0.5, of_strip, None, (any_of(of_strip), "lines|row|clock")),
         ("lines lost in a CCD", "line", "step", "line", 1.0, of_strip, ccd, (camera, "lines|image|place")),
-        ("rows bent", "line", "bend", "line", 0.7, of_strip, None, (any_of(of_strip), "curved|row|clock|drift")),
-        ("rows bent in all strips", "line", "bend", "line", 0.4, in_all, None, ("curved|row|clock|drift",)),
+        ("rows bent", "line", "bend", "line", 0.7, of_strip, None, (any_of(of_strip), BENT)),
+        ("rows bent in all strips", "line", "bend", "line", 0.4, in_all, None, (BENT,)),
         ("image of a CCD", "sample", "constant", "line", 0.7, of_strip, ccd, (camera, "image|place")),
         ("image of a CCD", "line", "constant", "line", 0.7, of_strip, ccd, (camera, "image|place|lines")),
         ("CCD longer", "sample", "drift", "sample", 0.5, in_all, ccd, (camera, "length|place")),
@@ -168,7 +175,7 @@ def _points(
     ccd: int | None,
     dump: Path,
 ) -> None:
-    """Points of some strips, in one CCD or all, moved along a profile over the lines or samples of each strip."""
+    """Points of some strips, in one CCD or all, moved along a profile over lines or samples."""
     header, *rows = table(dump / "points.csv")
     cells = [dict(zip(header, row)) for row in rows]
     for strip in strips:
@@ -222,7 +229,7 @@ def _of_lines(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         ("lines lost in a CCD", (ccd,), (f"CCD {ccd}", strip), (f"ccd {ccd}\\b|{strip}", "line|image|place")),
     ):
         times, size = sized(1.0, rng, 20.0)
-        n = int(round(size)) or 1
+        n = round(size) or 1
         make = partial(painted, ccds, partial(lines, n))
         yield Fault(kind, strip, n, "rows", times, make, words, strip, own)
     for kind, value in (("strip saturated", 1), ("strip dark", 0)):
@@ -280,8 +287,8 @@ def _of_mounting(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 "mounting|attitude|clock|row period|line of sight|orbit or targets|strips|curved",
                 any_of(facts.strips) if profile in ("from", "in", "drift in") else "",
             )
-            yield Fault(kind, f"{axis} {facts.strips[min(k, len(facts.strips) - 1)]}", arcsec, "arcsec", times,
-                        make, words, blind, ("*",))  # fmt: skip
+            item = f"{axis} {facts.strips[min(k, len(facts.strips) - 1)]}"
+            yield Fault(kind, item, arcsec, "arcsec", times, make, words, blind, ("*",))
     for head in facts.heads:
         times, factor = sized(2.0, rng, 5.0)
         make = partial(_noisy, head, abs(factor), int(rng.integers(1 << 30)))
@@ -407,13 +414,21 @@ def _catalogue(kind: str, size: float, dump: Path) -> None:
         R = erfa.pmat06(2451545.0, (size - 2000.0) * 365.25)
         xyz = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]).T @ R.T
         ra, dec = np.arctan2(xyz[:, 1], xyz[:, 0]) % (2 * np.pi), np.arcsin(xyz[:, 2])
-    header = "source_id,ra,dec,ref_epoch,pmra,pmdec,phot_g_mean_mag,ra_error,dec_error,pmra_error,pmdec_error"
+    columns = {
+        "source_id": stars.hip,
+        "ra": np.degrees(ra),
+        "dec": np.degrees(dec),
+        "ref_epoch": np.full(len(ra), epoch),
+        "pmra": pm[0] / MAS,
+        "pmdec": pm[1] / MAS,
+        "phot_g_mean_mag": stars.v_mag,
+    }
+    columns |= dict.fromkeys(("ra_error", "dec_error"), survey.sigma_rad / MAS)
+    columns |= dict.fromkeys(("pmra_error", "pmdec_error"), survey.sigma_pm_rad_yr / MAS)
     lines = [
-        f"{n},{np.degrees(a):.9f},{np.degrees(d):.9f},{epoch:.3f},{p:.3f},{q:.3f},{v:.3f},{s:.3f},{s:.3f},{m:.3f},{m:.3f}"
-        for n, a, d, p, q, v, s, m in zip(
-            stars.hip.tolist(), ra, dec, *(pm / MAS), stars.v_mag, survey.sigma_rad / MAS, survey.sigma_pm_rad_yr / MAS
-        )
-    ]  # fmt: skip
-    (dump / "stars.csv").write_text("\n".join([header, *lines]) + "\n")
+        ",".join(columns),
+        *(",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns.values()))),
+    ]
+    (dump / "stars.csv").write_text("\n".join(lines) + "\n")
     text = (dump / "dump.toml").read_text()
     write_text(dump / "dump.toml", text.replace("[files]\n", '[files]\nstar_catalogue = "stars.csv"\n'))

@@ -160,6 +160,7 @@ def judged(case: Case) -> Case:
     first = case["told"][0] if case["told"] else None
     parts = ("cause", "item", "text", "file", "field")
     text = ": ".join(str(first[key]) for key in parts if first.get(key)) if first else ""
+    text = re.sub(r"; not [^.;]*", "", text)  # a cause that is excluded
     named = bool(case["words"]) and is_told(case, text)
     as_rival = any(is_told(case, f"{rival} {first['text']}") for rival in (first or {}).get("rivals") or ())
     own = set(case["own"])

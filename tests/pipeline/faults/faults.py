@@ -126,7 +126,7 @@ def toml_number(name: str, key: str, edit: Callable[[float], float], which: int 
 
 
 def ground_moved(listed: str, strips: tuple[str, ...], axis: str, metres: float, dump: Path) -> None:
-    """Coordinates of the targets of some strips, of all where none is named, moved east, north or in height."""
+    """Targets of some strips, of all where none is named, moved east, north or in height."""
 
     def edit(row: dict[str, str]) -> None:
         if strips and row.get("strip", row["id"].partition("-")[0]) not in strips:
@@ -223,7 +223,7 @@ LATE = "late|early|clock|time|ms"
 
 
 def faults_of(root: Path, rng: np.random.Generator) -> Iterator[Fault]:
-    """Every kind of fault in each place of a dump; `rng` draws sizes, signs and those targets that are hit."""
+    """Every kind of fault in each place of a dump; `rng` draws sizes, signs and targets that are hit."""
     facts = Facts.of(root)
     for maker in (
         _of_times,
