@@ -52,7 +52,7 @@ class Benchmark:
 
 BENCHMARKS = (
     Benchmark("star_hard", "--frames 4", "--frames 80", peer="peers"),
-    Benchmark("faults_grid", "--cases 40", "--cases 0 --minutes 600"),
+    Benchmark("faults_grid", "--cases 40", "--cases 600 --minutes 60"),
     Benchmark("star_cameras", "--sets 1", "--sets 10"),
     Benchmark("clean_campaigns", "--sightings 200 --dumps 10", "--sightings 3000 --dumps 100"),
     Benchmark("end_to_end mini", "--seeds 6", "--seeds 100"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -112,13 +113,20 @@ def calibrate_strips(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
-    passes, cameras, start = _passes(strips, settings), *_matrices(strips, R_cs0)
-    found = _calibrated(passes, cameras, start, settings, interior)
+    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior)
+    found = _calibrated(passes, start)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
-    heads = ("", *unknown_heads(passes))
-    trials = [_without(passes, head, cameras, start, settings, interior) for head in heads]
+    trials = [_without(passes, head, start) for head in ("", *unknown_heads(passes))]
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    cameras: tuple[str, ...]
+    R_cs0: Rotation  # (C,) of several
+    settings: CalibrationSettings
+    interior: InteriorModel | None
 
 
 def _matrices(
@@ -154,18 +162,11 @@ def _contradict(agreement: HeadAgreement) -> bool:
     return any(dof > 0 and chdtrc(dof, statistic) < HEADS_PROBABILITY for dof, statistic in tests)
 
 
-def _without(
-    strips: Sequence[StripSightings],
-    head: str,
-    cameras: tuple[str, ...],
-    R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
-) -> WithoutHead | None:
+def _without(strips: Sequence[StripSightings], head: str, start: _Start) -> WithoutHead | None:
     """Statistics of the estimate without one head; None where nothing can be estimated without it."""
     strips = aligned(strips, {name: measured_alignment(strips, name) for name in unknown_heads(strips)})
     rest = [without_head(strip, head) for strip in strips]
-    found = _calibrated(rest, cameras, R_cs0, settings, interior)
+    found = _calibrated(rest, start)
     if isinstance(found, NotObservable):
         return None
     rejected = sum(entry.reason is Reason.TARGET_RESIDUAL for entry in found.rejected)
@@ -173,18 +174,12 @@ def _without(
     return WithoutHead(head=head, chi2=total, dof=found.dof + found.agreement.dof)
 
 
-def _calibrated(
-    strips: Sequence[StripSightings],
-    cameras: tuple[str, ...],
-    R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
-) -> InstallationEstimate | NotObservable:
+def _calibrated(strips: Sequence[StripSightings], start: _Start) -> InstallationEstimate | NotObservable:
     """The estimate from passes, about the alignments of heads that the attitudes measure or, of heads that
     were never on together with another, that the targets show.
     """
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
-    found = _about(strips, cameras, R_cs0, settings, interior)
+    found = _about(strips, start)
     for _ in range(MOST_ALIGNMENTS):
         if isinstance(found, NotObservable):
             break
@@ -192,21 +187,16 @@ def _calibrated(
         if largest_turn(strips, better) < NEGLIGIBLE_TURN_RAD:
             break
         strips = aligned(strips, better)
-        found = _about(strips, cameras, R_cs0, settings, interior)
+        found = _about(strips, start)
     return found
 
 
-def _about(
-    strips: Sequence[StripSightings],
-    cameras: tuple[str, ...],
-    R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
-) -> InstallationEstimate | NotObservable:
+def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstimate | NotObservable:
     """The estimate about the alignments of heads that the strips assume."""
+    R_cs0, settings = start.R_cs0, start.settings
     of_heads = [carried(strip) for strip in strips]
-    prepared = prepare_strips(of_heads, settings, cameras)
-    problem = Problem.of(prepared, settings, interior, cameras)
+    prepared = prepare_strips(of_heads, settings, start.cameras)
+    problem = Problem.of(prepared, settings, start.interior, start.cameras)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -328,16 +318,17 @@ def _residuals(
     statistic[covered] = squared_mahalanobis(fit.step)[problem.inside]
     detectable[covered] = detectable_bias(fit.step, test.noncentrality)[problem.inside]
     residual[covered] = fit.step.residual_c[problem.inside]
-    strip_id = np.concatenate([strip.strip for strip in prepared])
-    order = np.argsort(strip_id, kind="stable")
+
+    def column(name: str) -> Any:
+        return np.concatenate([getattr(strip, name) for strip in prepared])
+
+    order = np.argsort(column("strip"), kind="stable")
     place = np.argsort(order)[rows]  # row of each target of the problem
+    names = {"strip_id": "strip"} | {
+        name: name for name in ("camera", "target_id", "ccd", "sample", "is_star")
+    }
     return TargetResiduals(
-        strip_id=strip_id[order],
-        camera=np.concatenate([strip.camera for strip in prepared])[order],
-        target_id=np.concatenate([strip.target_id for strip in prepared])[order],
-        ccd=np.concatenate([strip.ccd for strip in prepared])[order],
-        sample=np.concatenate([strip.sample for strip in prepared])[order],
-        is_star=np.concatenate([strip.is_star for strip in prepared])[order],
+        **{field: column(name)[order] for field, name in names.items()},
         residual_c=residual[order],
         statistic=statistic[order],
         weight=weight[order],

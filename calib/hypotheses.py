@@ -8,19 +8,19 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.moved_input import SIZES, InputError, MovedInput
 from boresight.calib.star_camera_error import StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
@@ -34,17 +34,21 @@ PERCENT = 1e-2
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
 # Usual size of an error, in its unit, by the beginning of its cause: larger ones are rarer, a size x is less
 # likely than a usual one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure
-# that warms and cools; an orbit's velocity is known as its positions are. The first row that fits counts.
+# that warms and cools; an orbit's velocity is known as its positions are; heights and datums are mistaken by
+# tens of metres. The first row that fits counts.
 USUAL = {
     "clock of the exposures": 10.0,
     "clock of the rows, curved": 1.0,
     "clock of the rows": 10.0,
     "row period": 0.05,
     "lines": 1.0,
+    "orbit or targets, height": 30.0,
     "orbit or targets": 3.0,
+    "datum": 30.0,
     "velocity of the orbit": 1e-3,
     "attitude": 10.0,
     "mounting drifts": 1.0,
+    "mounting bends": 1.0,
     "mounting": 10.0,
     "place of": 0.5,
     "rotation of a CCD": 0.5,
@@ -55,35 +59,31 @@ USUAL = {
     "principal point": 1.0,
     "radial distortion": 1.0,
     "line of sight": 1.0,
-    "reference": 3.0,
 }
-RARE = ("mounting", "lines of a strip", "clock of the rows, curved", "length of a CCD", "bend of a CCD")
-RARER = 30.0  # times rarer than what is stated wrong by hand (set by hand)
-SIZES = ("too large", "too small")  # a positive and a negative size in words
+# How much rarer than what is stated wrong by hand a cause is, by its beginning (set by hand).
+RARE = {
+    "mounting": 30.0,
+    "lines of a strip": 30.0,
+    "clock of the rows, curved": 30.0,
+    "length of a CCD": 30.0,
+    "bend of a CCD": 30.0,
+    "datum": 3.0,
+}
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
+CAMERA_FILE, MOVES = "remote_camera.toml", "temperatures and manoeuvres"  # what findings tell to look at
 
 
 @record(kw_only=True)
-class Hypothesis:
-    """One kind of error of one input."""
+class Hypothesis(InputError):
+    """One kind of error of one input, and what one unit of it does."""
 
-    cause: str = scalar('what is wrong: "clock of a strip"')
-    item: str = scalar('what it concerns, in words: "strip s02"')
-    subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
-    unit: str = scalar("of its size")
-    words: tuple[str, str] = scalar(
-        "a positive and a negative size in words, behind the number", default=SIZES
-    )
-    file: str = scalar("file of the dump that states the input")
-    field: str = scalar("field of that file")
     change_c: Floats = array(
         "J, 3", "change of u_c - w by one unit, frame c, rad; J targets in order of strips"
     )
     star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
-    most: float = scalar("largest size that is possible", default=np.inf)
 
     @property
     def largest(self) -> float:
@@ -102,7 +102,7 @@ class Hypothesis:
     @property
     def rarity(self) -> float:
         """How much rarer its cause is than others."""
-        return RARER if self.cause.startswith(RARE) else 1.0
+        return next((times for cause, times in RARE.items() if self.cause.startswith(cause)), 1.0)
 
     @property
     def remedy(self) -> str:
@@ -137,6 +137,16 @@ class HypothesisInputs:
         """Angle (J, 1) of a pixel of each target's camera."""
         return np.broadcast_to(self.pixel_rad, len(self.cameras))[self.column("camera"), None]
 
+    @property
+    def number(self) -> Ints:
+        """Pass (J,) of each target."""
+        return np.repeat(np.arange(len(self.prepared)), [len(one.ccd) for one in self.prepared])
+
+    def subject(self, row: int) -> Subject:
+        """The observation of a row."""
+        is_star, strip, name, ccd = (self.column(n)[row] for n in ("is_star", "strip", "target_id", "ccd"))
+        return Subject(Kind.STAR if is_star else Kind.TARGET, strip=str(strip), ccd=int(ccd), id=str(name))
+
     def in_c(self, change_s: Floats) -> Floats:
         """Vectors (J, 3) of frame s in the frame of each target's camera."""
         return turned(self.C, change_s)
@@ -154,44 +164,17 @@ class HypothesisInputs:
 HypothesisTable = Callable[[HypothesisInputs], list[Hypothesis]]
 
 
-@dataclass(frozen=True)
-class _InputError:
-    """One error of an input, one unit large, at all targets: where it is, a scope says."""
-
-    cause: str
-    unit: str
-    words: tuple[str, str]
-    file: str
-    field: str
-    change_c: Floats  # (J, 3)
-
-
 # What an error concerns: in words, as subjects, and its targets (J,).
 Place = tuple[str, tuple[Subject, ...], Bools]
-
-
-def _in_each(places: Iterable[Place], errors: Sequence[_InputError]) -> Iterator[Hypothesis]:
-    """A hypothesis for each error in each place of its scope."""
-    for item, subjects, here in places:
-        for one in errors:
-            yield Hypothesis(
-                cause=one.cause,
-                item=item,
-                subjects=subjects,
-                unit=one.unit,
-                words=one.words,
-                file=one.file,
-                field=one.field,
-                change_c=one.change_c * here[:, None],
-            )
 
 
 def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """All hypotheses, those of many observations first: of two that explain the same the first is named."""
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
+    found += _of_datum(of)
     if len(of.prepared) > 1:
         found += [*_of_attitude(of), *_of_mounting(of), *_of_images(of)]
-    found += [*_of_drift(of), *_of_lines(of)]
+    found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
     return [one for one in found if np.any(one.change_c)]
@@ -202,25 +185,19 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
     prepared, (u_c, across) = of.prepared, of.looks()
-    every = _all("all frames", prepared)
+    every = _all("all frames", of)
     origin = [
-        _InputError(
-            f"origin of the look vectors, {'xy'[axis]} of c", "″", SIZES, "w_c", "", of.pixel * column
+        _error(
+            f"origin of the look vectors, {'xy'[axis]} of c", "″", "w_c", "", of.pixel * across[:, :, axis]
         )
-        for axis, column in enumerate(np.moveaxis(across, 2, 0)[:2])
+        for axis in (0, 1)
     ]
     found = list(_in_each(every, origin))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
     if 1 < len(prepared) <= MOST_FRAMES:
-        frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(prepared)))
-        axes = [
-            _InputError(
-                f"attitude of a frame, about {'xyz'[axis]} of c", "″", SIZES, "v_stars, v_targets", "", turn
-            )
-            for axis, turn in enumerate(of.turns())
-        ]
-        found += _in_each(frames, axes)
+        frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
+        found += _in_each(frames, _turns(of, "attitude of a frame, about {} of c", "v_stars, v_targets"))
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -229,31 +206,58 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     return [one for one in found if np.any(one.change_c)]
 
 
-def _passes(prepared: Sequence[PreparedStrip]) -> Iterator[Place]:
-    """Each pass."""
-    number = np.repeat(np.arange(len(prepared)), [len(one.ccd) for one in prepared])
-    for n, one in enumerate(prepared):
-        strips = tuple(Subject(Kind.STRIP, strip=name) for name in np.unique(one.strip).tolist())
-        yield f"{'pass of ' if len(strips) > 1 else ''}strip {one.strip_id}", strips, number == n
+def _error(
+    cause: str, unit: str, file: str, field: str, change_c: Floats, words: tuple[str, str] = SIZES
+) -> Hypothesis:
+    """An error of an input at all targets: where it is, a place says."""
+    return Hypothesis(cause=cause, unit=unit, words=words, file=file, field=field, change_c=change_c)
 
 
-def _all(item: str, prepared: Sequence[PreparedStrip]) -> list[Place]:
+def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+    """A hypothesis for each error in each place."""
+    for item, subjects, here in places:
+        for one in errors:
+            yield replace(one, item=item, subjects=subjects, change_c=one.change_c * here[:, None])
+
+
+# --- Places
+
+
+def _all(item: str, of: HypothesisInputs) -> list[Place]:
     """All targets."""
-    return [(item, (), np.ones(sum(len(one.ccd) for one in prepared), dtype=bool))]
+    return [(item, (), np.ones(len(of.number), dtype=bool))]
 
 
-def _all_strips(prepared: Sequence[PreparedStrip]) -> list[Place]:
+def _all_strips(of: HypothesisInputs) -> list[Place]:
     """All strips, where they are of several passes."""
-    return _all("all strips", prepared) if len(prepared) > 1 else []
+    return _all("all strips", of) if len(of.prepared) > 1 else []
 
 
-def _strips_within(of: HypothesisInputs) -> Iterator[Place]:
-    """Each strip of passes of several: errors of one strip's rows in strips.csv."""
+def _passes(of: HypothesisInputs) -> Iterator[Place]:
+    """Each pass."""
+    for n, one in enumerate(of.prepared):
+        strips = tuple(Subject(Kind.STRIP, strip=name) for name in np.unique(one.strip).tolist())
+        yield f"{'pass of ' if len(strips) > 1 else ''}strip {one.strip_id}", strips, of.number == n
+
+
+def _strips(of: HypothesisInputs, fewest: int = 1) -> Iterator[Place]:
+    """Each strip of the passes that have so many at least."""
     strip = of.column("strip")
     for one in of.prepared:
         names = np.unique(one.strip).tolist()
-        for name in names if len(names) > 1 else ():
-            yield f"strip {name}", (Subject(Kind.STRIP, strip=name),), strip == name
+        for name in names if len(names) >= fewest else ():
+            subject = Subject(Kind.STRIP, strip=name)
+            yield subject.words, (subject,), strip == name
+
+
+def _images(of: HypothesisInputs) -> Iterator[Place]:
+    """Each CCD in each strip of the passes that have several CCDs."""
+    strip, ccd = of.column("strip"), of.column("ccd")
+    for one in of.prepared:
+        several = len(np.unique(one.ccd)) > 1
+        for name, number in sorted(set(zip(one.strip.tolist(), one.ccd.tolist()))) if several else ():
+            subject = Subject(Kind.CCD, strip=name, ccd=number)
+            yield subject.words, (subject,), (strip == name) & (ccd == number)
 
 
 def _cameras(of: HypothesisInputs) -> Iterator[Place]:
@@ -264,78 +268,76 @@ def _cameras(of: HypothesisInputs) -> Iterator[Place]:
         yield subject.words, (subject,) if name else (), camera == n
 
 
+def _later_passes(of: HypothesisInputs) -> Iterator[Place]:
+    """All passes from one on, in order of time; from the second or the last on it is an error of one pass."""
+    when = np.array([float(min(one.t_s, default=np.inf)) for one in of.prepared])
+    order = np.argsort(when, kind="stable")
+    before = np.argsort(order, kind="stable")[of.number]  # (J,) how many passes came before
+    for n in range(2, min(len(order) - 1, MOST_JUMPS)):
+        subject = Subject(Kind.STRIP, strip=of.prepared[order[n]].strip_id)
+        yield f"from {subject.words} on", (subject,), before >= n
+
+
+# --- Times of rows
+
+
 def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Rows dated late, and a period of the rows that is too long."""
-    late_c = of.in_c(-of.column("late_s"))  # rows dated late by 1 s
-    since = np.concatenate([_since_first_row(one) for one in of.prepared])[:, None]
-    late = _InputError(
-        "clock of the rows", "ms", ("too late", "too early"), "strips.csv", "utc_first_row", MILLI * late_c
+    """Rows dated late, a period of the rows that is too long, and a clock that bends."""
+    late = _late(of)
+    long = _error(
+        "row period",
+        "%",
+        "strips.csv",
+        "row_period_s",
+        PERCENT / MILLI * _since_first_row(of)[:, None] * late.change_c,
+        ("too long", "too short"),
     )
-    long = _InputError(
-        "row period", "%", ("too long", "too short"), "strips.csv", "row_period_s", PERCENT * since * late_c
-    )
-    of_all = replace(late, field="utc_first_row, time_of_row")
-    part = np.concatenate([_part_of_strip(one) for one in of.prepared])[:, None]
-    curved = replace(
-        late,
-        cause="clock of the rows, curved",
-        field="times",
-        change_c=4.0 * part * (1.0 - part) * late.change_c,
-    )
-    yield from _in_each(_all_strips(of.prepared), [of_all, long, curved])
-    yield from _in_each([*_passes(of.prepared), *_strips_within(of)], [late, long, curved])
-
-
-def _since_first_row(strip: PreparedStrip) -> Floats:
-    """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
-    since = np.zeros(len(strip.line))
-    for name in np.unique(strip.strip):
-        own = strip.strip == name
-        line, t_s = strip.line[own], strip.t_s[own]
-        if np.ptp(line) >= 1.0:
-            first, last = np.argmin(line), np.argmax(line)
-            since[own] = line * ((t_s[last] - t_s[first]) / (line[last] - line[first]))
-    return since
-
-
-def _part_of_strip(strip: PreparedStrip) -> Floats:
-    """Where (J,) targets lie in what their strip shows of the ground, 0 at its first and 1 at its last."""
-    part = np.zeros(len(strip.line))
-    for name in np.unique(strip.strip):
-        own = strip.strip == name
-        part[own] = (strip.line[own] - strip.line[own].min()) / max(float(np.ptp(strip.line[own])), 1.0)
-    return part
+    bend = _bend(_part_of_pass(of))[:, None] * late.change_c
+    bent = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
+    yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, bent])
+    yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, bent])
 
 
 def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
-    strip, ccd, line = of.column("strip"), of.column("ccd"), of.column("line")
-    since = np.concatenate([_since_first_row(one) for one in of.prepared])
+    line, since = of.column("line"), _since_first_row(of)
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
-    late_c = of.in_c(-of.column("late_s")) * period
-    names = np.unique(strip).tolist()
-    cells = len(set(zip(strip.tolist(), ccd.tolist())))
-    of_strip, of_ccd = min(OF_STRIP, MOST_BREAKS // len(names)), min(OF_CCD, MOST_BREAKS // cells)
-    for name in names:
-        own = strip == name
-        numbers = np.unique(ccd[own]).tolist()
-        places = [(own, Subject(Kind.STRIP, strip=name))]
-        places += [
-            (own & (ccd == n), Subject(Kind.CCD, strip=name, ccd=n)) for n in numbers if len(numbers) > 1
-        ]
-        for here, subject in places:
-            for first in _breaks(line[here], of_strip if here is own else of_ccd):
-                error = _InputError(
-                    "lines of a strip",
-                    "rows",
-                    ("missing", "too many"),
-                    "strips.csv",
-                    "file",
-                    -late_c * (line >= first)[:, None],
-                )
-                yield from _in_each(
-                    [(f"{subject.words} from line {first:.0f} on", (subject,), here)], [error]
-                )
+    change_c = -period / MILLI * _late(of).change_c
+    late = _error("lines of a strip", "rows", "strips.csv", "file", change_c, ("missing", "too many"))
+    for places, most in ((list(_strips(of)), OF_STRIP), (list(_images(of)), OF_CCD)):
+        for item, subjects, here in places:
+            for first in _breaks(line[here], min(most, MOST_BREAKS // len(places))):
+                where = f"{item} from line {first:.0f} on", subjects, here & (line >= first)
+                yield from _in_each([where], [late])
+
+
+def _late(of: HypothesisInputs) -> Hypothesis:
+    """Rows dated late by a millisecond."""
+    change_c = of.in_c(-MILLI * of.column("late_s"))
+    return _error(
+        "clock of the rows", "ms", "strips.csv", "utc_first_row", change_c, ("too late", "too early")
+    )
+
+
+def _since_first_row(of: HypothesisInputs) -> Floats:
+    """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
+    line, t_s, since = of.column("line"), of.column("t_s"), np.zeros(len(of.number))
+    for _, _, own in _strips(of):
+        if np.ptp(line[own]) >= 1.0:
+            first, last = np.flatnonzero(own)[[np.argmin(line[own]), np.argmax(line[own])]]
+            since[own] = line[own] * ((t_s[last] - t_s[first]) / (line[last] - line[first]))
+    return since
+
+
+def _part_of_pass(of: HypothesisInputs) -> Floats:
+    """Where (J,) targets lie in what their pass shows, 0 at its first and 1 at its last."""
+    return np.concatenate(
+        [(one.t_s - one.t_s.min()) / max(float(np.ptp(one.t_s)), 1e-9) for one in of.prepared]
+    )
+
+
+def _bend(part: Floats) -> Floats:
+    return 4.0 * part * (1.0 - part)
 
 
 def _breaks(line: Floats, most: int) -> list[float]:
@@ -346,42 +348,36 @@ def _breaks(line: Floats, most: int) -> list[float]:
     return middles[chosen].tolist() if len(middles) and most else []
 
 
+# --- Attitudes and mounting
+
+
+def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """Attitude of a pass about the axes of c; about y it is its clock, too."""
+    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
+    axes = ("across the track", "along the track", "about the line of sight")
+    yield from _in_each(_passes(of), _turns(of, "attitude or mounting, {}", f"{attitudes}, orbit", axes))
+
+
 def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A jump of the mounting from one pass to the next, which stays."""
-    number = np.repeat(np.arange(len(of.prepared)), [len(one.ccd) for one in of.prepared])
-    when = np.array([float(one.t_s.min()) if len(one.t_s) else np.inf for one in of.prepared])
-    order = np.argsort(when, kind="stable")
-    later = np.argsort(order, kind="stable")[number]  # (J,) how many passes came before
-    for n in range(2, min(len(order) - 1, MOST_JUMPS)):  # before or after one pass it is the attitude of that
-        strip = of.prepared[order[n]].strip_id
-        subject = Subject(Kind.STRIP, strip=strip)
-        yield from _in_each(
-            [(f"from strip {strip} on", (subject,), later >= n)], _turns(of, "mounting moved")
-        )
+    yield from _in_each(_later_passes(of), _turns(of, "mounting moved, about {} of c", MOVES))
 
 
-def _of_drift(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """A drift of the mounting over a pass: in each of them alike, or in one."""
-    part = np.concatenate(
-        [(one.t_s - one.t_s.min()) / max(float(np.ptp(one.t_s)), 1e-9) - 0.5 for one in of.prepared]
-    )
-    drift = [replace(one, change_c=part[:, None] * one.change_c) for one in _turns(of, "mounting drifts")]
-    yield from _in_each([*_all("every pass", of.prepared), *_passes(of.prepared)], drift)
+def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """A drift, or a bend, of the mounting over a pass: in each of them alike, or in one."""
+    places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
+    for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
+        turns = _turns(of, f"mounting {what}, about {{}} of c", MOVES)
+        moved = [replace(one, change_c=profile[:, None] * one.change_c) for one in turns]
+        yield from _in_each(places, moved)
 
 
-def _turns(of: HypothesisInputs, what: str) -> list[_InputError]:
-    """A rotation of the mounting by an arc-second about each axis of c."""
-    return [
-        _InputError(
-            f"{what}, about {axis} of c",
-            "″",
-            ("forward", "backward"),
-            "temperatures and manoeuvres",
-            "",
-            turn,
-        )
-        for axis, turn in zip("xyz", of.turns())
-    ]
+def _turns(of: HypothesisInputs, cause: str, file: str, axes: Sequence[str] = "xyz") -> list[Hypothesis]:
+    """A rotation by an arc-second about each axis of c."""
+    return [_error(cause.format(axis), "″", file, "", turn) for axis, turn in zip(axes, of.turns())]
+
+
+# --- Positions on the ground and of the satellite
 
 
 def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
@@ -389,30 +385,36 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     ground = ~of.column("is_star")[:, None]
     ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
     along, *rest = (
-        _InputError(f"orbit or targets, {name}", "m", words, f"orbit, {of.target_files}", "", change)
+        _error(f"orbit or targets, {name}", "m", f"orbit, {of.target_files}", "", change, words)
         for name, words, change in (
             ("along the track", ("too far ahead", "too far back"), ahead),
             ("across the track", ("too far right", "too far left"), right),
             ("height", ("too high", "too low"), -down),
         )
     )
-    yield from _in_each(_all_strips(of.prepared), [along, *rest])
+    yield from _in_each(_all_strips(of), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
-    yield from _in_each(_passes(of.prepared), rest)
-    yield from _in_each(*_references(of))
+    yield from _in_each(_passes(of), rest)
 
 
-def _references(of: HypothesisInputs) -> tuple[list[Place], list[_InputError]]:
-    """Each ground reference, where targets have several, and its offset."""
-    name, moves = of.column("reference"), np.moveaxis(of.C @ of.column("reference_s"), 2, 0)
-    names = np.unique(name).tolist()
-    places: list[Place] = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
-    axes = (("east", ("east", "west")), ("north", ("north", "south")), ("height", SIZES))
-    words = [(axis, tuple(f"too far {one}" for one in both)) for axis, both in axes[:2]] + [axes[2]]
-    return places, [
-        _InputError(f"ground reference, {axis}", "m", (more, less), of.target_files, "reference", change)
-        for (axis, (more, less)), change in zip(words, moves)
+def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """Coordinates of targets that are all off alike: of a pass, of all, or of one of several references."""
+    moves = np.moveaxis(-of.C @ of.column("reference_s"), 2, 0)
+    axes = (
+        ("east", ("too far east", "too far west")),
+        ("north", ("too far north", "too far south")),
+        ("height", SIZES),
+    )
+    errors = [
+        _error(f"datum of the targets, {axis}", "m", of.target_files, "", change, words)
+        for (axis, words), change in zip(axes, moves)
     ]
+    # The height of all, or of a pass, is that of the orbit.
+    yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
+    name = of.column("reference")
+    names = np.unique(name).tolist()
+    places = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
+    yield from _in_each(places, [replace(one, field="reference") for one in errors])
 
 
 def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
@@ -426,33 +428,27 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
         if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
             dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
         change.append(-dv_s)
-    return Hypothesis(
-        cause=moved.cause,
-        item=moved.item,
-        subjects=moved.subjects,
-        unit=moved.unit,
-        words=moved.words,
-        file=moved.file,
-        field=moved.field,
-        most=moved.most,
-        change_c=of.in_c(np.concatenate(change)),
-    )
+    stated = {field.name: getattr(moved, field.name) for field in fields(InputError)}
+    return Hypothesis(**stated, change_c=of.in_c(np.concatenate(change)))
+
+
+# --- Cameras
 
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Shifts and rotation of each CCD, all of a camera shifted alike, and its focal length."""
+    """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
     (u_c, across), ccd, camera = of.looks(), of.column("ccd"), of.column("camera")
-    sample, file, pixel_rad = of.column("sample"), "remote_camera.toml", of.pixel
-    x, y = across[:, :, 0], across[:, :, 1]
+    sample, file, x, y = (
+        of.column("sample"),
+        CAMERA_FILE,
+        -of.pixel * across[:, :, 0],
+        -of.pixel * across[:, :, 1],
+    )
 
-    def placed(what: str) -> list[_InputError]:
+    def placed(what: str) -> list[Hypothesis]:
         return [
-            _InputError(
-                f"place of {what}, along the track", "px", SIZES, file, "x_offset_mm", -pixel_rad * x
-            ),
-            _InputError(
-                f"place of {what}, across the track", "px", SIZES, file, "y_first_mm", -pixel_rad * y
-            ),
+            _error(f"place of {what}, along the track", "px", file, "x_offset_mm", x),
+            _error(f"place of {what}, across the track", "px", file, "y_first_mm", y),
         ]
 
     every = list(_cameras(of))
@@ -463,55 +459,37 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
             continue
         here, name = (camera == n) & (ccd == number), of.cameras[n]
         pivot = (of.pivots or {}).get((name, number), float(sample[here].mean()))
-        arm = MILLI * pixel_rad * (sample - pivot)[:, None]
-        turn = _InputError("rotation of a CCD", "mrad", SIZES, file, "rotation_mrad", arm * x)
-        subject = Subject(Kind.CCD, camera=name, ccd=number)
         half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
-        at = (sample - float(sample[here].min() + half))[:, None] / half
+        at = (sample - float(sample[here].min() + half))[:, None] / half  # -1 to 1 over it
         shapes = [
-            _InputError("length of a CCD", "px", SIZES, file, "pixel_pitch_um", -pixel_rad * at * y),
-            _InputError(
-                "bend of a CCD", "px", SIZES, file, "look directions", -pixel_rad * (at**2 - 1.0 / 3.0) * x
+            _error(
+                "rotation of a CCD", "mrad", file, "rotation_mrad", -MILLI * (sample - pivot)[:, None] * x
             ),
+            _error("length of a CCD", "px", file, "pixel_pitch_um", at * y),
+            _error("bend of a CCD", "px", file, "look directions", (at**2 - 1.0 / 3.0) * x),
         ]
-        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), turn, *shapes])
+        subject = Subject(Kind.CCD, camera=name, ccd=number)
+        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), *shapes])
     yield from _in_each(every, [_focal_length(u_c, across, file, "focal_length_m")])
 
 
-def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> _InputError:
+def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> Hypothesis:
     """The focal length of the remote-sensing camera, by which all looks (J, 3) spread from its axis z."""
     v = u_c / u_c[:, 2:]
     v[:, 2] = 0.0
     change = -PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:]
     cause = "focal length of the remote-sensing camera"
-    return _InputError(cause, "%", ("too long", "too short"), file, field, change)
-
-
-def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Attitude of a pass about the axes of c; about y it is its clock, too."""
-    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
-    x, y, z = of.turns()
-    names = (("across the track", x), ("along the track", y), ("about the line of sight", z))
-    file = f"{attitudes}, orbit"
-    turns = [
-        _InputError(f"attitude or mounting, {name}", "″", SIZES, file, "", change) for name, change in names
-    ]
-    yield from _in_each(_passes(of.prepared), turns)
+    return _error(cause, "%", file, field, change, ("too long", "too short"))
 
 
 def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Shifts of the image of one CCD in one strip, of a pass that has several CCDs."""
-    (_, across), strip, ccd = of.looks(), of.column("strip"), of.column("ccd")
-    several = [one for one in of.prepared if len(np.unique(one.ccd)) > 1]
-    images = [key for one in several for key in sorted(set(zip(one.strip.tolist(), one.ccd.tolist())))]
-    subjects = [Subject(Kind.CCD, strip=name, ccd=number) for name, number in images]
-    places = ((one.words, (one,), (strip == one.strip) & (ccd == one.ccd)) for one in subjects)
-    names = (("lines", across[:, :, 0]), ("samples", across[:, :, 1]))
+    """Shifts of the image of one CCD in one strip."""
+    _, across = of.looks()
     shifts = [
-        _InputError(f"image of a CCD, {name}", "px", SIZES, "strips.csv", "file", of.pixel * change)
-        for name, change in names
+        _error(f"image of a CCD, {name}", "px", "strips.csv", "file", of.pixel * across[:, :, axis])
+        for axis, name in enumerate(("lines", "samples"))
     ]
-    yield from _in_each(places, shifts)
+    yield from _in_each(_images(of), shifts)
 
 
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
@@ -522,12 +500,12 @@ def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
         ("principal point of the star camera, row", "px", "principal_point_px", SIZES),
         ("radial distortion of the star camera", "px at its corner", "q1_per_mm2", SIZES),
     )
-    every = _all("all exposures", of.prepared)
+    every = _all("all exposures", of)
     for k, (cause, unit, field, words) in enumerate(rows):
         change = [
             cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
             for one, effect in zip(of.prepared, of.effects)
         ]
         change_c = (of.C @ np.concatenate(change))[:, :, 0]
-        error = _InputError(cause, unit, words, "star_camera.toml", field, change_c)
+        error = _error(cause, unit, "star_camera.toml", field, change_c, words)
         yield from (replace(one, star_part=k) for one in _in_each(every, [error]))

@@ -24,8 +24,9 @@ leaves something of a large error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -46,13 +47,14 @@ from boresight.calib.joint_solution import (
     squared_over,
 )
 from boresight.calib.moved_input import MovedInput
+from boresight.calib.noise_groups import NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
-from boresight.calib.star_camera_error import StarEffects, star_effects, summed
-from boresight.calib.strips import PreparedStrip, matrix_of_each, prepare_strips, tangent_axes, turned
+from boresight.calib.star_camera_error import star_effects, summed
+from boresight.calib.strips import matrix_of_each, prepare_strips, tangent_axes, turned
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.ledger import Subject
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
 
@@ -153,6 +155,10 @@ class Reliability:
     of_bias: tuple[Hypothesis, ...] = scalar(
         "those about the ground, of a largest possible size, that explain its bias", default=()
     )
+    rest: tuple[float, int] | None = scalar(
+        "chi-square that the causes leave, and its degrees of freedom; None: no cause, or one of noise",
+        default=None,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,6 +175,11 @@ class _Fit:
     residual: Floats  # (J, 2) whitened
     variance: Floats  # (J, 2, 2) of the residuals
 
+    def rest(self, limit: float, n: int) -> tuple[float, int]:
+        """Chi-square of the observations kept, of n, and its degrees of freedom."""
+        kept = int(self.kept.sum())
+        return self.criterion - limit * (n - kept), 2 * kept - len(self.theta) - len(self.size)
+
 
 @record(kw_only=True)
 class _Adjustment:
@@ -177,25 +188,20 @@ class _Adjustment:
     problem: Problem = scalar("strips of the calibration")
     about: Linearised = scalar("about the estimated matrix")
     step: Step = scalar("with the weights of the estimate")
+    of: HypothesisInputs = scalar("what the hypotheses are computed from")
     table: list[Hypothesis] = scalar("H hypotheses")
     B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
     by_place: Floats = array("J, 2, 3", "the same by a target stated 1 m too far along, right, down")
     measured: Floats = array(
         "J, 2", "whitened residuals by what was measured, no unknown but theta estimated"
     )
-    strip_id: Texts = array("J", "strips of the observations")
-    target_id: Texts = array("J", "targets, or stars")
-    ccds: Ints = array("J", "their CCDs")
-    is_star: Bools = array("J", "observations of the sky")
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
 
-    def subject(self, row: int) -> Subject:
-        """The observation of a row."""
-        kind = Kind.STAR if self.is_star[row] else Kind.TARGET
-        strip, target = str(self.strip_id[row]), str(self.target_id[row])
-        return Subject(kind, strip=strip, ccd=int(self.ccds[row]), id=target)
+    def subjects(self, rows: Bools) -> tuple[Subject, ...]:
+        """The observations of a mask (J,)."""
+        return tuple(self.of.subject(row) for row in np.flatnonzero(rows).tolist())
 
 
 def blind_spots(tests: Sequence[HypothesisTest]) -> tuple[HypothesisTest, ...]:
@@ -256,19 +262,13 @@ def examine(
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
     names = estimate.cameras
     pixels = [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names]
-    one = _adjustment(
-        estimate,
-        passes,
-        settings,
-        star_camera,
-        lambda prepared, effects: table_of(
-            HypothesisInputs(prepared, estimate.R_cs, pixels, effects, moved, pivots, target_files, names)
-        ),
-    )
+    stated = {"inputs": moved, "pivots": pivots, "target_files": target_files, "cameras": names}
+    one = _adjustment(estimate, passes, settings, star_camera, table_of, pixel_rad=pixels, **stated)
     tests = _tests(one, limits)
-    findings, chosen, last = _causes(one, tests, limits)
-    suspects, of_bias = tuple(_suspects(one, chosen, last)), tuple(_of_bias(one, estimate))
-    return Reliability(tuple(tests), tuple(findings), suspects, of_bias)
+    findings, chosen, last, noise = _causes(one, tests, limits)
+    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
+    rest = last.rest(one.limit, int(one.problem.inside.sum())) if chosen and noise is None else None
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest)
 
 
 def _adjustment(
@@ -276,8 +276,10 @@ def _adjustment(
     strips: Sequence[StripSightings],
     settings: CalibrationSettings,
     star_camera: StarCamera | None,
-    table_of: Callable[[Sequence[PreparedStrip], Sequence[StarEffects]], list[Hypothesis]],
+    table_of: HypothesisTable,
+    **stated: Any,
 ) -> _Adjustment:
+    """The adjustment of passes; `stated` are further fields of `HypothesisInputs`."""
     first = estimate.heads[0].R_cs
     strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
@@ -288,30 +290,25 @@ def _adjustment(
     found = estimate.targets
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
-    columns = ([getattr(one, name) for one in prepared] for name in ("strip", "target_id", "ccd", "sample"))
-    own = zip(*(np.concatenate(column).tolist() for column in columns))
-    weight = np.array([weights.get(key, 0.0) for key in own])
-    step = solve_weighted(problem, about, weight * problem.inside)
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    table = table_of(prepared, effects)
-    change = np.stack([h.change_c for h in table], axis=2)
+    of = HypothesisInputs(prepared, estimate.R_cs, effects=effects, **stated)
+    own = zip(*(of.column(name).tolist() for name in ("strip", "target_id", "ccd", "sample")))
+    weight = np.array([weights.get(key, 0.0) for key in own])
+    table = table_of(of)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
     of_stars = parts >= 0
-    R_cs = matrix_of_each(estimate.R_cs, np.concatenate([one.camera for one in prepared]))
-    u_c, v_s, move_s = (np.concatenate([getattr(p, n) for p in prepared]) for n in ("u_c", "v_s", "move_s"))
     return _Adjustment(
         problem=problem,
         about=about,
-        step=step,
+        step=solve_weighted(problem, about, weight * problem.inside),
+        of=of,
         table=table,
-        B=_whitened(problem, about, change),
-        by_place=_whitened(problem, about, R_cs @ move_s),
-        measured=_whitened(problem, about, (u_c - turned(R_cs, v_s))[:, :, None])[:, :, 0],
-        is_star=np.concatenate([one.is_star for one in prepared]),
-        strip_id=np.concatenate([strip.strip for strip in prepared]),
-        target_id=np.concatenate([strip.target_id for strip in prepared]),
-        ccds=np.concatenate([strip.ccd for strip in prepared]),
+        B=_whitened(problem, about, np.stack([h.change_c for h in table], axis=2)),
+        by_place=_whitened(problem, about, of.C @ of.column("move_s")),
+        measured=_whitened(problem, about, (of.column("u_c") - of.in_c(of.column("v_s")))[:, :, None])[
+            :, :, 0
+        ],
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
         star_right=right[parts] * of_stars,
         limit=estimate.rejection.limit,
@@ -376,7 +373,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
-    of_sky = np.any(one.B[one.is_star] != 0.0, axis=(0, 1))
+    of_sky = np.any(one.B[one.of.column("is_star")] != 0.0, axis=(0, 1))
     for h, touches_sky, effect_m in zip(one.table, of_sky, (x[rows] * bias.stated[:, None]).T):
         own = float(effect_m @ weight @ effect_m)
         if np.isfinite(h.most) and not touches_sky and own * h.most**2 > limit:
@@ -391,15 +388,21 @@ def _noncentrality(p: float) -> float:
     return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
 
 
-def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[Contradiction]:
+def _suspects(
+    one: _Adjustment, chosen: Sequence[int], last: _Fit, noise: NoiseGroup | None
+) -> Iterator[Contradiction]:
     """Observations that the last fit, with the hypotheses `chosen`, rejects: beyond the limit of all of them
-    together, and beyond what the linear form leaves of a large error that concerns them.
+    together, and beyond what the linear form leaves of a large error that concerns them. Where a group has
+    larger errors than stated, it is held against these.
     """
+    if noise:
+        scaled = np.where(noise.inside, last.statistic / noise.factor**2, last.statistic)
+        last = replace(last, statistic=scaled, kept=last.kept | (scaled < one.limit))
     left = NOT_LINEAR * (last.size / last.sigma) ** 2 * np.any(one.B[:, :, chosen] != 0.0, axis=1)
-    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.ccds))) + left.sum(axis=1)
+    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.B))) + left.sum(axis=1)
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
         yield Contradiction(
-            subject=one.subject(n),
+            subject=one.of.subject(n),
             distance=float(np.sqrt(last.statistic[n])),
             residual=last.residual[n],
             estimated=last.residual[n] - one.measured[n],
@@ -410,12 +413,13 @@ def _suspects(one: _Adjustment, chosen: Sequence[int], last: _Fit) -> Iterator[C
 
 def _causes(
     one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings
-) -> tuple[list[Finding], list[int], _Fit]:
+) -> tuple[list[Finding], list[int], _Fit, NoiseGroup | None]:
     """Forward selection: hypotheses that explain more than chance, each beside those before it; their rows,
-    and the fit with all of them as unknowns.
+    and the fit with all of them as unknowns. It ends with a group whose errors are larger than stated, where
+    that explains more than any hypothesis.
     """
     if not _suspicious(one, tests, limits):
-        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0))
+        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minimum(one, []), 0.0
@@ -425,6 +429,13 @@ def _causes(
         trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
+        strip, ccd, is_star = (one.of.column(name) for name in ("strip", "ccd", "is_star"))
+        known, inside = limits.sigma_understated, one.problem.inside
+        noise = noisiest(before.statistic, one.limit, known, strip, ccd, is_star, inside)
+        if noise and noise.gain > max(worth.values(), default=0.0):
+            p_value = float(chdtrc(1, noise.gain)) * n
+            if p_value <= limits.probability_found:
+                return [*findings, _of_noise(one, noise, before, p_value, limits)], chosen, before, noise
         if not gain:
             break
         most = max(worth.values())
@@ -449,7 +460,35 @@ def _causes(
         findings.append(further)
         before = trials[best]
         strongest = max(strongest, gain[best], float((before.size[-1] / before.sigma[-1]) ** 2))
-    return findings, chosen, before
+    return findings, chosen, before, None
+
+
+def _of_noise(
+    one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float, limits: ReliabilitySettings
+) -> Finding:
+    """The finding about a group whose errors are larger than stated, and the matrix with these."""
+    squared = np.where(noise.inside, noise.factor**2, 1.0)
+    kept = one.problem.inside & (before.statistic / squared < one.limit)
+    solution = solve_weighted(one.problem, one.about, kept / squared).solution
+    moved = solution.theta - one.step.solution.theta
+    effect = float(np.sqrt(moved @ one.step.solution.information @ moved))
+    return Finding(
+        cause="noise of the image points or coordinates",
+        item=noise.item,
+        subjects=noise.subjects,
+        text=f"{noise.factor:.2g} times the stated errors: check their stated sigmas, and vibration and "
+        "distortion in dump.toml.",
+        value=noise.factor,
+        sigma=noise.factor / np.sqrt(4.0 * noise.inside.sum()),
+        unit="times the stated",
+        file="dump.toml",
+        field="errors",
+        refutes=effect > limits.harm_sigma and p_value <= limits.probability_refuted,
+        effect_rad=-moved,
+        effect_sigma=effect,
+        p_value=min(p_value, 1.0),
+        explains=one.subjects(noise.inside & ~before.kept),
+    )
 
 
 def _is_possible(h: Hypothesis, fit: _Fit) -> bool:
@@ -575,10 +614,13 @@ def _finding(
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
     others = _rivals(h, [one.table[n] for n in rivals if n != best])
+    excluded = _excluded(one, best, trials, rivals, before) if not others else None
     parts = [f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others]
     while len(f"{h.cause} {h.item} {text}{''.join(parts)}".split()) > MOST_WORDS and len(parts) > 1:
         parts, others = parts[:-1], others[:-1]
     text += "".join(parts)
+    if excluded and len(f"{h.cause} {h.item} {text}; not {_named(excluded)}".split()) <= MOST_WORDS:
+        text += f"; not {_named(excluded)}"
     return Finding(
         cause=h.cause,
         item=h.item,
@@ -594,7 +636,7 @@ def _finding(
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
         rivals=tuple(_named(other) for other in others),
-        explains=_explained(one, best, before),
+        explains=one.subjects(one.problem.inside & ~before.kept & np.any(one.B[:, :, best] != 0.0, axis=1)),
     )
 
 
@@ -605,12 +647,19 @@ def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
     return [*alike, *(another if len(alike) < MOST_RIVALS else ())]
 
 
+def _excluded(
+    one: _Adjustment, best: int, trials: Mapping[int, _Fit], rivals: Sequence[int], before: _Fit
+) -> Hypothesis | None:
+    """The cause of another kind that explains most of what the `best` one does, but for what excludes it."""
+    gain = {n: before.criterion - fit.criterion for n, fit in trials.items()}
+    others = [
+        n
+        for n in trials
+        if n not in rivals and one.table[n].cause != one.table[best].cause and 2.0 * gain[n] > gain[best]
+    ]
+    return one.table[max(others, key=lambda n: gain[n])] if others else None
+
+
 def _named(h: Hypothesis) -> str:
     """Cause and item of a hypothesis."""
     return f"{h.cause}, {h.item}"
-
-
-def _explained(one: _Adjustment, h: int, before: _Fit) -> tuple[Subject, ...]:
-    """Observations that were rejected and that the hypothesis concerns."""
-    rows = np.flatnonzero(one.problem.inside & ~before.kept & np.any(one.B[:, :, h] != 0.0, axis=1))
-    return tuple(one.subject(n) for n in rows.tolist())

@@ -44,7 +44,7 @@ from boresight.calib.shared_unknowns import (
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
 
 __all__ = [
     "LinearStrips",
@@ -276,7 +276,7 @@ def prepare_strip(
         cov_coordinates=own * settings.use_target_sigma,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         reference=references.name,
-        reference_s=-move_s @ references.axes_i,
+        reference_s=-move_s @ _ground_axes(references, strip.R_oi_targets),
         reference_sigma_m=references.sigma_m,
         reference_place=references.place,
         earth_s=attitude.R_si @ ground.earth_i,
@@ -448,6 +448,15 @@ def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> F
     none = np.zeros((0, n_phi + 3 * len(shared.heads) + 1))
     rows = [np.column_stack([tie.by_phi, alignment_columns(tie, shared.heads), tie.r]) for tie in strip.ties]
     return np.concatenate([none, *rows])
+
+
+def _ground_axes(references: GroundReferences, R_oi: Rotation) -> Floats:
+    """East, north and up (J, 3, 3) of targets, GCRS: those of their references, else those of the orbit."""
+    up = -R_oi.inv().apply([0.0, 0.0, 1.0])
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.maximum(np.linalg.norm(east, axis=1, keepdims=True), 1e-9)
+    level = np.stack([east, np.cross(up, east), up], axis=2)
+    return np.where((references.name != "")[:, None, None], references.axes_i, level)
 
 
 def _direction_by_position(ground: GroundSightings) -> Floats:

@@ -286,23 +286,30 @@ def assess(
     )
     heads_told = [one for one in _head_findings(heads) if not any(one.subjects == c.subjects for c in causes)]
     told = heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias, target_files))
-    return verdict.with_findings([*told, *_larger_than_stated(found)])
+    return verdict.with_findings([*told, *_larger_than_stated(found, reliability)])
 
 
-def _larger_than_stated(checks: Sequence[Check]) -> Iterator[Finding]:
+def _larger_than_stated(checks: Sequence[Check], reliability: Reliability | None) -> Iterator[Finding]:
     """That residuals are larger than stated by more than chance, though within what is tolerated: the
-    covariance is as much too small.
+    covariance is as much too small. Where causes are found, those of targets that they leave.
     """
+    causes, rest = (reliability.findings, reliability.rest) if reliability else ((), None)
     for check in checks:
-        if check.kind not in (CheckKind.STAR_RESIDUALS, CheckKind.TARGET_RESIDUALS) or check.n <= 0:
+        of_targets = check.kind is CheckKind.TARGET_RESIDUALS
+        if not of_targets and check.kind is not CheckKind.STAR_RESIDUALS:
             continue
-        ratio, p_value = float(np.sqrt(check.statistic / check.n)), float(chdtrc(check.n, check.statistic))
-        if check.holds and ratio > LARGER and p_value < PROBABILITY_LARGER:
+        if of_targets and causes and rest is None:
+            continue  # it is what was found
+        chi2, n = rest if of_targets and rest else (check.statistic, check.n)
+        ratio = float(np.sqrt(chi2 / n)) if n > 0 else 0.0
+        p_value = float(chdtrc(n, chi2)) if n > 0 else 1.0
+        is_told = of_targets and causes  # a check that fails by itself is told anyway
+        if (check.holds or is_told) and ratio > LARGER and p_value < PROBABILITY_LARGER:
             yield Finding(
                 cause=check.kind.value,
-                item="all",
-                text=f"{ratio:.2f} times the stated errors, χ² {check.statistic:.0f} for {check.n}: check "
-                f"{check.look_at[-1].value}.",
+                item="left by these causes" if is_told else "all",
+                text=f"{ratio:.2f} times the stated errors, χ² {chi2:.0f} for {n}: "
+                f"check {'for a further cause, or ' if is_told else ''}{check.look_at[-1].value}.",
                 is_fault=False,
                 p_value=p_value,
             )

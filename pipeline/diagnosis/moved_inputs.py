@@ -20,6 +20,7 @@ from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.strip import StripTask
 
 __all__ = ["moved_inputs"]
@@ -53,6 +54,7 @@ def moved_inputs(
         found += _line_of_sight(dump, head, head.source, strips)
     if sky := [strip for strip in strips if strip.ground.is_star.any()]:
         found += _velocity(dump, head, sky)
+        found += _catalogue(dump, sky)
     by_id = {task.strip.strip_id: task for task in tasks}
     if ground := [strip for strip in strips if strip.strip_id in by_id]:
         found += _light(ground, by_id)
@@ -192,6 +194,35 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
             directions_i=directions,
             turns_s=turns,
+        )
+
+
+def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+    """A star catalogue of the user's whose epoch, proper motions or equinox are a year off: stars move by
+    their proper motions, or all alike by precession.
+    """
+    if dump.star_catalogue is None:
+        return
+    survey = survey_of(dump.star_catalogue)
+    row = {f"{survey.name} {n}": k for k, n in enumerate(survey.places.hip.tolist())}
+    precession = Rotation.from_matrix(erfa.pmat06(erfa.DJ00, erfa.DJY)).as_rotvec()
+    moves: dict[str, dict[str, Floats]] = {"ref_epoch, pmra, pmdec": {}, "equinox (ICRS is expected)": {}}
+    of_epoch, of_equinox = moves.values()
+    for strip in strips:
+        rows = np.array([row.get(name, 0) for name in strip.ground.target_id.tolist()], dtype=np.int64)
+        is_star = strip.ground.is_star[:, None].astype(float)
+        of_epoch[strip.strip_id] = -is_star * survey.places.take(rows).motions()
+        of_equinox[strip.strip_id] = is_star * np.cross(precession, strip.ground.u_i)
+    for field, directions in moves.items():
+        yield MovedInput(
+            cause=f"catalogue of the stars, {'epoch' if directions is of_epoch else 'equinox'}",
+            item="all scans",
+            unit="years",
+            words=("too late", "too early"),
+            file=dump.star_catalogue.file,
+            field=field,
+            most=200.0,
+            directions_i=directions,
         )
 
 

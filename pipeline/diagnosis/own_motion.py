@@ -308,6 +308,8 @@ def _told_of_all(
         alternate = len(early) > 2 and float(np.mean(np.diff(early) == 2)) > MOSTLY
         which = "every second one is" if alternate else which
         text = f"{which} dated {1e3 * size_si:.3g} ms earlier than the others"
+    elif kind is EXCESSES[0] and (step_s := _common_step(of_head.t_s, size_si)):
+        text += f", all of them multiples of {step_s:.4g} s"
     is_weak = kind.as_motion and of_head.head.head.noise_is_assumed
     file, field = (solved.file, "utc") if solved else ("exposures.csv", "utc_mid")
     look_at = f"{field} in {file}"
@@ -326,6 +328,12 @@ def _told_of_all(
         refutes=largest >= REFUTES and not is_weak,
         is_fault=not is_weak,
     )
+
+
+def _common_step(t_s: Floats, scatter_s: float) -> float:
+    """The step of which all instants are multiples, if they scatter as ones that were cut to it; else 0."""
+    step_s = 1e-6 * float(np.gcd.reduce(np.round(1e6 * (t_s - t_s[0])).astype(np.int64)))
+    return step_s if 0.5 < step_s / (np.sqrt(12.0) * scatter_s) < 2.0 else 0.0
 
 
 def _two_groups(parts: Sequence[Stretch], spread_s: float) -> tuple[Ints, float, float] | None:

@@ -46,8 +46,8 @@ Array = NDArray[np.float64]
 MOST_REASONS = 8
 # Told after what went wrong.
 UNNEEDED = (Reason.OUT_OF_VIEW, Reason.NOT_NEEDED, Reason.ATTITUDES_NOT_NEEDED, Reason.NO_TARGET)
-# Most blind spots that the console names; installation.json has all.
-MOST_BLIND = 6
+# Most blind spots that the console names, and the least effect of one; installation.json has all.
+MOST_BLIND, LEAST_EFFECT_RAD = 6, 0.005 * ARCSEC
 REASON_WORDS: dict[str, str] = {  # of reasons that counts alone do not explain
     Reason.TARGET_RESIDUAL: "gross error",
     Reason.LOW_CORRELATION: "cloud or change",
@@ -63,7 +63,7 @@ REASON_WORDS: dict[str, str] = {  # of reasons that counts alone do not explain
 def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, Any]] = ()) -> str:
     """Verdict, what to look at, matrix, deviation, 1-sigma, counts, and what is not used."""
     lines = verdict_lines(verdict_json(found.verdict, found.rows)) + finding_lines(findings)
-    lines += blind_lines(blind_spots_json(found.verdict))
+    lines += blind_lines(blind_spots_json(found.verdict), found.estimate.sigma_theta)
     grounds = [ground_m_per_rad(found.strips, found.camera)]
     lines += _estimate_lines(found.estimate, found.strips, grounds)
     lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
@@ -78,7 +78,7 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
             lines += [f"dump {name}", *("  " + line for line in verdict_lines(verdict_json(one.verdict)))]
     lines.append(f"{'1 sigma, arcsec, of':26s}" + "".join(f"{axis:>14s}" for axis in "XYZ"))
     lines += [_row(f"  {name}", one.estimate.sigma_theta / ARCSEC, ".4f") for name, one in of_dumps.items()]
-    lines += blind_lines(blind_spots_json(joint.verdict))
+    lines += blind_lines(blind_spots_json(joint.verdict), joint.estimate.sigma_theta)
     several = len(joint.estimate.cameras) > 1
     lines.append("all cameras together:" if several else f"jointly from {len(of_dumps)} dumps:")
     sigma_rad = joint.sigma_installation_rad
@@ -109,24 +109,30 @@ def finding_lines(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{'look at' if n == 0 else '':26s}{text}" for n, text in enumerate(texts)]
 
 
-def blind_lines(spots: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The kinds of error with most effect that the data cannot show at all, in one line."""
+def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Array) -> list[str]:
+    """The kinds of error with most effect that the data cannot show at all, in one line; `sigma_rad` (T,) is
+    the 1-sigma of theta.
+    """
     kinds: dict[str, Mapping[str, Any]] = {}
     for one in spots:
-        if one["is_unseen"]:
+        if one["is_unseen"] and np.abs(one["effect_rad"]).max() >= LEAST_EFFECT_RAD:
             kinds.setdefault(one["cause"].partition(",")[0], one)
-    shown = [f"{kind} ({unit_effect(one)})" for kind, one in list(kinds.items())[:MOST_BLIND]]
+    shown = [f"{kind} ({unit_effect(one, sigma_rad)})" for kind, one in list(kinds.items())[:MOST_BLIND]]
     if len(kinds) > MOST_BLIND:
         shown.append(f"{len(kinds) - MOST_BLIND} more in installation.json")
     return [f"{'cannot show' if n == 0 else '':26s}{text}" for n, text in enumerate(shown)]
 
 
-def unit_effect(one: Mapping[str, Any]) -> str:
-    """What one unit of an error does to the axis that it moves most: "1 ms: 2.8″ Y"."""
-    effect = np.abs(np.array(one["effect_rad"])) / ARCSEC
-    axis = int(np.argmax(effect))
+def unit_effect(one: Mapping[str, Any], sigma_rad: Array) -> str:
+    """What one unit of an error does to the axis that it moves most, and to all that it moves by more than
+    their 1-sigma (T,): "1 ms: 2.8″ Y".
+    """
+    effect = np.abs(np.array(one["effect_rad"]))
+    largest = int(np.argmax(effect))
+    axes = np.flatnonzero((effect > sigma_rad) | (np.arange(len(effect)) == largest))
     amount = "all of it" if one["unit"] == "times" else f"1 {one['unit']}"
-    return f"{amount}: {effect[axis]:{two_digits(effect[axis])}}″ {'XYZ'[axis % 3]}"
+    moved = [(float(effect[axis]) / ARCSEC, "XYZ"[axis % 3]) for axis in axes if axis // 3 == largest // 3]
+    return f"{amount}: " + ", ".join(f"{value:{two_digits(value)}}″ {axis}" for value, axis in moved)
 
 
 def two_digits(value: float) -> str:

@@ -139,7 +139,7 @@ def test_an_offset_that_is_not_stated_is_found_where_two_references_show_it() ->
     off = np.where((np.array(names) == "old")[:, None], [6.0, 0.0, 0.0], 0.0)
     moved = [referenced(strip, off, names, np.zeros(3)) for strip in strips]
     verdict = told(moved, estimated(moved))
-    assert verdict.findings[0].cause == "ground reference, east"
+    assert verdict.findings[0].cause == "datum of the targets, east"
     assert abs(abs(verdict.findings[0].value) - 6.0) < 4.0 * verdict.findings[0].sigma
     sound = [referenced(strip, np.zeros(3), names, np.zeros(3)) for strip in strips]
     assert not told(sound, estimated(sound)).findings

@@ -26,6 +26,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.hypotheses import LARGEST
+from boresight.calib.reliability import BEYOND_SIGMAS
 from boresight.console import run_command_line as main_of_program
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import RawDataError
@@ -54,7 +56,7 @@ LOADED = (  # by a calibration with report, at the least
     "boresight.pipeline.report.page",
 )
 ITEM = re.compile(r"CCD \d+|\b(?:s|sky)\d\d(?:-[tc]\d\d)?\b|\bSTR\d\b|\be\d{4}\b")
-TOLD = ("cause", "item", "text", "file", "field", "is_fault", "refutes", "rivals")
+TOLD = ("cause", "item", "text", "file", "field", "is_fault", "refutes", "rivals", "value", "sigma", "unit")
 Case = dict[str, Any]
 
 
@@ -158,7 +160,9 @@ def judged(case: Case) -> Case:
     first = case["told"][0] if case["told"] else None
     parts = ("cause", "item", "text", "file", "field")
     text = ": ".join(str(first[key]) for key in parts if first.get(key)) if first else ""
-    named = bool(case["words"]) and all(re.search(word, text.lower()) for word in case["words_lower"])
+    text = re.sub(r"; not [^.;]*", "", text)  # a cause that is excluded
+    named = bool(case["words"]) and is_told(case, text)
+    as_rival = any(is_told(case, f"{rival} {first['text']}") for rival in (first or {}).get("rivals") or ())
     own = set(case["own"])
     allowed = own | {name.partition("-")[0] for name in own}  # a target is named with its strip
     accused, left_open = set(), False
@@ -179,10 +183,26 @@ def judged(case: Case) -> Case:
         "green_wrong": green and wrong and not blind,
         "blind": blind,
         "named": named,
+        "named_or_rival": named or (bool(case["words"]) and as_rival),
+        "too_large": [one["cause"] for one in faults if is_too_large(one)],
         "first": text,
         "innocents": sorted(innocents),
         "left_open": left_open,
     }
+
+
+def is_told(case: Case, text: str) -> bool:
+    """Whether a text has all words of the fault, or of either of two."""
+    every = [case["words_lower"], *([case["other_words"]] if case.get("other_words") else [])]
+    return any(all(re.search(word, text.lower()) for word in words) for words in every)
+
+
+def is_too_large(finding: dict[str, Any]) -> bool:
+    """Whether a finding states a size that none of its kind can have."""
+    value, sigma, unit = (finding.get(key) for key in ("value", "sigma", "unit"))
+    if value is None or sigma is None or not np.isfinite(value) or not np.isfinite(sigma):
+        return False
+    return bool(abs(value) > LARGEST.get(unit or "", np.inf) + BEYOND_SIGMAS * sigma)
 
 
 def leaves_open(finding: dict[str, Any], allowed: set[str], words: Iterable[str]) -> bool:

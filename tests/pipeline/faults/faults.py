@@ -1,7 +1,7 @@
-"""Faults of a dump, one at a time, made by changing its files alone.
+"""Faults of the inputs of a dump, one at a time, made by changing its files alone.
 
-`faults_of(dump, seed)` lists those that a dump can have: every kind, each strip, CCD, head or target that
-it can hit, three sizes (just above what its data can show, 3 and 30 times that). A size is in the unit of its
+`faults_of(dump, rng)` gives every kind that a dump can have in each strip, CCD, head or target that it can
+hit, of a size that `rng` draws: from what its data just show to 30 times that. A size is in the unit of its
 kind; the smallest is some six standard deviations of the strip, CCD or campaign as the dump states its
 errors.
 """
@@ -20,9 +20,9 @@ import numpy as np
 import rasterio
 from scipy.spatial.transform import Rotation
 
-__all__ = ["SIZES", "Fault", "change", "faults_of", "repaint", "table", "write"]
+__all__ = ["Facts", "Fault", "change", "faults_of", "repaint", "sized", "table", "write"]
 
-SIZES = (1.0, 3.0, 30.0)  # times the smallest
+LARGEST = 30.0  # times the smallest size
 EARTH_RAD_S = 7.292115e-5
 REVOLUTION_S = 5710.0  # at 530 km
 GROUND_M = 6.4  # a pixel of the strips on the ground
@@ -43,6 +43,7 @@ class Fault:
     words: tuple[str, ...]
     blind: str = ""  # regular expression of an entry of what the result cannot see
     own: tuple[str, ...] = ()  # items that may be accused
+    other_words: tuple[str, ...] = ()  # of a second fault: what is named first must match these or `words`
     harmless: bool = False  # nothing is wrong: no finding of a fault is right
 
     @property
@@ -124,6 +125,22 @@ def toml_number(name: str, key: str, edit: Callable[[float], float], which: int 
     write_text(dump / name, pattern.sub(replaced, (dump / name).read_text()))
 
 
+def ground_moved(listed: str, strips: tuple[str, ...], axis: str, metres: float, dump: Path) -> None:
+    """Targets of some strips, of all where none is named, moved east, north or in height."""
+
+    def edit(row: dict[str, str]) -> None:
+        if strips and row.get("strip", row["id"].partition("-")[0]) not in strips:
+            return
+        if axis == "height":
+            row["height_m"] = repr(float(row["height_m"]) + metres)
+            return
+        narrow = np.cos(np.radians(float(row["lat_deg"]))) if axis == "east" else 1.0
+        column = "lon_deg" if axis == "east" else "lat_deg"
+        row[column] = f"{float(row[column]) + metres / (111_200.0 * narrow):.10f}"
+
+    edited(listed, edit, dump)
+
+
 def states(edit: Callable[[np.ndarray, np.ndarray, np.ndarray], None], dump: Path) -> None:
     """Change the positions (K, 3), km, and velocities of the orbit; its times (K,) are given in s."""
     head, mark, body = (dump / "orbit.oem").read_text().partition("META_STOP\n")
@@ -185,6 +202,14 @@ class Facts:
     def star_images(self) -> bool:
         return (self.root / "exposures.csv").is_file()
 
+    def of_ccds(self, ccds: tuple[int, ...], strips: tuple[str, ...]) -> tuple[str, ...]:
+        """Ids of the measured points in some CCDs of some strips."""
+        if self.listed != "points.csv":
+            return ()
+        header, *rows = table(self.root / "points.csv")
+        cells = [dict(zip(header, row)) for row in rows]
+        return tuple(one["id"] for one in cells if int(one["ccd"]) in ccds and one["strip"] in strips)
+
     @property
     def of_ground(self) -> tuple[str, ...]:
         return tuple(one for one in self.strips if self.kinds[one] == "ground")
@@ -197,9 +222,9 @@ class Facts:
 LATE = "late|early|clock|time|ms"
 
 
-def faults_of(root: Path, seed: int) -> Iterator[Fault]:
-    """All faults of a dump; `seed` chooses signs and those targets of many that are hit."""
-    facts, rng = Facts.of(root), np.random.default_rng([seed, 7])
+def faults_of(root: Path, rng: np.random.Generator) -> Iterator[Fault]:
+    """Every kind of fault in each place of a dump; `rng` draws sizes, signs and targets that are hit."""
+    facts = Facts.of(root)
     for maker in (
         _of_times,
         _of_line_camera,
@@ -208,16 +233,14 @@ def faults_of(root: Path, seed: int) -> Iterator[Fault]:
         _of_attitudes,
         _of_ground,
         _of_lists,
-        _of_measured_points,
     ):
         yield from maker(facts, rng)
 
 
-def _sized(
-    smallest: float, rng: np.random.Generator, sizes: tuple[float, ...] = SIZES
-) -> Iterator[tuple[float, float]]:
-    for times in sizes:
-        yield times, float(rng.choice([-1.0, 1.0])) * times * smallest
+def sized(smallest: float, rng: np.random.Generator, largest: float = LARGEST) -> tuple[float, float]:
+    """How many times the smallest size, log-uniform up to the largest, and the size with a sign."""
+    times = float(np.exp(rng.uniform(0.0, np.log(largest))))
+    return times, float(rng.choice([-1.0, 1.0])) * times * smallest
 
 
 def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
@@ -239,23 +262,23 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
     # 2 m of the orbit are 0.27 ms, clocks 0.1 ms; stars of the sky say a row's time to some 0.1 ms.
     for strip in facts.strips:
-        for times, ms in _sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng):
+        for times, ms in [sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng)]:
             make = partial(rows_late, (strip,), 1e-3 * ms)
             blind = "clock|late|time|one.way" if len(facts.strips) == 1 else f"clock of the rows.*{strip}"
             yield Fault("strip clock", strip, ms, "ms", times, make, (strip, LATE), blind, (strip,))
     if len(facts.strips) > 1:
-        for times, ms in _sized(2.0, rng):
+        for times, ms in [sized(2.0, rng)]:
             make = partial(rows_late, facts.strips, 1e-3 * ms)
             own = facts.strips
             yield Fault("all strips' clock", "", ms, "ms", times, make, ("all|common", LATE), LATE, own)
     for strip in facts.strips:  # 12 targets, each to 0.08 px, over 2000 rows
-        for times, part in _sized(3e-4, rng):
+        for times, part in [sized(3e-4, rng)]:
             make = partial(period, (strip,), part)
             blind = f"row period.*{strip}"
             yield Fault(
                 "row period", strip, 100.0 * part, "%", times, make, (strip, "period|rate"), blind, (strip,)
             )
-    for times, part in _sized(3e-4, rng):
+    for times, part in [sized(3e-4, rng)]:
         make = partial(period, facts.strips, part)
         own = facts.strips
         yield Fault(
@@ -278,7 +301,7 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         def head_late(seconds: float, dump: Path, name: str = head) -> None:
             edited(f"{name}.csv", lambda row: row.update(utc=later(row["utc"], seconds)), dump)
 
-        for times, ms in _sized(2.0, rng):
+        for times, ms in [sized(2.0, rng)]:
             make = partial(head_late, 1e-3 * ms)
             yield Fault("head clock", head, ms, "ms", times, make, (head, LATE), LATE, (head,))
         yield from _rows_dated_wrong(f"{head}.csv", "utc", head, rng)
@@ -297,7 +320,7 @@ def _rows_dated_wrong(file: str, column: str, head: str, rng: np.random.Generato
 
     drawn = rng.random(10_000) < 0.5
     for name, chosen in (("every second", lambda k: k % 2 == 1), ("at random", lambda k: bool(drawn[k]))):
-        for times, ms in _sized(5.0, rng):
+        for times, ms in [sized(5.0, rng)]:
             make, words = partial(dated, chosen, 1e-3 * ms), (head.lower() or "exposure", "time")
             yield Fault(
                 "rows dated wrong", f"{head} {name}".strip(), ms, "ms", times, make, words, "", (head,)
@@ -308,7 +331,7 @@ def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
     def exposures_late(seconds: float, dump: Path) -> None:
         edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], seconds)), dump)
 
-    for times, ms in _sized(2.0, rng):
+    for times, ms in [sized(2.0, rng)]:
         make = partial(exposures_late, 1e-3 * ms)
         yield Fault("exposures' clock", "", ms, "ms", times, make, ("exposure|star|all", LATE), LATE)
     yield from _rows_dated_wrong("exposures.csv", "utc_mid", "", rng)
@@ -342,12 +365,12 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for ccd in range(facts.ccds):
         one = (f"CCD {ccd}",)
         for key, kind in (("x_offset_mm", "along"), ("y_first_mm", "across")):
-            for times, px in _sized(0.3, rng):
+            for times, px in [sized(0.3, rng)]:
                 make = partial(toml_number, camera, key, lambda v, px=px: v + px * pitch_mm, ccd)
                 words = (f"ccd {ccd}\\b", f"{kind}|{key}|place|look")
                 # one CCD along the track is Z itself where few targets stand against it
                 yield Fault(f"CCD {kind}", one[0], px, "px", times, make, words, f"ccd {ccd}", one)
-        for times, mrad in _sized(2.0, rng):
+        for times, mrad in [sized(2.0, rng)]:
             make = partial(toml_number, camera, "rotation_mrad", lambda v, mrad=mrad: v + mrad, ccd)
             words = (f"ccd {ccd}\\b", "rotat|turn")
             yield Fault("CCD rotation", one[0], mrad, "mrad", times, make, words, f"ccd {ccd}", one)
@@ -358,7 +381,7 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     ):
         make = partial(toml_number, camera, "x_offset_mm", edit, None)
         yield Fault(kind, "", 20.0, "mm", 30.0, make, ("ccd|look", "x_offset|along|remote_camera"), "", every)
-    for times, part in _sized(1.5e-4, rng):
+    for times, part in [sized(1.5e-4, rng)]:
         make = partial(toml_number, camera, "focal_length_m", lambda v, part=part: v * (1.0 + part), None)
         words = ("focal|scale|remote_camera|height",)
         yield Fault(
@@ -390,6 +413,7 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for strip in facts.strips:
         first = int(rng.integers(0, facts.ccds - 1))
         make, own = partial(exchanged, strip, first, first + 1), (f"CCD {first}", f"CCD {first + 1}", strip)
+        own = (*own, *facts.of_ccds((first, first + 1), (strip,)))
         words = (strip, f"ccd {first}\\b|ccds? {first} and", "exchang|swap|file")
         yield Fault(
             "CCD files exchanged", f"{strip} CCD {first}/{first + 1}", 1, "files", 30.0, make, words, "", own
@@ -489,7 +513,7 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     if not facts.star_images:
         return
     camera, star = "star_camera.toml", "star camera|star_camera"
-    for times, part in _sized(2e-5, rng):
+    for times, part in [sized(2e-5, rng)]:
         make = partial(toml_number, camera, "focal_length_mm", lambda v, part=part: v * (1.0 + part), None)
         yield Fault("star focal length", "", 100.0 * part, "%", times, make, (star, "focal"), "star.*focal")
 
@@ -500,7 +524,7 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         new = f"principal_point_px = [{x + dx}, {y + dy}]"
         write_text(dump / camera, text[: found.start()] + new + text[found.end() :])
 
-    for times, px in _sized(0.5, rng):
+    for times, px in [sized(0.5, rng)]:
         dx, dy = (px, 0.0) if rng.random() < 0.5 else (0.0, px)
         make = partial(principal, dx, dy)
         words = (star, "principal|distortion")
@@ -580,7 +604,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         states(edit, dump)
 
     for axis in ("along", "across", "radial"):
-        for times, metres in _sized(12.0 if axis != "radial" else 80.0, rng):
+        for times, metres in [sized(12.0 if axis != "radial" else 80.0, rng)]:
             make = partial(moved, axis, metres, -np.inf, np.inf)
             words = (f"{orbit}|position|datum|clock|time|height", "")
             yield Fault(
@@ -603,7 +627,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for strip in facts.of_ground:
             t = (np.datetime64(at[strip], "ns") - begin) / np.timedelta64(1, "s")
             for axis in ("along", "across"):
-                for times, metres in _sized(15.0, rng):
+                for times, metres in [sized(15.0, rng)]:
                     make = partial(moved, axis, metres, t - 8.0, t + 10.0)
                     words = (rf"{strip}|orbit\.oem", "orbit|position|clock|time|late|early|point")
                     yield Fault(
@@ -682,89 +706,6 @@ def _oem_key(key: str, value: str, dump: Path) -> None:
     change(dump / "orbit.oem", rf"(?m)^{key} = .*$", f"{key} = {value}")
 
 
-def _of_measured_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
-    """Time profiles within strips, and what strips share, where only points were measured: lines lost or
-    twice, a row clock that bends, ground of one strip that is moved or too high, a mounting that moves.
-    """
-    if facts.images or facts.listed != "points.csv":
-        return
-    name = facts.strips[int(rng.integers(len(facts.strips)))]
-
-    def moved(edit: Callable[[dict[str, str], float], None], ccd: str, dump: Path) -> None:
-        header, *rows = table(dump / "points.csv")
-        cells = [dict(zip(header, row)) for row in rows]
-        lines = [float(one["line"]) for one in cells if one["strip"] == name]
-        for one in cells:
-            if one["strip"] == name and ccd in ("", one["ccd"]):
-                edit(one, (float(one["line"]) - min(lines)) / (max(lines) - min(lines)))
-        write(dump / "points.csv", [header, *([one[key] for key in header] for one in cells)])
-
-    def lost(n: float, one: dict[str, str], part: float) -> None:
-        one["line"] = repr(float(one["line"]) - n * (part > 0.45))
-
-    def curved(n: float, one: dict[str, str], part: float) -> None:
-        one["line"] = repr(float(one["line"]) + n * 4.0 * part * (1.0 - part))
-
-    def lifted(metres: float, one: dict[str, str], part: float) -> None:
-        one["height_m"] = repr(float(one["height_m"]) + metres)
-
-    def to_east(metres: float, one: dict[str, str], part: float) -> None:
-        wide = np.radians(1.0) * 6.37e6 * np.cos(np.radians(float(one["lat_deg"])))
-        one["lon_deg"] = repr(float(float(one["lon_deg"]) + metres / wide))
-
-    own = (name, *(f"CCD {n}" for n in range(facts.ccds)))
-    ccd = str(int(rng.integers(facts.ccds)))
-    for kind, edit, smallest, unit, only, words in (
-        ("lines lost", lost, 0.5, "px", "", (name, "lines|row|clock")),
-        ("lines lost in a CCD", lost, 1.0, "px", ccd, (f"ccd {ccd}\\b", "lines|image|place")),
-        ("rows curved", curved, 0.7, "px", "", (name, "curved|row|clock|drift")),
-        ("ground too high", lifted, 60.0, "m", "", (name, "height|height_m|orbit")),
-        ("ground moved", to_east, 3.0, "m", "", (name, "orbit or targets|attitude|clock|coordinates")),
-    ):
-        for times, size in _sized(smallest, rng, (1.0, 3.0, 10.0)):
-            make = partial(moved, partial(edit, size), only)
-            yield Fault(kind, name, size, unit, times, make, words, f"{name}|all", own)
-    first = {one[0]: one[3] for one in reversed(table(facts.root / "strips.csv")[1:])}
-
-    def turned(axis: int, arcsec: float, profile: str, dump: Path) -> None:
-        begins = sorted(first.values())
-        for head in facts.heads:
-
-            def edit(row: dict[str, str]) -> None:
-                utc = np.datetime64(row["utc"].removesuffix("Z"), "ns")
-                after = [(utc - np.datetime64(one, "ns")) / np.timedelta64(1, "s") for one in begins]
-                part = float(after[-1] > -5.0) if profile == "jump" else min(abs(s) for s in after) / 2.5
-                q = Rotation.from_quat([float(row[key]) for key in ("qx", "qy", "qz", "qw")])
-                turn = np.zeros(3)
-                turn[axis] = np.radians(arcsec / 3600.0) * part
-                row.update(
-                    zip(
-                        ("qx", "qy", "qz", "qw"),
-                        map(repr, (q * Rotation.from_rotvec(turn)).as_quat().tolist()),
-                    )
-                )
-
-            edited(f"{head}.csv", edit, dump)
-            if profile == "jump":
-                return  # the reference head alone
-
-    for profile, smallest in (("drift", 3.0),):
-        for times, size in _sized(smallest, rng, (1.0, 3.0, 10.0)):
-            make = partial(turned, int(rng.integers(2)), size, profile)
-            words = ("mounting|attitude|clock|row period|exposures|times",)
-            yield Fault(
-                f"mounting {profile}",
-                "",
-                size,
-                "arcsec",
-                times,
-                make,
-                words,
-                "mounting|attitude|clock|period|rotation",
-                ("*",),
-            )
-
-
 def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     """Conventions of heads that state attitudes, and the pre-launch matrix."""
     Q = ("qx", "qy", "qz", "qw")
@@ -822,7 +763,7 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
             edited(f"{name}.csv", edit, dump)
 
-        for times, arcsec in _sized(6.0, rng):
+        for times, arcsec in [sized(6.0, rng)]:
             make = partial(rotated, 0, arcsec, head)
             yield Fault(
                 "head moves",
@@ -871,7 +812,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     def add(column: str, amount: float, row: dict[str, str]) -> None:
         row[column] = f"{float(row[column]) + amount:.10f}"
 
-    for times, px in _sized(1.0, rng):
+    for times, px in [sized(1.0, rng)]:
         name = str(rng.choice(facts.ground))
         column, scale = (
             ("lat_deg", metres_per_deg) if rng.random() < 0.5 else ("lon_deg", 0.81 * metres_per_deg)
@@ -927,7 +868,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         "",
         (name,),
     )
-    for times, metres in _sized(60.0, rng):
+    for times, metres in [sized(60.0, rng)]:
         name = str(rng.choice(facts.ground))
         yield Fault(
             "target height",
@@ -936,16 +877,13 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             "m",
             times,
             partial(one, name, partial(add, "height_m", metres)),
-            (name, "height"),
+            (name,),
             "height",
             (name,),
         )
-    for column, axis, scale in (
-        ("lat_deg", "north", metres_per_deg),
-        ("lon_deg", "east", 0.81 * metres_per_deg),
-    ):
-        for times, metres in _sized(12.0, rng):
-            make = partial(edited, listed, partial(add, column, metres / scale))
+    for axis in ("north", "east"):
+        for times, metres in [sized(12.0, rng)]:
+            make = partial(ground_moved, listed, (), axis, metres)
             yield Fault(
                 f"all targets {axis}",
                 "",
@@ -957,7 +895,7 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 "shift|target|along|across|orbit",
                 harmless=in_chips,
             )
-    for times, metres in _sized(80.0, rng):
+    for times, metres in [sized(80.0, rng)]:
         make = partial(edited, listed, partial(add, "height_m", metres))
         yield Fault("all heights", "", metres, "m", times, make, ("height",), "height|radial|scale")
 
@@ -992,7 +930,7 @@ def _of_chips(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for name in names:
             repaint(dump / f"chips/{name}.tif", lambda image: image, metres)
 
-    for times, metres in _sized(GROUND_M, rng):
+    for times, metres in [sized(GROUND_M, rng)]:
         name = str(rng.choice(facts.ground))
         yield Fault(
             "chip shifted",
@@ -1005,7 +943,7 @@ def _of_chips(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             "",
             (name,),
         )
-    for times, metres in _sized(12.0, rng):
+    for times, metres in [sized(12.0, rng)]:
         yield Fault(
             "all chips shifted",
             "",

@@ -120,6 +120,13 @@ CAUSES = [
         "remote_camera.toml",
     ),  # 212 m of height would explain it, too
     (
+        partial(faults.ground_moved, "points.csv", ("s02",), "north", 80.0),
+        "datum of the targets, north",
+        "strip s02",
+        80.0,
+        "points.csv",
+    ),
+    (
         partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"),
         "coordinates",
         "target s01-t07 (strip s01)",
@@ -138,6 +145,33 @@ def test_a_cause_is_told_first_with_its_size_and_accuses_nothing_else(told, make
     assert others == []
     assert verdict.outcome in (Outcome.REFUTED, Outcome.FINDINGS)
     assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
+
+
+def test_points_of_a_strip_that_scatter_more_than_stated_are_one_finding_about_their_noise(told):
+    def scattered(dump: Path) -> None:
+        rng = np.random.default_rng(11)
+
+        def edit(row: dict[str, str]) -> None:
+            for column in ("sample", "line"):
+                error = 8.0 * float(row[f"sigma_{column}_px"]) * rng.standard_normal()
+                if row["strip"] == "s03":
+                    row[column] = repr(float(row[column]) + error)
+
+        edited("points.csv", edit, dump)
+
+    (first,) = [one for one in told(scattered).verdict.findings if one.is_fault]
+    assert (first.cause, first.item) == ("noise of the image points or coordinates", "strip s03")
+    assert 3.0 < first.value < 9.0  # times the stated of image, survey and vibration together
+
+
+def test_instants_cut_to_an_eighth_of_a_second_are_told_with_that_step(told):
+    def cut(row: dict[str, str]) -> None:
+        utc = np.datetime64(row["utc"], "ns")
+        row["utc"] = str(utc - np.timedelta64(int(utc.astype(np.int64)) % 125_000_000, "ns"))
+
+    first = told(partial(edited, "STR1.csv", cut)).verdict.findings[0]
+    assert (first.cause, first.item) == ("times of attitudes", "head STR1")
+    assert "multiples of 0.125 s" in first.text
 
 
 def test_sizes_of_single_points_scatter_by_their_sigma(told, sound):

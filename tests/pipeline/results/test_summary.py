@@ -14,6 +14,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.results.summary import (
     _seen,
+    blind_lines,
     calibration_summary,
     unit_effect,
     verdict_lines,
@@ -119,13 +120,23 @@ def test_each_head_has_the_sigma_of_its_own_axes() -> None:
         ((-4.0, 3.0, 1.0), "px", "1 px: 4″ X"),
         ((3.0, 1.0, -104.4), "px", "1 px: 104″ Z"),
         ((0.5, 0.0, 0.0), "times", "all of it: 0.5″ X"),
+        ((5.5, -2.75, 9.0), "ms", "1 ms: 5.5″ X, 9″ Z"),
     ],
 )
-def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most(
+def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most_and_all_that_it_moves_by_more_than_1_sigma(
     effect_arcsec: Any, unit: str, words: str
 ) -> None:
     spot = {"effect_rad": [one * ARCSEC for one in effect_arcsec], "unit": unit}
-    assert unit_effect(spot) == words
+    assert unit_effect(spot, np.array([4.5, 3.5, 8.0]) * ARCSEC) == words
+
+
+def test_a_blind_spot_without_effect_is_not_printed() -> None:
+    spots = [
+        {"cause": cause, "effect_rad": [0.0, one * ARCSEC, 0.0], "unit": "px", "is_unseen": True}
+        for cause, one in (("place of the CCDs, along the track", 2.5), ("velocity of the orbit", 0.0))
+    ]
+    (line,) = blind_lines(spots, np.full(3, ARCSEC))
+    assert line.split() == ["cannot", "show", "place", "of", "the", "CCDs", "(1", "px:", "2.5″", "Y)"]
 
 
 @pytest.mark.parametrize(
