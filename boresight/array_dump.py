@@ -21,30 +21,23 @@ from rasterio.transform import Affine
 from boresight.accepted import (
     PathLike,
     RotationLike,
+    Table,
+    cell_of,
     count_of,
     floats_of,
     instance_of,
+    label_of,
     listed,
     new_folder_of,
     number_of,
     rotation_of,
+    rows_of,
     shown,
     utc_of,
     wrong,
 )
 from boresight.array_stars import attitude_keys, write_attitudes, write_exposures
-from boresight.array_tables import (
-    Table,
-    bits_of,
-    cell_of,
-    cells_of,
-    image_of,
-    label_of,
-    pixels_of,
-    rows_of,
-    stored,
-    write_image,
-)
+from boresight.array_tables import bits_of, cells_of, image_of, pixels_of, stored, write_image
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -55,7 +48,7 @@ from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.version import __version__
 
-__all__ = ["dump_from_arrays"]
+__all__ = ["dump_from_arrays", "orbit_text"]
 
 # Columns of tables that are given: place of a target, point that others measured, state of the orbit.
 PLACE = ("lat_deg", "lon_deg", "height_m", "height_kind", "sigma_east_m", "sigma_north_m", "sigma_up_m")
@@ -180,8 +173,6 @@ def dump_from_arrays(
     for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
         if bits is not None:
             count_of(bits, key, 8, 16)
-    if orbit_frame not in FRAMES:
-        raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     if targets is None and points is None and not _has_sky(strips):
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
     if (exposures is None) == (attitudes is None):
@@ -199,7 +190,7 @@ def dump_from_arrays(
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
     name = instance_of(mission, str, "mission")
-    (folder / files["orbit"]).write_text(_orbit_text(name, orbit_frame, orbit), encoding="utf-8")
+    (folder / files["orbit"]).write_text(orbit_text(name, orbit_frame, orbit), encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
         _write_targets(folder, rows_of(targets, "targets"))
@@ -300,7 +291,10 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
     return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 
-def _orbit_text(mission: str, frame: str, orbit: Table) -> str:
+def orbit_text(mission: str, frame: str, orbit: Table) -> str:
+    """An orbit message of the states of a table."""
+    if frame not in FRAMES:
+        raise wrong("orbit_frame", frame, " or ".join(FRAMES))
     rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")

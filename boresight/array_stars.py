@@ -10,8 +10,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from boresight.accepted import floats_of, instance_of, number_of, utc_of, wrong
-from boresight.array_tables import Table, bits_of, cell_of, image_of, label_of, rows_of, stored, write_image
+from boresight.accepted import (
+    Table,
+    cell_of,
+    floats_of,
+    instance_of,
+    label_of,
+    number_of,
+    rows_of,
+    utc_of,
+    wrong,
+)
+from boresight.array_tables import bits_of, image_of, stored, write_image
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
@@ -103,7 +113,7 @@ def attitude_keys(
         if removed != "annual and orbital":
             raise wrong("line_of_sight_s", None, f"{expected}: aberration_removed is {removed!r}")
         return keys
-    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)")
+    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)", unit="")
     if u_s.shape != (3,) or not abs(np.linalg.norm(u_s) - 1.0) <= DIRECTION_LENGTH:
         raise wrong("line_of_sight_s", line_of_sight_s, expected)
     return keys | {"line_of_sight": u_s.tolist()}

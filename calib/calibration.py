@@ -68,6 +68,8 @@ __all__ = ["calibrate_strips", "strip_pairs"]
 
 NEGLIGIBLE_TURN_RAD = 1e-4  # of an alignment: its square is 0.002 arcsec
 MOST_ALIGNMENTS = 3  # from degrees off the second is below a microradian
+# Settings, model of the interior orientation, prior on the matrix.
+Given = tuple[CalibrationSettings, InteriorModel | None, InformationPairs | None]
 HEADS_PROBABILITY = 1e-3  # of looking for a head that contradicts where none does; the verdict decides
 
 
@@ -77,6 +79,7 @@ def calibrate_strips(
     settings: CalibrationSettings,
     *,
     interior: InteriorModel | None = None,
+    prior: InformationPairs | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
     several cameras of one satellite a matrix each.
@@ -94,6 +97,8 @@ def calibrate_strips(
         Prior standard deviations of the errors that the sightings' covariances do not hold, and limits.
     interior : InteriorModel, optional
         Parameters of the remote-sensing camera's interior orientation, to be estimated too.
+    prior : InformationPairs, optional
+        What is known of the matrix before: one pair, about `R_cs0`.
 
     Returns
     -------
@@ -113,11 +118,12 @@ def calibrate_strips(
     array([0.57, 0.64, 10.4])
     """
     passes, cameras, start = _passes(strips, settings), *_matrices(strips, R_cs0)
-    found = _calibrated(passes, cameras, start, settings, interior)
+    given = settings, interior, prior
+    found = _calibrated(passes, cameras, start, given)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
     heads = ("", *unknown_heads(passes))
-    trials = [_without(passes, head, cameras, start, settings, interior) for head in heads]
+    trials = [_without(passes, head, cameras, start, given) for head in heads]
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
 
 
@@ -159,13 +165,12 @@ def _without(
     head: str,
     cameras: tuple[str, ...],
     R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
+    given: Given,
 ) -> WithoutHead | None:
     """Statistics of the estimate without one head; None where nothing can be estimated without it."""
     strips = aligned(strips, {name: measured_alignment(strips, name) for name in unknown_heads(strips)})
     rest = [without_head(strip, head) for strip in strips]
-    found = _calibrated(rest, cameras, R_cs0, settings, interior)
+    found = _calibrated(rest, cameras, R_cs0, given)
     if isinstance(found, NotObservable):
         return None
     rejected = sum(entry.reason is Reason.TARGET_RESIDUAL for entry in found.rejected)
@@ -177,14 +182,13 @@ def _calibrated(
     strips: Sequence[StripSightings],
     cameras: tuple[str, ...],
     R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
+    given: Given,
 ) -> InstallationEstimate | NotObservable:
     """The estimate from passes, about the alignments of heads that the attitudes measure or, of heads that
     were never on together with another, that the targets show.
     """
     strips = aligned(strips, {head: measured_alignment(strips, head) for head in unknown_heads(strips)})
-    found = _about(strips, cameras, R_cs0, settings, interior)
+    found = _about(strips, cameras, R_cs0, given)
     for _ in range(MOST_ALIGNMENTS):
         if isinstance(found, NotObservable):
             break
@@ -192,7 +196,7 @@ def _calibrated(
         if largest_turn(strips, better) < NEGLIGIBLE_TURN_RAD:
             break
         strips = aligned(strips, better)
-        found = _about(strips, cameras, R_cs0, settings, interior)
+        found = _about(strips, cameras, R_cs0, given)
     return found
 
 
@@ -200,13 +204,13 @@ def _about(
     strips: Sequence[StripSightings],
     cameras: tuple[str, ...],
     R_cs0: Rotation,
-    settings: CalibrationSettings,
-    interior: InteriorModel | None,
+    given: Given,
 ) -> InstallationEstimate | NotObservable:
     """The estimate about the alignments of heads that the strips assume."""
+    settings, interior, prior = given
     of_heads = [carried(strip) for strip in strips]
     prepared = prepare_strips(of_heads, settings, cameras)
-    problem = Problem.of(prepared, settings, interior, cameras)
+    problem = Problem.of(prepared, settings, interior, cameras, prior)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -391,6 +395,7 @@ def _estimate(
     n_kept, n_exposures = int(np.sum(fit.weight > 0.0)), int(sum(used.sum() for _, used in exposures))
     dof_stars = int(sum(attitudes.dof[used].sum() for attitudes, used in exposures))
     last, n_theta = np.abs(step.solution.theta), len(step.solution.theta)
+    known = 0 if problem.prior is None else int(np.linalg.matrix_rank(problem.prior.F[0]))
     return InstallationEstimate(
         R_cs=R_cs,
         R_cs0=R_cs0,
@@ -398,7 +403,7 @@ def _estimate(
         theta=theta_of(R_cs, R_cs0),
         cov_theta=step.solution.covariance,
         chi2=step.chi2,
-        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta,
+        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta + known,
         chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
         dof_stars=dof_stars,
         n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
@@ -423,6 +428,7 @@ def _estimate(
         references=_offsets(problem, step.solution),
         heads=(HeadInstallation(name="", R_cs=R_cs if R_cs.single else R_cs[0]),),
         cov_heads=step.solution.covariance[:3, :3],
+        prior=problem.prior,
     )
 
 

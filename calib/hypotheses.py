@@ -203,24 +203,26 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """
     prepared, (u_c, across) = of.prepared, of.looks()
     every = _all("all frames", prepared)
+    turns = [
+        _InputError(f"attitude of a frame, about {axis} of c", "″", SIZES, "v_stars, v_targets", "", turn)
+        for axis, turn in zip("xyz", of.turns())
+    ]
     origin = [
         _InputError(
             f"origin of the look vectors, {'xy'[axis]} of c", "″", SIZES, "w_c", "", of.pixel * column
         )
         for axis, column in enumerate(np.moveaxis(across, 2, 0)[:2])
     ]
-    found = list(_in_each(every, origin))
+    # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
+    of_all = [
+        replace(one, cause=one.cause.replace("of a frame", "and aberration of all frames")) for one in turns
+    ]
+    found = list(_in_each(every, [*origin, *of_all]))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(prepared)))
-        axes = [
-            _InputError(
-                f"attitude of a frame, about {'xyz'[axis]} of c", "″", SIZES, "v_stars, v_targets", "", turn
-            )
-            for axis, turn in enumerate(of.turns())
-        ]
-        found += _in_each(frames, axes)
+        found += _in_each(frames, turns)
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
