@@ -166,10 +166,11 @@ def instance_of(value: object, kind: type[Kind], name: str) -> Kind:
 def number_of(value: object, name: str, low: float = -math.inf, high: float = math.inf) -> float:
     """A finite number from `low` to `high`."""
     limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
+    value = _in_unit(value, name)
     try:
         if isinstance(value, str | bytes | bool):
             raise TypeError
-        number = float(_in_unit(value, name))
+        number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         raise wrong(name, value, f"a number{limits}") from None
     if not (math.isfinite(number) and low <= number <= high):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
+from functools import partial
 from typing import TypeAlias
 
 import pandas as pd
@@ -135,5 +136,7 @@ def calibrate_vectors(
         stars=tables["stars"],
         not_used=tables["ledger"][UNUSED],
         facts=facts,
-        _scratch=ScratchFolder(lambda path: vector_result.write_vector_result(path, found, facts, tables)),
+        _scratch=ScratchFolder(
+            partial(vector_result.write_vector_result, found=found, facts=facts, tables=tables)
+        ),
     )

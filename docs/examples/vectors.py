@@ -13,33 +13,22 @@ from scipy.spatial.transform import Rotation
 
 import boresight as bs
 
-PICTURES = sys.argv[1] if len(sys.argv) > 1 else "."
-rng = np.random.default_rng(5)
-
-
-def unit(v):
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def noisy(v, sigma):
-    return unit(v + rng.normal(0.0, sigma, v.shape))
-
-
-# Directions spread over a field, tangents of half its width and height.
-def field(n, half_x, half_y):
-    return unit(
-        np.column_stack([rng.uniform(-half_x, half_x, n), rng.uniform(-half_y, half_y, n), np.ones(n)])
-    )
-
-
-R_true = Rotation.from_rotvec([np.radians(165.0), 0.0, 0.0])  # the star camera looks 15 deg off the zenith
+rng = np.random.default_rng(2020)
 sigma_s, sigma_c = 0.06 * 6.4e-5, 0.1 * 1e-6  # rad: parts of a pixel
-frames = []
-for R_si in Rotation.random(150, random_state=rng):
-    stars, ground = field(30, 0.164, 0.123), field(10, 0.0, 0.0123)  # a line of pixels looks at the ground
-    known = R_si.inv().apply(stars), (R_true * R_si).inv().apply(ground)
-    frames.append((noisy(stars, sigma_s), known[0], noisy(ground, sigma_c), known[1]))
-u_s, v_stars, w_c, v_targets = zip(*frames)
+R_true = Rotation.from_rotvec([np.radians(165.0), 0.0, 0.0])  # the star camera looks 15 deg off the zenith
+
+
+def drawn(n, half_x, half_y, sigma, R_ci):
+    """Directions over a field, tangents of half its width and height: measured, and known in GCRS."""
+    tangents = rng.uniform(-1.0, 1.0, (n, 2)) * [half_x, half_y]
+    u = np.column_stack([tangents, np.ones(n)]) / np.sqrt(1.0 + np.sum(tangents**2, axis=1))[:, None]
+    measured = u + rng.normal(0.0, sigma, u.shape)
+    return measured / np.linalg.norm(measured, axis=1, keepdims=True), R_ci.inv().apply(u)
+
+
+attitudes = Rotation.random(150, random_state=rng)
+u_s, v_stars = zip(*(drawn(30, 0.164, 0.123, sigma_s, R_si) for R_si in attitudes))
+w_c, v_targets = zip(*(drawn(10, 0.0, 0.0123, sigma_c, R_true * R_si) for R_si in attitudes))
 R_start = Rotation.from_rotvec([-0.003, -0.002, -0.001]) * R_true  # the paper's (28)
 
 counts = np.unique(np.geomspace(2, 150, 10).astype(int))
@@ -50,9 +39,8 @@ estimates = [
 errors = np.array([-(est.R_cs * R_true.inv()).as_rotvec(degrees=True) * 3600.0 for est in estimates])
 sigmas = np.array([est.sigma_arcsec for est in estimates])
 
-last = estimates[-1]
+last, error = estimates[-1], np.radians(errors[-1] / 3600.0)
 print(last, last.table().round(4).to_string(index=False), sep="\n\n", end="\n\n")
-error = np.radians(errors[-1] / 3600.0)
 print("error, arcsec:", *(f"{value:+.4f}" for value in errors[-1]))
 print(f"NEES {error @ np.linalg.solve(last.cov_theta, error):.2f} (3 is expected)")
 
@@ -61,7 +49,7 @@ for axis, name in enumerate("XYZ"):
     axes[axis].plot(counts, errors[:, axis], "k.-", label="error")
     axes[axis].fill_between(counts, -sigmas[:, axis], sigmas[:, axis], color="0.8", label="1 sigma stated")
     axes[axis].set(xscale="log", xlabel="frames", title=f"about {name}")
-    axes[axis].set_ylim(-4 * sigmas[2, axis], 4 * sigmas[2, axis])
+    axes[axis].set_ylim(np.array([-4, 4]) * sigmas[2, axis])
 axes[0].set_ylabel("arcsec")
 axes[2].legend()
-figure.savefig(f"{PICTURES}/example_vectors.png", dpi=110)
+figure.savefig(f"{sys.argv[1] if len(sys.argv) > 1 else '.'}/example_vectors.png", dpi=110)

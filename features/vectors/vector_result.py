@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes
 from boresight.geometry.vector_sets import VectorSets
+from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import arrow_array
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
@@ -28,7 +30,7 @@ __all__ = ["vector_facts", "vector_tables", "why_not", "write_vector_result"]
 
 
 def vector_facts(vectors: VectorSets, found: VectorCalibration) -> dict[str, Any]:
-    """What installation.json holds."""
+    """What installation.json holds, as it is read back."""
     estimate, none = found.estimate, np.full(3, np.nan)
     stars = {strip.exposures[0].t_s: len(strip.exposures[0].hip) for strip in found.strips}  # by instant
     counts = (
@@ -36,7 +38,7 @@ def vector_facts(vectors: VectorSets, found: VectorCalibration) -> dict[str, Any
         f"star vectors and {estimate.n_targets} of {len(vectors.w_c)} target vectors"
     )
     facts = installation_facts(estimate, found.verdict, (), (INDEPENDENT, Settings()), [none])
-    return facts | {"made_from": "vectors", "counts": counts}
+    return dict(json.loads(json_text(facts | {"made_from": "vectors", "counts": counts})))
 
 
 def vector_tables(vectors: VectorSets, found: VectorCalibration) -> dict[str, pd.DataFrame]:
