@@ -35,6 +35,7 @@ __all__ = [
     "Table",
     "TimeLike",
     "cell_of",
+    "column_of",
     "count_of",
     "flag_of",
     "floats_of",
@@ -314,6 +315,18 @@ def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
     if key not in row:
         raise wrong(f"{name}, row {n}", f"columns {', '.join(map(str, row))}", f"also {key}")
     return row[key]
+
+
+def column_of(
+    rows: Sequence[Mapping[str, Any]],
+    key: str,
+    name: str,
+    read: Callable[[Any, str], Kind],
+    otherwise: object = None,
+) -> list[Kind]:
+    """A column of a table by a function of this module; `otherwise` stands in rows without it, if stated."""
+    full = rows if otherwise is None else [{key: otherwise, **row} for row in rows]
+    return [read(cell_of(row, key, name, n), f"{name}, row {n}, {key}") for n, row in enumerate(full)]
 
 
 def label_of(value: Any, name: str) -> str:

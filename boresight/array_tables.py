@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.accepted import cell_of, count_of, label_of, number_of, shown, wrong
+from boresight.accepted import count_of, label_of, shown, wrong
 from boresight.pipeline.files.images.tiff import TILES, write_tiff
 
 __all__ = [
+    "READERS",
     "bits_of",
-    "cells_of",
     "image_of",
     "pixels_of",
     "stored",
     "write_image",
 ]
 
-TEXTS = ("id", "strip", "height_kind")  # columns of targets and measured points that are no numbers
-
-
-def cells_of(row: Mapping[str, Any], keys: Sequence[str], name: str, n: int) -> list[str | float]:
-    """The cells of some columns, checked: `TEXTS`, a CCD's number, or finite numbers."""
-
-    def checked(key: str) -> str | float:
-        value, at = cell_of(row, key, name, n), f"{name}, row {n}, {key}"
-        if key in TEXTS:
-            return label_of(value, at)
-        return count_of(value, at) if key == "ccd" else number_of(value, at)
-
-    return [checked(key) for key in keys]
+# How columns of targets and measured points are read; all others are numbers.
+READERS = dict.fromkeys(("id", "strip", "height_kind"), label_of) | {"ccd": count_of}
 
 
 def image_of(value: Any, name: str) -> NDArray[Any]:

@@ -332,7 +332,7 @@ class Calibration(Result):
         """
 
         write: Callable[..., list[Path]] = feature_function("exports", "export_files")
-        place = None if dump is None else open_dump(source_of_dump(dump)).root
+        place = None if dump is None else _root_of(source_of_dump(dump))
         return write(Path(self), formats, out, dump=place, strips=strips, camera=camera)
 
     def geolocate(
@@ -350,7 +350,7 @@ class Calibration(Result):
         if self.facts.get("made_from") == "vectors":
             raise ValueError("geolocate: found a result from vectors, expected that of a dump, with strips")
         find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
-        place = None if dump is None else open_dump(source_of_dump(dump)).root
+        place = None if dump is None else _root_of(source_of_dump(dump))
         return find(self, strip, ccd, line, sample, dump=place, camera=camera, height_m=height_m)
 
 

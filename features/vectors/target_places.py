@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from boresight.accepted import cell_of, number_of, of_argument, rows_of, utc_of, wrong
+from boresight.accepted import column_of, label_of, number_of, of_argument, rows_of, utc_of, wrong
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
 from boresight.geometry.geoid import egm96
@@ -61,21 +62,17 @@ def seen_places(table: Any, name: str, orbit: Orbit) -> SeenPlaces:
     """
     rows = rows_of(table, name)
 
-    def column(key: str, low: float, high: float) -> Floats:
-        at = [f"{name}, row {n}, {key}" for n in range(len(rows))]
-        values = [
-            row.get(key, 0.0) if key in SIGMAS else cell_of(row, key, name, n) for n, row in enumerate(rows)
-        ]
-        return np.array([number_of(value, where, low, high) for value, where in zip(values, at)])
+    def column(key: str, low: float, high: float, otherwise: float | None = None) -> Floats:
+        return np.array(column_of(rows, key, name, partial(number_of, low=low, high=high), otherwise))
 
     lat_deg, lon_deg, height_m = (column(key, *LIMITS[key]) for key in LIMITS)
     lat, lon = np.radians(lat_deg), np.radians(lon_deg)
-    kinds = [row.get("height_kind", HEIGHT_KINDS[0]) for row in rows]
-    if unknown := [kind for kind in kinds if kind not in HEIGHT_KINDS]:
-        raise wrong(f"{name}, height_kind", unknown[0], " or ".join(HEIGHT_KINDS))
+    kinds = column_of(rows, "height_kind", name, label_of, HEIGHT_KINDS[0])
+    if unknown := set(kinds) - {*HEIGHT_KINDS}:
+        raise wrong(f"{name}, height_kind", min(unknown), " or ".join(HEIGHT_KINDS))
     if HEIGHT_KINDS[1] in kinds:
         height_m = height_m + (np.array(kinds) == HEIGHT_KINDS[1]) * egm96().undulation_m(lat, lon)
-    times = [utc_of(cell_of(row, "time", name, n), f"{name}, row {n}, time") for n, row in enumerate(rows)]
+    times = column_of(rows, "time", name, utc_of)
     t_s = orbit.epoch.seconds_from_utc(times)
     if np.ptp(t_s) > ONE_INSTANT_S:
         raise wrong(f"{name}, time", f"instants {np.ptp(t_s):.3g} s apart", "one: a frame has one attitude")
@@ -89,7 +86,7 @@ def seen_places(table: Any, name: str, orbit: Orbit) -> SeenPlaces:
         n = int(np.argmin(above))
         where = f"a place {range_m[n] / 1e3:.0f} km off, below the horizon"
         raise wrong(f"{name}, row {n}", where, "one that the satellite sees: check lat_deg, lon_deg, time")
-    sigma_m = np.column_stack([column(key, 0.0, 1e5) for key in SIGMAS])
+    sigma_m = np.column_stack([column(key, 0.0, 1e5, 0.0) for key in SIGMAS])
     axes_i = orbit.earth.matrices_ie(t_s) @ local_axes_e(lat, lon)
     covariance = (axes_i * sigma_m[:, None, :] ** 2) @ np.swapaxes(axes_i, 1, 2) / range_m[:, None, None] ** 2
     place = [

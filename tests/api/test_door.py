@@ -302,8 +302,10 @@ def test_a_simulated_dump_opens(tmp_path: Path) -> None:
         bs.simulate("nowhere", tmp_path / "dump")
 
 
+# The ignored line is an error of its own, "unused", where a misspelt name passes.
 USER_SCRIPT = """
 import boresight as bs
+from boresight import mispelt  # type: ignore[attr-defined]
 import numpy as np
 
 image = np.zeros((64, 64), dtype=np.uint16)
