@@ -139,13 +139,15 @@ if os.path.isfile(os.path.join(__path__[0], "geometry")):  # what git makes of a
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
-def __getattr__(name: str) -> object:
-    """Import a name of `__all__` from its module when it is first asked for."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'boresight' has no attribute {name!r}")
-    value: object = getattr(import_module(f"boresight.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # a type checker takes a name that is not imported above for an error
+
+    def __getattr__(name: str) -> object:
+        """Import a name of `__all__` from its module when it is first asked for."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module 'boresight' has no attribute {name!r}")
+        value: object = getattr(import_module(f"boresight.{_MODULE_OF[name]}"), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

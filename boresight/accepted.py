@@ -9,11 +9,12 @@ from __future__ import annotations
 import datetime
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -28,20 +29,28 @@ if TYPE_CHECKING:
 __all__ = [
     "ImageLike",
     "PathLike",
+    "Progress",
     "RotationLike",
     "SiteLike",
+    "Table",
     "TimeLike",
+    "cell_of",
+    "column_of",
     "count_of",
     "flag_of",
     "floats_of",
     "instance_of",
+    "label_of",
     "listed",
     "new_file_of",
     "new_folder_of",
+    "no_progress",
     "number_of",
     "of_argument",
     "path_of",
+    "progress_of",
     "rotation_of",
+    "rows_of",
     "shown",
     "site_of",
     "source_of",
@@ -54,10 +63,13 @@ TimeLike: TypeAlias = Union[str, datetime.datetime, np.datetime64, "Time"]
 RotationLike: TypeAlias = Rotation | NDArray[np.floating[Any]] | Sequence[Sequence[float]]
 SiteLike: TypeAlias = Sequence[float] | NDArray[np.floating[Any]]
 ImageLike: TypeAlias = NDArray[np.generic] | PathLike
+Progress: TypeAlias = Callable[[str, int, int], object]
+Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
 
 ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
 LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
 LONGEST_SHOWN = 80  # characters of an argument that a message repeats
+UNITS = {unit: unit for unit in ("deg", "rad", "arcsec", "m", "s")} | {"px": "pix"}  # by the end of a name
 Kind = TypeVar("Kind")
 
 
@@ -120,6 +132,17 @@ def flag_of(value: object, name: str) -> bool:
     return bool(value)
 
 
+def no_progress(stage: str, done: int, total: int) -> None:
+    """No progress is shown."""
+
+
+def progress_of(value: object) -> Callable[[str, int, int], None]:
+    """A function that is called with the stage, its tasks done, and all of them."""
+    if not callable(value):
+        raise wrong("progress", value, "a function of stage, tasks done and all tasks")
+    return value
+
+
 def listed(value: object, name: str, what: str) -> list[Any]:
     """A list of several things: given as any iterable, a single path or text is a list of one."""
     if isinstance(value, str | os.PathLike):
@@ -144,6 +167,7 @@ def instance_of(value: object, kind: type[Kind], name: str) -> Kind:
 def number_of(value: object, name: str, low: float = -math.inf, high: float = math.inf) -> float:
     """A finite number from `low` to `high`."""
     limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
+    value = _in_unit(value, name)
     try:
         if isinstance(value, str | bytes | bool):
             raise TypeError
@@ -165,8 +189,11 @@ def count_of(value: object, name: str, low: int = 0, high: int = 2**31 - 1) -> i
     return int(value)
 
 
-def floats_of(value: object, name: str, shape: str) -> Floats:
-    """An array of floating-point numbers; `shape` is what the message asks for."""
+def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> Floats:
+    """An array of floating-point numbers; `shape` is what the message asks for. A Quantity of astropy, or
+    what states its units in `attrs`, is converted to `unit`; None: that of the name.
+    """
+    value = _in_unit(value, name, unit)
     try:
         if isinstance(value, str | bytes):
             raise TypeError
@@ -179,6 +206,29 @@ def floats_of(value: object, name: str, shape: str) -> Floats:
     if masked:
         raise wrong(name, "an array with masked values", f"numbers of shape {shape}, none of them masked")
     return numbers
+
+
+def _in_unit(value: Any, name: str, unit: str | None = None) -> Any:
+    """The value, or the numbers in `unit` of one that states its own; of a covariance in its square."""
+    try:
+        of_quantity = hasattr(value, "to_value")
+        stated = value.unit if of_quantity else dict(getattr(value, "attrs", None) or {}).get("units")
+    except Exception:  # of a foreign class
+        stated = None
+    if stated is None:
+        return value
+    last = name.split(", ")[-1].split(" ")[0].rpartition("_")[2]
+    wanted = UNITS.get(last, "") if unit is None else unit
+    try:
+        from astropy.units import Quantity  # only where a unit is stated
+
+        given = Quantity(np.asarray(value.value if of_quantity else value), stated)
+        return given.to_value(f"{wanted}2" if wanted and given.ndim == 3 else wanted)
+    except Exception:
+        expected = (
+            f"numbers in {wanted}, or of a unit that converts to it" if wanted else "numbers without a unit"
+        )
+        raise wrong(name, f"values in {shown(str(stated))}", expected) from None
 
 
 def rotation_of(value: object, name: str) -> Rotation:
@@ -242,6 +292,48 @@ def site_of(value: object, name: str = "site") -> tuple[float, float, float]:
     if not (abs(lat) <= 90.0 and abs(lon) <= 360.0 and -500.0 <= height <= 9000.0):
         raise wrong(name, (lat, lon, height), f"{expected}, the height from -500 to 9000 m")
     return lat, lon, height
+
+
+def rows_of(table: Table, name: str) -> list[Mapping[str, Any]]:
+    """A table as mappings, one a row."""
+    if isinstance(table, pd.DataFrame):
+        rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
+    elif isinstance(table, str | bytes | Mapping):
+        raise wrong(name, table, "a DataFrame or a sequence of mappings")
+    else:
+        rows = listed(table, name, "mappings, or a DataFrame")
+    for n, row in enumerate(rows):
+        if not isinstance(row, Mapping):
+            raise wrong(f"{name}, row {n}", row, "a mapping of columns")
+    if not rows:
+        raise wrong(name, "no rows", "at least one")
+    return rows
+
+
+def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
+    """A cell of row `n` of a table."""
+    if key not in row:
+        raise wrong(f"{name}, row {n}", f"columns {', '.join(map(str, row))}", f"also {key}")
+    return row[key]
+
+
+def column_of(
+    rows: Sequence[Mapping[str, Any]],
+    key: str,
+    name: str,
+    read: Callable[[Any, str], Kind],
+    otherwise: object = None,
+) -> list[Kind]:
+    """A column of a table by a function of this module; `otherwise` stands in rows without it, if stated."""
+    full = rows if otherwise is None else [{key: otherwise, **row} for row in rows]
+    return [read(cell_of(row, key, name, n), f"{name}, row {n}, {key}") for n, row in enumerate(full)]
+
+
+def label_of(value: Any, name: str) -> str:
+    """A name, or the whole number that stands for one."""
+    if isinstance(value, bool) or not isinstance(value, str | int | np.integer):
+        raise wrong(name, value, "a text")
+    return str(value)
 
 
 def of_argument(name: str, error: RawDataError) -> ValueError:

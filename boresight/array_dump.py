@@ -21,30 +21,24 @@ from rasterio.transform import Affine
 from boresight.accepted import (
     PathLike,
     RotationLike,
+    Table,
+    cell_of,
+    column_of,
     count_of,
     floats_of,
     instance_of,
+    label_of,
     listed,
     new_folder_of,
     number_of,
     rotation_of,
+    rows_of,
     shown,
     utc_of,
     wrong,
 )
 from boresight.array_stars import attitude_keys, write_attitudes, write_exposures
-from boresight.array_tables import (
-    Table,
-    bits_of,
-    cell_of,
-    cells_of,
-    image_of,
-    label_of,
-    pixels_of,
-    rows_of,
-    stored,
-    write_image,
-)
+from boresight.array_tables import READERS, bits_of, image_of, pixels_of, stored, write_image
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -55,7 +49,7 @@ from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.version import __version__
 
-__all__ = ["dump_from_arrays"]
+__all__ = ["dump_from_arrays", "orbit_text"]
 
 # Columns of tables that are given: place of a target, point that others measured, state of the orbit.
 PLACE = ("lat_deg", "lon_deg", "height_m", "height_kind", "sigma_east_m", "sigma_north_m", "sigma_up_m")
@@ -180,8 +174,7 @@ def dump_from_arrays(
     for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
         if bits is not None:
             count_of(bits, key, 8, 16)
-    if orbit_frame not in FRAMES:
-        raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
+    _check_frame(orbit_frame)
     if targets is None and points is None and not _has_sky(strips):
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
     if (exposures is None) == (attitudes is None):
@@ -199,14 +192,14 @@ def dump_from_arrays(
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
     name = instance_of(mission, str, "mission")
-    (folder / files["orbit"]).write_text(_orbit_text(name, orbit_frame, orbit), encoding="utf-8")
+    (folder / files["orbit"]).write_text(orbit_text(name, orbit_frame, orbit), encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
         _write_targets(folder, rows_of(targets, "targets"))
     if points is not None:
         files["points"] = "points.csv"
-        rows = [cells_of(row, MEASURED, "points", n) for n, row in enumerate(rows_of(points, "points"))]
-        write_csv(folder / "points.csv", MEASURED, rows)
+        columns = _columns(rows_of(points, "points"), MEASURED, "points")
+        write_csv(folder / "points.csv", MEASURED, list(zip(*columns)))
     head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
         files["terrain"] = "terrain/dem.tif"
@@ -228,6 +221,11 @@ def _new_folder(out: PathLike | None) -> Path:
     return folder
 
 
+def _check_frame(frame: object) -> None:
+    if frame not in FRAMES:
+        raise wrong("orbit_frame", frame, " or ".join(FRAMES))
+
+
 def _three(sigma: ArrayLike) -> list[float]:
     values = floats_of(sigma, "sigma_R_cs0_rad", "(3,)")
     if values.shape not in ((), (3,)) or not ((values > 0.0) & (values <= np.pi)).all():
@@ -240,39 +238,49 @@ def _has_sky(strips: Table) -> bool:
 
 
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None) -> int:
-    lines, types = [], set()
+    readers = {"id": label_of, "ccd": count_of, "time": utc_of, "row_period_s": number_of}
+    ids, ccds, times, periods = (column_of(rows, key, "strips", read) for key, read in readers.items())
+    places: list[tuple[str, int]] = []  # file and number of lines
+    types = set()
     for n, row in enumerate(rows):
-        at = f"strips, row {n}"
-        ccd = count_of(cell_of(row, "ccd", "strips", n), f"{at}, ccd")
         file, image = "", cell_of(row, "image", "strips", n)
         if image is None:
-            count = count_of(cell_of(row, "lines", "strips", n), f"{at}, lines")
+            count = count_of(cell_of(row, "lines", "strips", n), f"strips, row {n}, lines")
         else:
             file = f"strips/{n + 1:05d}.tif"
-            pixels = image_of(image, f"{at}, image")
+            pixels = image_of(image, f"strips, row {n}, image")
             types.add(pixels.dtype)
             count = len(pixels)
             write_image(folder / file, stored(pixels, stated or 8))
-        instant = utc_of(cell_of(row, "time", "strips", n), f"{at}, time")
-        period = number_of(cell_of(row, "row_period_s", "strips", n), f"{at}, row_period_s")
-        name, kind = label_of(cell_of(row, "id", "strips", n), f"{at}, id"), row.get("kind", "ground")
-        lines.append([name, ccd, file, instant, repr(period), count, label_of(kind, f"{at}, kind")])
-    columns = ["id", "ccd", "file", "utc_first_row", "row_period_s", "lines", "kind"]
-    write_csv(folder / "strips.csv", columns, lines)
+        places.append((file, count))
+    lines = zip(
+        ids,
+        ccds,
+        *zip(*places),
+        times,
+        map(repr, periods),
+        column_of(rows, "kind", "strips", label_of, "ground"),
+    )
+    columns = ["id", "ccd", "file", "lines", "utc_first_row", "row_period_s", "kind"]
+    write_csv(folder / "strips.csv", columns, list(lines))
     return bits_of(stated, types, "remote_bits")
 
 
 def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    lines = []
-    for n, row in enumerate(rows):
-        at, file = f"targets, row {n}", f"chips/{n + 1:05d}.tif"
+    files = [f"chips/{n + 1:05d}.tif" for n in range(len(rows))]
+    for n, (row, file) in enumerate(zip(rows, files)):
+        at = f"targets, row {n}"
         pixels = pixels_of(cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)")
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = pixels.astype(np.float32)
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
         write_image(folder / file, pixels, **_georeference(affine, crs, at))
-        lines.append([*cells_of(row, ["id", *PLACE], "targets", n), file])
-    write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], lines)
+    lines = zip(*_columns(rows, ("id", *PLACE), "targets"), files)
+    write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], list(lines))
+
+
+def _columns(rows: Sequence[Mapping[str, Any]], keys: Sequence[str], name: str) -> list[list[Any]]:
+    return [column_of(rows, key, name, READERS.get(key, number_of)) for key in keys]
 
 
 def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
@@ -300,15 +308,13 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
     return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 
-def _orbit_text(mission: str, frame: str, orbit: Table) -> str:
+def orbit_text(mission: str, frame: str, orbit: Table) -> str:
+    """An orbit message of the states of a table."""
+    _check_frame(frame)
     rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
-    utc = [utc_of(cell_of(row, "time", "orbit", n), f"orbit, row {n}, time") for n, row in enumerate(rows)]
-    states = [
-        [number_of(cell_of(row, key, "orbit", n), f"orbit, row {n}, {key}") for key in ORBIT[1:]]
-        for n, row in enumerate(rows)
-    ]
-    numbers = np.array(states)
+    utc = column_of(rows, "time", "orbit", utc_of)
+    numbers = np.array([column_of(rows, key, "orbit", number_of) for key in ORBIT[1:]]).T
     name = "".join(letter if letter.isalnum() else "-" for letter in mission.upper()) or "ARRAYS"
     return orbit_message(name, frame, ("lagrange", DEGREE), utc, numbers[:, :3], numbers[:, 3:])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from boresight.accepted import floats_of, instance_of, number_of, utc_of, wrong
-from boresight.array_tables import Table, bits_of, cell_of, image_of, label_of, rows_of, stored, write_image
+from boresight.accepted import (
+    Table,
+    cell_of,
+    column_of,
+    floats_of,
+    instance_of,
+    label_of,
+    number_of,
+    rows_of,
+    utc_of,
+    wrong,
+)
+from boresight.array_tables import bits_of, image_of, stored, write_image
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
@@ -36,21 +46,22 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
     For images that is {}, the usual files; for lists a table of [[star_cameras]].
     """
     instance_of(camera, StarCamera, "star_camera")
-    lines: list[list[Any]] = []
     types, lists = set(), []
     rows = rows_of(table, "exposures")
     of_lists = "stars" in rows[0]
-    for n, row in enumerate(rows):
-        at, file = f"exposures, row {n}", f"exposures/{n + 1:05d}.tif"
+    files = [f"exposures/{n + 1:05d}.tif" for n in range(len(rows))]
+    for n, (row, file) in enumerate(zip(rows, files)):
+        at = f"exposures, row {n}"
         if of_lists:
             lists.append(_stars(cell_of(row, "stars", "exposures", n), f"{at}, stars").assign(file=file))
         else:
             pixels = image_of(cell_of(row, "image", "exposures", n), f"{at}, image")
             types.add(pixels.dtype)
             write_image(folder / file, stored(pixels, stated or 8))
-        instant = utc_of(cell_of(row, "time", "exposures", n), f"{at}, time")
-        exposure_s = number_of(cell_of(row, "exposure_s", "exposures", n), f"{at}, exposure_s")
-        lines.append([label_of(row.get("id", f"e{n + 1:04d}"), f"{at}, id"), file, instant, exposure_s])
+    rows = [{"id": f"e{n + 1:04d}", **row} for n, row in enumerate(rows)]
+    readers = {"id": label_of, "time": utc_of, "exposure_s": number_of}
+    ids, times, lengths = (column_of(rows, key, "exposures", read) for key, read in readers.items())
+    lines = list(zip(ids, files, times, lengths))
     write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
     bits = LIST_BITS if of_lists else bits_of(stated, types, "star_bits")
     write_toml(folder / "star_camera.toml", star_camera_table(camera, bits))
@@ -59,8 +70,8 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
     if len({tuple(one.columns) for one in lists}) > 1:
         raise wrong("exposures, stars", "lists with different columns", "the same columns in each")
     pd.concat(lists).to_csv(folder / "centroids.csv", index=False)
-    files = {"camera": "star_camera.toml", "exposures": "exposures.csv", "centroids": "centroids.csv"}
-    return HEAD | {"level": "centroids"} | files
+    named = {"camera": "star_camera.toml", "exposures": "exposures.csv", "centroids": "centroids.csv"}
+    return HEAD | {"level": "centroids"} | named
 
 
 def _stars(given: Any, name: str) -> pd.DataFrame:
@@ -81,8 +92,9 @@ def write_attitudes(folder: Path, table: Table) -> dict[str, Any]:
     """Write attitudes.csv with its errors; its table of [[star_cameras]] without `attitude_keys`."""
     rows = rows_of(table, "attitudes")
     errors = COVARIANCES if COVARIANCES[0] in rows[0] else SIGMAS
-    lines = [[_instant(row, n), *_numbers(row, n, (*COMPONENTS, *errors))] for n, row in enumerate(rows)]
-    write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], lines)
+    times = column_of(rows, "time", "attitudes", utc_of)
+    numbers = [column_of(rows, key, "attitudes", number_of) for key in (*COMPONENTS, *errors)]
+    write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], list(zip(times, *numbers)))
     return HEAD | {"level": "attitudes", "attitudes": "attitudes.csv"}
 
 
@@ -103,15 +115,7 @@ def attitude_keys(
         if removed != "annual and orbital":
             raise wrong("line_of_sight_s", None, f"{expected}: aberration_removed is {removed!r}")
         return keys
-    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)")
+    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)", unit="")
     if u_s.shape != (3,) or not abs(np.linalg.norm(u_s) - 1.0) <= DIRECTION_LENGTH:
         raise wrong("line_of_sight_s", line_of_sight_s, expected)
     return keys | {"line_of_sight": u_s.tolist()}
-
-
-def _instant(row: Mapping[str, Any], n: int) -> str:
-    return utc_of(cell_of(row, "time", "attitudes", n), f"attitudes, row {n}, time")
-
-
-def _numbers(row: Mapping[str, Any], n: int, keys: Sequence[str]) -> Sequence[float]:
-    return [number_of(cell_of(row, key, "attitudes", n), f"attitudes, row {n}, {key}") for key in keys]

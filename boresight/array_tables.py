@@ -2,73 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.accepted import count_of, listed, number_of, shown, wrong
+from boresight.accepted import count_of, label_of, shown, wrong
 from boresight.pipeline.files.images.tiff import TILES, write_tiff
 
 __all__ = [
-    "Table",
+    "READERS",
     "bits_of",
-    "cell_of",
-    "cells_of",
     "image_of",
-    "label_of",
     "pixels_of",
-    "rows_of",
     "stored",
     "write_image",
 ]
 
-TEXTS = ("id", "strip", "height_kind")  # columns of targets and measured points that are no numbers
-Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
-
-
-def rows_of(table: Table, name: str) -> list[Mapping[str, Any]]:
-    """A table as mappings, one a row."""
-    if isinstance(table, pd.DataFrame):
-        rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
-    elif isinstance(table, str | bytes | Mapping):
-        raise wrong(name, table, "a DataFrame or a sequence of mappings")
-    else:
-        rows = listed(table, name, "mappings, or a DataFrame")
-    for n, row in enumerate(rows):
-        if not isinstance(row, Mapping):
-            raise wrong(f"{name}, row {n}", row, "a mapping of columns")
-    if not rows:
-        raise wrong(name, "no rows", "at least one")
-    return rows
-
-
-def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
-    if key not in row:
-        raise wrong(f"{name}, row {n}", f"columns {', '.join(map(str, row))}", f"also {key}")
-    return row[key]
-
-
-def cells_of(row: Mapping[str, Any], keys: Sequence[str], name: str, n: int) -> list[str | float]:
-    """The cells of some columns, checked: `TEXTS`, a CCD's number, or finite numbers."""
-
-    def checked(key: str) -> str | float:
-        value, at = cell_of(row, key, name, n), f"{name}, row {n}, {key}"
-        if key in TEXTS:
-            return label_of(value, at)
-        return count_of(value, at) if key == "ccd" else number_of(value, at)
-
-    return [checked(key) for key in keys]
-
-
-def label_of(value: Any, name: str) -> str:
-    """A name, or the whole number that stands for one."""
-    if isinstance(value, bool) or not isinstance(value, str | int | np.integer):
-        raise wrong(name, value, "a text")
-    return str(value)
+# How columns of targets and measured points are read; all others are numbers.
+READERS = dict.fromkeys(("id", "strip", "height_kind"), label_of) | {"ccd": count_of}
 
 
 def image_of(value: Any, name: str) -> NDArray[Any]:

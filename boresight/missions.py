@@ -12,6 +12,7 @@ import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,12 +25,15 @@ from scipy.special import chdtrc
 
 from boresight.accepted import (
     PathLike,
+    Progress,
     count_of,
     flag_of,
     listed,
     new_file_of,
     new_folder_of,
+    no_progress,
     path_of,
+    progress_of,
     source_of,
     wrong,
 )
@@ -40,17 +44,19 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, inner, record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.joint import open_dumps
+from boresight.pipeline.calibration.joint import named_cameras, open_dumps
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
-from boresight.pipeline.results.reading import SavedResult, read_for_dump
+from boresight.pipeline.results.reading import SavedResult, read_for_dump, read_matrices
 from boresight.pipeline.results.reading import read_saved_result as saved_in
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import CheckPoints, TruthErrors
@@ -63,35 +69,45 @@ from boresight.version import __version__
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Calibration", "Validation", "calibrate", "read_result", "validate"]
+__all__ = ["UNUSED", "Calibration", "ScratchFolder", "Validation", "calibrate", "read_result", "validate"]
 
 DumpLike = PathLike | Dump
+UNUSED = ["kind", "name", "reason", "cause", "file"]  # columns of what is not used
 # Columns of sightings/stars.parquet and of sightings/targets.parquet, with the names that tables of a result
 # give them.
 STARS = {"exposure_id": "exposure", "hip": "hip", "normalised": "statistic", "kept": "kept"}
 TARGETS = {"strip_id": "strip_id", "target_id": "target_id", "ccd": "ccd", "correlation": "correlation"}
 
 
-class _Scratch:
-    """A folder that exists as long as this object: the files of a result that was given no folder."""
+class ScratchFolder:
+    """A folder that exists as long as this object: the files of a result that was given no folder, written by
+    `fill` when they are first asked for.
+    """
 
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="boresight-"))
-        self._end = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+    def __init__(self, fill: Callable[[Path], object] = lambda path: None) -> None:
+        self._fill = fill
+
+    @cached_property
+    def path(self) -> Path:
+        """The folder, filled."""
+        path = Path(tempfile.mkdtemp(prefix="boresight-"))
+        weakref.finalize(self, shutil.rmtree, path, ignore_errors=True)
+        self._fill(path)
+        return path
 
 
 @record(kw_only=True)
 class Calibration(Result):
-    """The installation matrix `R_cs` with its covariance.
+    """The installation matrix `R_cs` with its covariance; of C cameras of one satellite C matrices, T = 3 C.
 
     `R_cs = exp[[theta]] R_cs0`, a rotation by -theta about the axes of the remote-sensing camera's frame c
     (docs/conventions.md). `cov_theta` includes all errors that the mission states. A calibration is
     `os.PathLike`, the path of its result folder: functions that take that folder take the calibration, too.
     """
 
-    R_cs: Rotation = scalar("star-camera frame s to remote-sensing-camera frame c")
-    theta: Floats = array("3", "deviation from the pre-launch matrix R_cs0, rad, axes of c")
-    cov_theta: Floats = array("3, 3", "covariance of theta, rad², axes of c")
+    R_cs: Rotation = scalar("star-camera frame s to remote-sensing-camera frame c; (C,) of several cameras")
+    theta: Floats = array("T", "deviation from the pre-launch matrix R_cs0, rad, axes of c")
+    cov_theta: Floats = array("T, T", "covariance of theta, rad², axes of c")
     counts: str = scalar("exposures, stars, strips and targets that the estimate uses")
     chi2: float = scalar("squared residuals of targets over their variances")
     dof: int = scalar("its degrees of freedom")
@@ -106,8 +122,9 @@ class Calibration(Result):
     saved: SavedResult | None = scalar(
         "what the result folder holds; None from vectors", default=None, repr=False
     )
+    cameras: tuple[str, ...] = array("C", "names of the cameras; a single one has none", default=("",))
     folder: Path | None = scalar("the result folder, if one was given", default=None)
-    _scratch: _Scratch | None = scalar("files of a result without folder", default=None, repr=False)
+    _scratch: ScratchFolder | None = scalar("files of a result without folder", default=None, repr=False)
     _run: tuple[Dump, StageCalibration, Settings] | None = scalar(
         "of a run in memory", default=None, repr=False
     )
@@ -116,15 +133,14 @@ class Calibration(Result):
         return self.summary()
 
     def __fspath__(self) -> str:
-        """The result folder; `ValueError` from vectors, which have none."""
-        place = self.folder or (self._scratch.path if self._scratch else None)
-        if place is None:
-            raise ValueError("this result is from vectors and has no folder, the result of a dump is needed")
-        return os.fspath(place)
+        """The result folder."""
+        if self._scratch is None and self.folder is None:
+            raise ValueError("this result has no folder")
+        return os.fspath(self.folder or self._scratch.path)  # type: ignore[union-attr]
 
     @property
     def sigma_arcsec(self) -> Floats:
-        """(3,) 1-sigma about the axes of c, arcsec."""
+        """(T,) 1-sigma about the axes of c, arcsec."""
         return np.sqrt(np.diag(self.cov_theta)) / ARCSEC
 
     @property
@@ -181,12 +197,16 @@ class Calibration(Result):
 
     def summary(self) -> str:
         """Matrix, fit, counts, the verdict's sentence, what is not used: few lines, as `print` shows them."""
-        theta, sigma = self.theta / ARCSEC, self.sigma_arcsec
-        angles = ", ".join(f"{name} {t:+.3f} +- {s:.3f}" for name, t, s in zip("XYZ", theta, sigma))
+        every = zip("XYZ" * len(self.cameras), self.theta / ARCSEC, self.sigma_arcsec)
+        numbers = [f"{name} {t:+.3f} +- {s:.3f}" for name, t, s in every]
+        angles = [
+            f"R_cs{' of ' * bool(camera)}{camera}: theta {', '.join(numbers[n : n + 3])} arcsec"
+            for n, camera in zip(range(0, len(numbers), 3), self.cameras)
+        ]
         stated = self.facts.get("verdict")
         sentence = stated.get("sentence") if isinstance(stated, dict) else None
         fit = f"{sentence or self.verdict}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
-        return f"R_cs: theta {angles} arcsec\n{fit}\nfrom {self.counts}\n{self._not_used_line()}"
+        return "\n".join([*angles, fit, f"from {self.counts}", self._not_used_line()])
 
     def _not_used_line(self) -> str:
         groups = Counter(zip(self.not_used["kind"].tolist(), self.not_used["cause"].tolist()))
@@ -198,8 +218,58 @@ class Calibration(Result):
         """One row an axis of c: theta_arcsec, sigma_arcsec, and the correlations with x, y, z."""
         sigma = np.sqrt(np.diag(self.cov_theta))
         correlation = self.cov_theta / np.outer(sigma, sigma)
-        columns = {"axis": list("XYZ"), "theta_arcsec": self.theta / ARCSEC, "sigma_arcsec": sigma / ARCSEC}
-        return pd.DataFrame(columns | {f"correlation_{name}": row for name, row in zip("xyz", correlation)})
+        axes = [(camera, axis) for camera in self.cameras for axis in "XYZ"]
+        named = {"camera": [camera for camera, _ in axes]} if len(self.cameras) > 1 else {}
+        columns = {"axis": [axis for _, axis in axes], "theta_arcsec": self.theta / ARCSEC}
+        columns |= {"sigma_arcsec": sigma / ARCSEC}
+        of = [f"correlation_{f'{camera}_' * bool(camera)}{axis.lower()}" for camera, axis in axes]
+        return pd.DataFrame(named | columns | dict(zip(of, correlation)))
+
+    def of_camera(self, name: str) -> Calibration:
+        """The matrix of one of several cameras, with its residuals; of all others what is common."""
+        if name not in self.cameras:
+            raise wrong("name", name, f"one of {', '.join(map(repr, self.cameras))}")
+        if len(self.cameras) == 1:
+            return self
+        n, own = (
+            self.cameras.index(name),
+            slice(3 * self.cameras.index(name), 3 * self.cameras.index(name) + 3),
+        )
+        camera_of = self.targets["strip_id"].str.rpartition("/")[0]
+        return dataclasses.replace(
+            self,
+            R_cs=self.R_cs[n],
+            theta=self.theta[own],
+            cov_theta=self.cov_theta[own, own],
+            cameras=(name,),
+            targets=self.targets[(camera_of == name) | camera_of.str.endswith(f"-{name}")],
+        )
+
+    @property
+    def between_cameras(self) -> pd.DataFrame:
+        """One row a pair of cameras: a, b, rotation of frame b to frame a less that before launch about x, y,
+        z of a with its 1-sigma, arcsec, and the p_value of its being the same.
+        """
+        rows = [
+            dict(zip("ab", one["cameras"]))
+            | {f"theta_{axis}_arcsec": value / ARCSEC for axis, value in zip("xyz", one["theta_rad"])}
+            | {
+                f"sigma_{axis}_arcsec": one["covariance_rad2"][n][n] ** 0.5 / ARCSEC
+                for n, axis in enumerate("xyz")
+            }
+            | {"p_value": one["p_value"]}
+            for one in self.facts.get("between_cameras") or []
+        ]
+        numbers = [f"{what}_{axis}_arcsec" for what in ("theta", "sigma") for axis in "xyz"]
+        return pd.DataFrame(rows, columns=["a", "b", *numbers, "p_value"])
+
+    def save(self, folder: PathLike) -> Path:
+        """Write the result into a folder, new or empty, which `read_result` reads; the folder."""
+        place = new_folder_of(folder, "folder")
+        if not is_vacant(place):
+            raise wrong("folder", f"{place}, which holds files", "a new or empty folder")
+        without = shutil.ignore_patterns(".boresight-lock")
+        return Path(shutil.copytree(Path(self), place, ignore=without, dirs_exist_ok=True))
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Residuals of the targets along x and y of c."""
@@ -217,11 +287,13 @@ class Calibration(Result):
     def report(self, path: PathLike) -> Path:
         """Write the report, one HTML page that needs no network; the path written.
 
-        Raises `ValueError` for a result from vectors, which has no images to show, and for a joint result
-        without a folder.
+        A result from vectors has no images to show. Raises `ValueError` for a joint result without a folder.
         """
-
         page, folder = new_file_of(path, "path"), Path(self)
+        if self.facts.get("made_from") == "vectors":
+            write: Callable[..., None] = feature_function("vectors", "write_vector_page")
+            write(folder, page, self)
+            return page
         if self.folder is None and self._run is None:
             raise ValueError("path: found a joint result without a folder, expected one made with out=FOLDER")
         if self._run is not None:
@@ -237,6 +309,7 @@ class Calibration(Result):
         *,
         dump: DumpLike | None = None,
         strips: str | Sequence[str] = (),
+        camera: str = "",
     ) -> list[Path]:
         """Write the result in formats that other tools read; the files written.
 
@@ -251,13 +324,16 @@ class Calibration(Result):
             The dump; default: the one that the result was made from.
         strips : sequence of str, optional
             Ids of the strips wanted; default: all.
+        camera : str
+            Which of several cameras.
 
-        Raises `ValueError` for an unknown format and for a result from vectors, `RawDataError` for a damaged
-        result, `DataNotSufficientError` where a format has nothing to write.
+        Raises `ValueError` for an unknown format, and for all but `spice` of a result from vectors,
+        `RawDataError` for a damaged result, `DataNotSufficientError` where a format has nothing to write.
         """
+
         write: Callable[..., list[Path]] = feature_function("exports", "export_files")
-        place = None if dump is None else open_dump(source_of_dump(dump)).root
-        return write(Path(self), formats, out, dump=place, strips=strips)
+        place = None if dump is None else _root_of(source_of_dump(dump))
+        return write(Path(self), formats, out, dump=place, strips=strips, camera=camera)
 
     def geolocate(
         self,
@@ -271,8 +347,10 @@ class Calibration(Result):
         height_m: float | None = None,
     ) -> pd.DataFrame:
         """Where on the ground pixels (line, sample) of a strip look, as `boresight.geolocate`."""
+        if self.facts.get("made_from") == "vectors":
+            raise ValueError("geolocate: found a result from vectors, expected that of a dump, with strips")
         find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
-        place = None if dump is None else open_dump(source_of_dump(dump)).root
+        place = None if dump is None else _root_of(source_of_dump(dump))
         return find(self, strip, ccd, line, sample, dump=place, camera=camera, height_m=height_m)
 
 
@@ -330,6 +408,7 @@ def calibrate(
     workers: int = 1,
     allow_stale_eop: bool = False,
     overwrite: bool = False,
+    progress: Progress = no_progress,
 ) -> Calibration:
     """The installation matrix of a dump, from raw star images and raw strips; of several dumps, jointly.
 
@@ -351,10 +430,13 @@ def calibrate(
         Continue with a warning past the end of the Earth-orientation table.
     overwrite : bool
         Replace the result of another dump or of other settings in `out`.
+    progress : callable, optional
+        Called with the stage, the tasks done and all tasks.
 
     Returns
     -------
     Calibration
+        Of several cameras a matrix each, `of_camera(name)` and `between_cameras`; else
         `R_cs`, `cov_theta`, `verdict`, `table()`, `residuals()`, `plot()`, `report(path)`, `export(...)`.
 
     Raises
@@ -375,7 +457,7 @@ def calibrate(
     >>> est.verdict, bool(est.sigma_arcsec.max() < 10.0)
     ('consistent', True)
     """
-    folder = None if out is None else new_folder_of(out, "out")
+    folder, told = None if out is None else new_folder_of(out, "out"), progress_of(progress)
     n_workers, chosen = count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
     sources = [
         source_of_dump(one) for one in (listed(dump, "dump", "dumps") if _is_several(dump) else [dump])
@@ -393,18 +475,26 @@ def calibrate(
         )
         stale = flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
+            several = open_dumps([_root_of(one) for one in sources], chosen, allow_stale_eop=stale)
+        else:
+            several = tuple(named_cameras(open_cameras(sources[0], allow_stale_eop=stale)))
+        scratch = ScratchFolder()
+        if len(several) > 1:
             if strips is not None:
-                raise wrong("strips", strips, "none with several dumps: give the strips of one dump")
-            return _jointly(sources, folder, request, n_workers, stale)
-        opened = open_dump(sources[0], allow_stale_eop=stale)
+                raise wrong("strips", strips, "none with several dumps or cameras: give the strips of one")
+            place = folder if folder is not None else scratch.path
+            with executor_for(n_workers, None, sum(named.dump.pixels for named in several)) as executor:
+                run_dumps(place, several, request, executor, told)
+            made = read_result(place)
+            return made if folder else dataclasses.replace(made, folder=None, _scratch=scratch)
+        opened = several[0].dump
         if strips is not None:
             opened = _with_strips(opened, [str(one) for one in listed(strips, "strips", "ids of strips")])
         with executor_for(n_workers, None, opened.pixels) as executor:
             if folder is not None:
-                run_dump(folder, opened, str(opened.root), request, executor, _silent)
+                run_dump(folder, opened, str(opened.root), request, executor, told)
                 return read_result(folder)
-            found = calibrate_dump(opened, chosen, None, executor)
-        scratch = _Scratch()
+            found = calibrate_dump(opened, chosen, None, executor, told)
         write_result(scratch.path, found, chosen)
         write_run(scratch.path, {"dump": str(opened.root)} | request.facts)
         made = read_result(scratch.path)
@@ -414,8 +504,9 @@ def calibrate(
 MOST_WORKERS = 1024  # processes; a larger number is taken for a slip
 
 
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress is shown."""
+def _root_of(source: str | Path | Dump) -> Path:
+    """Folder of a dump."""
+    return source.root if isinstance(source, Dump) else dump_folder(source)
 
 
 def _is_several(dump: object) -> bool:
@@ -435,24 +526,6 @@ def _after_joint() -> tuple[Callable[[Path, list[str]], str], ...]:
     """What features do at the end of a joint calibration."""
     places = [one.after_joint.partition(":") for one in features() if one.after_joint]
     return tuple(getattr(import_module(f"boresight.{module}"), name) for module, _, name in places)
-
-
-def _jointly(
-    sources: Sequence[str | Path | Dump],
-    out: Path | None,
-    request: RunRequest,
-    workers: int,
-    allow_stale_eop: bool,
-) -> Calibration:
-    """Of several dumps each and all; without a folder the results lie in one that ends with the answer."""
-    roots = [one.root if isinstance(one, Dump) else dump_folder(one) for one in sources]
-    several = open_dumps(roots, request.settings, allow_stale_eop=allow_stale_eop)
-    scratch = _Scratch() if out is None else None
-    folder = out if out is not None else scratch.path  # type: ignore[union-attr]
-    with executor_for(workers, None, sum(named.dump.pixels for named in several)) as executor:
-        run_dumps(folder, several, request, executor, _silent)
-    made = read_result(folder)
-    return made if scratch is None else dataclasses.replace(made, folder=None, _scratch=scratch)
 
 
 def _with_strips(dump: Dump, wanted: Sequence[str]) -> Dump:
@@ -519,39 +592,42 @@ def read_result(folder: PathLike) -> Calibration:
         If `folder` is no path.
     """
     place = path_of(folder, "folder")
-    saved = saved_in(place)
-    facts = saved.installation
-    tables = place / "sightings"
+    facts = read_json(place / "installation.json")
+    tables, of_vectors = place / "sightings", facts.get("made_from") == "vectors"
     names = {name: facts.get(name) for name in ("frames", "stars", "targets", "chi2", "dof")}
     if missing := [name for name, value in names.items() if not isinstance(value, int | float)]:
         expected = "a number, as `calibrate` wrote it"
         raise RawDataError(str(place / "installation.json"), missing[0], names[missing[0]], expected)
+    counts = f"{facts['frames']} exposures, {facts['stars']} stars, {facts['targets']} target sightings"
+    cameras, R_cs, theta, cov_theta = read_matrices(place)
     return Calibration(
-        R_cs=saved.R_cs,
-        theta=saved.theta,
-        cov_theta=saved.cov_theta,
+        R_cs=R_cs,
+        theta=theta,
+        cov_theta=cov_theta,
+        cameras=cameras,
         chi2=float(facts["chi2"]),
         dof=int(facts["dof"]),
-        counts=f"{facts['frames']} exposures, {facts['stars']} stars, {facts['targets']} target sightings",
-        targets=_target_residuals(tables / "targets.parquet"),
-        not_used=_columns(tables / "ledger.parquet", ["kind", "name", "reason", "cause", "file"]),
+        counts=str(facts.get("counts", counts)),
+        targets=_columns(tables / "targets.parquet") if of_vectors else _target_residuals(tables),
+        stars=_columns(tables / "stars.parquet") if of_vectors else None,
+        not_used=_columns(tables / "ledger.parquet", UNUSED),
         facts=facts,
-        saved=saved,
+        saved=None if len(cameras) > 1 or of_vectors else saved_in(place),
         folder=place,
     )
 
 
-def _columns(path: Path, names: list[str]) -> pd.DataFrame:
-    """Columns of a table of a result. `RawDataError` where it is damaged."""
+def _columns(path: Path, names: list[str] | None = None) -> pd.DataFrame:
+    """Columns of a table of a result, or all. `RawDataError` where it is damaged."""
     try:
         return pd.read_parquet(path, columns=names)
     except Exception as error:  # pyarrow raises many kinds for damaged files
         found = f"{type(error).__name__}: {error}"
-        raise RawDataError(str(path), "table", found, f"the columns {', '.join(names)}") from error
+        raise RawDataError(str(path), "table", found, f"the columns {', '.join(names or [])}") from error
 
 
-def _target_residuals(path: Path) -> pd.DataFrame:
-    rows = _columns(path, [*TARGETS, "normalised", "kept", "weight", "residual_c"])
+def _target_residuals(tables: Path) -> pd.DataFrame:
+    rows = _columns(tables / "targets.parquet", [*TARGETS, "normalised", "kept", "weight", "residual_c"])
     residual = np.array(rows["residual_c"].tolist(), dtype=float).reshape(-1, 2) / ARCSEC
     return rows[[*TARGETS]].assign(
         residual_x_arcsec=residual[:, 0],
@@ -608,7 +684,7 @@ def validate(result: Calibration | PathLike, dump: DumpLike) -> Validation:
     """
     estimate = result if isinstance(result, Calibration) else read_result(result)
     if estimate.saved is None:
-        raise ValueError("validate needs the result of a dump, this one is from vectors")
+        raise ValueError("validate needs the result of a dump with one camera")
     flown = open_dump(source_of_dump(dump))
     if estimate._run is None:
         _, saved = read_for_dump(Path(estimate), flown.root)

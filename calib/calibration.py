@@ -78,6 +78,7 @@ def calibrate_strips(
     settings: CalibrationSettings,
     *,
     interior: InteriorModel | None = None,
+    prior: InformationPairs | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
     several cameras of one satellite a matrix each.
@@ -95,6 +96,8 @@ def calibrate_strips(
         Prior standard deviations of the errors that the sightings' covariances do not hold, and limits.
     interior : InteriorModel, optional
         Parameters of the remote-sensing camera's interior orientation, to be estimated too.
+    prior : InformationPairs, optional
+        What is known of the matrix before: one pair, about `R_cs0`.
 
     Returns
     -------
@@ -113,7 +116,7 @@ def calibrate_strips(
     >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
     array([0.57, 0.64, 10.4])
     """
-    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior)
+    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior, prior)
     found = _calibrated(passes, start)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
@@ -127,6 +130,7 @@ class _Start:
     R_cs0: Rotation  # (C,) of several
     settings: CalibrationSettings
     interior: InteriorModel | None
+    prior: InformationPairs | None  # on the matrix
 
 
 def _matrices(
@@ -196,7 +200,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     R_cs0, settings = start.R_cs0, start.settings
     of_heads = [carried(strip) for strip in strips]
     prepared = prepare_strips(of_heads, settings, start.cameras)
-    problem = Problem.of(prepared, settings, start.interior, start.cameras)
+    problem = Problem.of(prepared, settings, start.interior, start.cameras, start.prior)
     test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -382,6 +386,7 @@ def _estimate(
     n_kept, n_exposures = int(np.sum(fit.weight > 0.0)), int(sum(used.sum() for _, used in exposures))
     dof_stars = int(sum(attitudes.dof[used].sum() for attitudes, used in exposures))
     last, n_theta = np.abs(step.solution.theta), len(step.solution.theta)
+    known = 0 if problem.prior is None else int(np.linalg.matrix_rank(problem.prior.F[0]))
     return InstallationEstimate(
         R_cs=R_cs,
         R_cs0=R_cs0,
@@ -389,7 +394,7 @@ def _estimate(
         theta=theta_of(R_cs, R_cs0),
         cov_theta=step.solution.covariance,
         chi2=step.chi2,
-        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta,
+        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta + known,
         chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
         dof_stars=dof_stars,
         n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
@@ -414,6 +419,7 @@ def _estimate(
         references=_offsets(problem, step.solution),
         heads=(HeadInstallation(name="", R_cs=R_cs if R_cs.single else R_cs[0]),),
         cov_heads=step.solution.covariance[:3, :3],
+        prior=problem.prior,
     )
 
 

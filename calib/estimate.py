@@ -195,6 +195,7 @@ class InstallationEstimate:
     references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
+    prior: InformationPairs | None = scalar("on theta, about `R_cs0`; None: none", default=None)
 
     def with_reference(self, name: str) -> InstallationEstimate:
         """The estimate with the reference head's name."""

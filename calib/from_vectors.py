@@ -2,7 +2,7 @@
 
 A frame is the paper's: one attitude, stars and targets at one instant. It becomes a strip with one exposure
 whose targets, like stars, no position of the satellite moves; errors that strips have in common are off.
-Frames with the same stars are of one instant: their attitude is one, and its error counts once
+Frames of one instant, or with the same stars, have one attitude, whose error counts once
 (`simultaneous_strips`).
 """
 
@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.hypotheses import vector_hypotheses
+from boresight.calib.information import InformationPairs
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
@@ -26,7 +27,6 @@ from boresight.geometry.sightings import (
     GroundSightings,
     StarSightings,
     StripSightings,
-    isotropic_covariance,
 )
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.vector_sets import VectorSets
@@ -55,12 +55,15 @@ class VectorCalibration:
     strips: tuple[StripSightings, ...] = scalar("one a frame, with the attitude that its stars give")
 
 
-def calibrate_vector_sets(frames: VectorSets, R_cs0: Rotation) -> VectorCalibration | NotObservable:
+def calibrate_vector_sets(
+    frames: VectorSets, R_cs0: Rotation, prior: Floats | None = None
+) -> VectorCalibration | NotObservable:
     """The matrix from frames with independent errors, about the start `R_cs0`; `NotObservable` where they
-    leave a rotation undetermined.
+    leave a rotation undetermined. `prior` (3, 3), rad⁻², is the information on theta that `R_cs0` has.
     """
     strips = with_attitudes(strips_of_frames(frames), INDEPENDENT.attitudes)
-    estimate = calibrate_strips(strips, R_cs0, INDEPENDENT)
+    known = prior is not None and InformationPairs(np.array(["R_cs0"]), prior[None], np.zeros((1, 3)), R_cs0)
+    estimate = calibrate_strips(strips, R_cs0, INDEPENDENT, prior=known or None)
     if isinstance(estimate, NotObservable):
         return estimate
     reliability = examine(
@@ -75,57 +78,52 @@ def calibrate_vector_sets(frames: VectorSets, R_cs0: Rotation) -> VectorCalibrat
 
 
 def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
-    """Each frame as a strip of one exposure. Stars and targets are numbered from 0 within their frame."""
-    digits = len(str(max(len(frames) - 1, 0)))
-    first: dict[tuple[bytes, bytes], int] = {}  # frame with these stars
+    """Each frame with targets as a strip of one exposure, with the stars of all frames of its instant. Stars
+    are numbered by their row, and targets that are no places on the ground too.
+    """
+    instants, digits = frames.instants, len(str(max(len(frames) - 1, 0)))
+    cov_s, cov_c = frames.covariances
+    ids = np.arange(len(frames.w_c)).astype(str) if frames.target_id is None else frames.target_id
+    exposures = {}
+    for first in dict.fromkeys(instants):
+        rows = frames.stars_of([k for k, instant in enumerate(instants) if instant == first])
+        exposures[first] = StarSightings(
+            exposure_id=f"{first:0{digits}d}",
+            t_s=EVERY_S * first,
+            hip=rows,
+            xy_px=np.zeros((len(rows), 2)),
+            u_s=frames.u_s[rows],
+            u_i=frames.v_stars[rows],
+            cov_s=cov_s[rows],
+        )
     strips = []
-    for k in range(len(frames)):
-        u_s, v_stars, *rest = frames.frame(k)
-        t_s = EVERY_S * first.setdefault((u_s.tobytes(), v_stars.tobytes()), k)
-        strips.append(_strip(f"{k:0{digits}d}", t_s, u_s, v_stars, *rest))
+    for k, first in enumerate(instants):
+        own = slice(*frames.target_start[k : k + 2].tolist())
+        if not (J := own.stop - own.start):
+            continue
+        targets = GroundSightings(
+            target_id=ids[own],
+            ccd=np.zeros(J, dtype=np.int64),
+            xy_px=np.column_stack([np.arange(J), np.zeros(J)]).astype(float),
+            t_s=np.full(J, EVERY_S * first),
+            u_c=frames.w_c[own],
+            u_i=frames.v_targets[own],
+            cov_c=cov_c[own],
+            range_m=np.full(J, np.inf),
+            v_rel_i=np.zeros((J, 3)),
+            cov_target_i=np.zeros((J, 3, 3)) if frames.cov_targets is None else frames.cov_targets[own],
+            earth_i=np.zeros((J, 3, 3)),
+        )
+        strips.append(
+            StripSightings(
+                strip_id=f"{k:0{digits}d}",
+                exposures=(exposures[first],),
+                ground=targets,
+                R_oi_exposures=Rotation.identity(1),
+                R_oi_targets=Rotation.identity(J),
+            )
+        )
     return strips
-
-
-def _strip(
-    name: str,
-    t_s: float,
-    u_s: Floats,
-    v_stars: Floats,
-    sigma_s: Floats,
-    w_c: Floats,
-    v_targets: Floats,
-    sigma_c: Floats,
-) -> StripSightings:
-    N, J = len(u_s), len(w_c)
-    stars = StarSightings(
-        exposure_id=name,
-        t_s=t_s,
-        hip=np.arange(N),
-        xy_px=np.zeros((N, 2)),
-        u_s=u_s,
-        u_i=v_stars,
-        cov_s=isotropic_covariance(u_s, sigma_s),
-    )
-    targets = GroundSightings(
-        target_id=np.array([f"{name}/{j}" for j in range(J)], dtype=str),
-        ccd=np.zeros(J, dtype=np.int64),
-        xy_px=np.column_stack([np.arange(J), np.zeros(J)]).astype(float),
-        t_s=np.full(J, t_s),
-        u_c=w_c,
-        u_i=v_targets,
-        cov_c=isotropic_covariance(w_c, sigma_c),
-        range_m=np.full(J, np.inf),
-        v_rel_i=np.zeros((J, 3)),
-        cov_target_i=np.zeros((J, 3, 3)),
-        earth_i=np.zeros((J, 3, 3)),
-    )
-    return StripSightings(
-        strip_id=name,
-        exposures=(stars,),
-        ground=targets,
-        R_oi_exposures=Rotation.identity(1),
-        R_oi_targets=Rotation.identity(J),
-    )
 
 
 def _star_camera(u_s: Floats) -> StarCamera | None:

@@ -186,18 +186,23 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """
     prepared, (u_c, across) = of.prepared, of.looks()
     every = _all("all frames", of)
+    turns = _turns(of, "attitude of a frame, about {} of c", "v_stars, v_targets")
     origin = [
         _error(
             f"origin of the look vectors, {'xy'[axis]} of c", "″", "w_c", "", of.pixel * across[:, :, axis]
         )
         for axis in (0, 1)
     ]
-    found = list(_in_each(every, origin))
+    # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
+    of_all = [
+        replace(one, cause=one.cause.replace("of a frame", "and aberration of all frames")) for one in turns
+    ]
+    found = list(_in_each(every, [*origin, *of_all]))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
-        found += _in_each(frames, _turns(of, "attitude of a frame, about {} of c", "v_stars, v_targets"))
+        found += _in_each(frames, turns)
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")

@@ -88,6 +88,14 @@ class InformationPairs:
             self.cameras,
         )
 
+    def with_prior(self, prior: InformationPairs) -> InformationPairs:
+        """The pairs and those of `prior`, which holds none of the shared unknowns."""
+        other = prior.about(self.R_cs_ref).widened(self.shared)
+        columns = {
+            n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("names", "F", "F_theta")
+        }
+        return replace(self, **columns)
+
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
         """The information about another reference, to first order in its distance from this one."""
         if _same_reference(self.R_cs_ref, R_cs_ref):

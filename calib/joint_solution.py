@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.correlated_passes import correlated_passes
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
-from boresight.calib.information import InformationPairs, Solution, solve_total
+from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
@@ -53,6 +53,7 @@ class Problem:
     settings: CalibrationSettings = scalar("priors and limits")
     cameras: tuple[str, ...] = scalar("of the matrices; a single one has no name")
     agreement: HeadAgreement = scalar("of the heads with one another, without any target")
+    prior: InformationPairs | None = scalar("on theta, from before the calibration", default=None)
 
     @classmethod
     def of(
@@ -61,9 +62,10 @@ class Problem:
         settings: CalibrationSettings,
         interior: InteriorModel | None = None,
         cameras: tuple[str, ...] = ("",),
+        prior: InformationPairs | None = None,
     ) -> Problem:
         """The problem that these strips of `cameras` pose, the camera's interior unknown if there is a model
-        of it; without groups where no target is covered.
+        of it; without groups where no target is covered. `prior` is on theta.
         """
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
@@ -92,6 +94,7 @@ class Problem:
             settings=settings,
             cameras=cameras,
             agreement=_agreement(carrying, heads),
+            prior=prior,
         )
 
 
@@ -194,6 +197,10 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
     N = np.concatenate([part.N for part in reduced])
     F, right, shared = N[:, :-1, :-1], N[:, :-1, -1], problem.shared.names
     pairs = InformationPairs(problem.names, F, right, about.R_cs, shared, problem.cameras)
+    of_prior = 0.0
+    if problem.prior is not None:
+        pairs, off = pairs.with_prior(problem.prior), theta_of(problem.prior.R_cs_ref, about.R_cs)
+        of_prior = float(off @ problem.prior.F[0] @ off)
     total = pairs.total()
     limit = problem.settings.sigma_observable_rad
     solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
@@ -203,7 +210,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
         strips=about.strips,
         pairs=pairs,
         solution=solution,
-        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2,
+        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2 + of_prior,
         whitened=np.concatenate([_whitened(*of, x) for of in zip(about.strips, reduced)]),
         weight=weight,
         reduced=reduced,

@@ -284,7 +284,7 @@ def _adjustment(
     strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
     prepared = prepare_strips(strips, settings, estimate.cameras)
-    problem = Problem.of(prepared, settings, None, estimate.cameras)
+    problem = Problem.of(prepared, settings, None, estimate.cameras, estimate.prior)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
     about = linearised(problem, estimate.R_cs, 1.0)
     found = estimate.targets

@@ -16,6 +16,7 @@ NAMES = (
     "operators",
     "exports",
     "geolocate",
+    "vectors",
     "heads",
     "interior",
     "mission",

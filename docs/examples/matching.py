@@ -16,7 +16,7 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 import boresight as bs
 
 FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
-PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1] / "images")
+PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 with rasterio.open(FIXTURE / "chips" / "s01-t05.tif") as file:
     ground = gaussian_filter(file.read(1).astype(float), 1.0)

@@ -17,7 +17,7 @@ from PIL import Image
 import boresight as bs
 
 FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
-PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1] / "images")
+PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 
 def map_of(file):

@@ -6,12 +6,13 @@ import datetime
 from collections.abc import Sequence
 from pathlib import Path
 
-from boresight.accepted import PathLike, listed, new_folder_of, path_of, wrong
+from boresight.accepted import PathLike, instance_of, listed, new_folder_of, path_of, wrong
 from boresight.features.exports.formats import FORMATS, ExportRequest, Remark
 from boresight.features.exports.formats import export as made
 from boresight.features.exports.spice_frame import SpiceFrames
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.results.reading import read_installation
 
 __all__ = ["export_files"]
 
@@ -26,6 +27,7 @@ def export_files(
     *,
     dump: PathLike | None = None,
     strips: str | Sequence[str] = (),
+    camera: str = "",
 ) -> list[Path]:
     """Write a result folder in `formats` into the folder `out`; the files written.
 
@@ -37,9 +39,12 @@ def export_files(
         raise wrong("formats", unknown[0], f"names among {', '.join(FORMATS)}")
     if not names:
         raise wrong("formats", "no names", "at least one")
+    if set(names) != {"spice"} and read_installation(path_of(result, "result")).get("made_from") == "vectors":
+        raise wrong("formats", names, "spice alone: the result is from vectors, without strips")
     folder = new_folder_of(out, "out")
     request = ExportRequest(
         result=path_of(result, "result"),
+        camera=instance_of(camera, str, "camera"),
         dump=None if dump is None else path_of(dump, "dump"),
         strips=tuple(str(one) for one in listed(strips, "strips", "ids of strips")),
         frames=SpiceFrames(

@@ -68,8 +68,8 @@ def instant_s(utc: str) -> float:
 
 
 def utc_at(t_s: float) -> str:
-    """The date, UTC, to the second."""
-    return f"{ORIGIN.utc_from_seconds(np.array([t_s]))[0][:19]}Z"
+    """The date, UTC, to the second; empty for NaN."""
+    return "" if np.isnan(t_s) else f"{ORIGIN.utc_from_seconds(np.array([t_s]))[0][:19]}Z"
 
 
 def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
@@ -82,9 +82,9 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     context = _content(folder / "evidence" / "context.json")
     path = folder / "sightings" / "passes.parquet"
     passes = read_parquet(path)
-    utc = passes.column("utc_middle").to_pylist()
+    utc = passes.column("utc_middle").to_pylist()  # none of a result from vectors
     try:
-        t_s = float(np.mean(ORIGIN.seconds_from_utc(utc)))
+        t_s = float(np.mean(ORIGIN.seconds_from_utc(utc))) if utc else np.nan
     except ValueError as error:
         raise RawDataError(str(path), "utc_middle", str(error), "UTC times of strips") from error
     u = column(passes, "argument_of_latitude_rad")
@@ -111,7 +111,7 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
         covariance=saved.cov_theta,
         ground_m_per_rad=np.array(per_rad, dtype=float),
         pair=read_mounting(folder, identity.result, camera=camera),
-        cos_sin=np.array([np.cos(u).mean(), np.sin(u).mean()]),
+        cos_sin=np.array([np.cos(u).mean(), np.sin(u).mean()]) if len(u) else np.full(2, np.nan),
         beta_rad=float(column(passes, "beta_rad").mean()) if known else np.nan,
         temperature_c=_temperature_c(folder),
         strips=np.array(passes.column("strip_id").to_pylist(), dtype=str),

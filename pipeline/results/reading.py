@@ -36,6 +36,7 @@ __all__ = [
     "read_findings",
     "read_for_dump",
     "read_installation",
+    "read_matrices",
     "read_mounting",
     "read_pairs",
     "read_saved_result",
@@ -140,9 +141,7 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
     matrix = of_camera(content, camera, result)
-    quaternion = _numbers(matrix, "quaternion", (4,), name)
-    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
-        raise RawDataError(name, "quaternion", quaternion.tolist(), "length 1")
+    R_cs, theta = _matrix(matrix, name)
     path = result / "sightings" / "exposures.parquet"
     if dumps_in(result):
         table = arrow_rows([], sightings_schema("exposures"))
@@ -153,8 +152,8 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
     except ValueError as error:
         raise RawDataError(str(path), "column R_si", str(error), "rotations") from error
     return SavedResult(
-        R_cs=Rotation.from_quat(quaternion),
-        theta=_numbers(matrix, "theta_rad", (3,), name),
+        R_cs=R_cs,
+        theta=theta,
         cov_theta=_numbers(matrix, "covariance_rad2", (3, 3), name),
         installation=content,
         exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
@@ -176,6 +175,29 @@ def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, A
         expected = f"one of {', '.join(matrices)}" if matrices else "none: it is of one camera"
         raise RawDataError(str(result), "--camera", camera or "nothing", expected)
     return matrices[camera]
+
+
+def read_matrices(result: Path) -> tuple[tuple[str, ...], Rotation, Floats, Floats]:
+    """Names of the C cameras, their matrices, theta (3 C,), rad, and its covariance (3 C, 3 C), rad²; a
+    single camera has no name.
+    """
+    file = str(result / "installation.json")
+    content = read_json(result / "installation.json", file)
+    if not (cameras := content.get("cameras")):
+        return ("",), *_matrix(content, file), _numbers(content, "covariance_rad2", (3, 3), file)
+    names = tuple(str(one["name"]) for one in cameras)
+    each = [_matrix(one, f"{file}: camera {name}") for name, one in zip(names, cameras)]
+    covariance = _numbers(content, "cameras_covariance_rad2", (3 * len(names), 3 * len(names)), file)
+    R_cs, theta = zip(*each)
+    return names, Rotation.concatenate(R_cs), np.concatenate(theta), covariance
+
+
+def _matrix(content: dict[str, Any], file: str) -> tuple[Rotation, Floats]:
+    """A matrix with its theta."""
+    quaternion = _numbers(content, "quaternion", (4,), file)
+    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
+        raise RawDataError(file, "quaternion", quaternion.tolist(), "length 1")
+    return Rotation.from_quat(quaternion), _numbers(content, "theta_rad", (3,), file)
 
 
 def _earth(content: dict[str, Any], file: str) -> SavedEarth:

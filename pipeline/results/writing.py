@@ -25,7 +25,6 @@ from boresight.calib.verdict import Verdict
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor, edge_tangent
 from boresight.geometry.orbit import argument_of_latitude, beta_angle
 from boresight.geometry.record import Floats
@@ -47,6 +46,7 @@ from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
 __all__ = [
     "blind_spots_json",
+    "installation_facts",
     "joint_ground_m_per_rad",
     "pairs_table",
     "verdict_json",
@@ -57,6 +57,7 @@ __all__ = [
     "write_result",
     "write_run",
     "write_sightings",
+    "write_tables",
 ]
 
 # Of installation.json, in their order (docs/result-format.md).
@@ -89,22 +90,22 @@ def write_result(result: Path, calibration: DumpCalibration, settings: Settings)
 
 def write_sightings(result: Path, calibration: DumpCalibration) -> None:
     """Write the tables in the folder `sightings`."""
-    tables = result / "sightings"
-    make_own_folder(tables)
-    _write_groups(tables / "stars.parquet", _star_groups(calibration))
-    _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
     matched = {one.strip_id: one for one in calibration.observed}
-    estimate = calibration.estimate
-    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, calibration.strips, matched))
-    _write_groups(tables / "strips.parquet", [pairs_table(estimate.pairs)])
-    _write_groups(tables / "passes.parquet", [_passes_table(calibration)])
-    _write_groups(tables / "ledger.parquet", [_ledger_table(calibration.omissions)])
-    _write_groups(tables / "reliability.parquet", [_tests_table(calibration.verdict)])
+    _write_tables(
+        result,
+        {
+            "stars": _star_groups(calibration),
+            "exposures": [_exposures_table(calibration)],
+            "targets": _target_groups(calibration.estimate.targets, calibration.strips, matched),
+            "passes": [_passes_table(calibration)],
+        },
+        calibration,
+    )
 
 
 def write_installation(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
     """Write `installation.json`; where it is, all is."""
-    content = _installation(
+    content = installation_facts(
         calibration.estimate,
         calibration.verdict,
         calibration.rows,
@@ -119,18 +120,12 @@ def write_joint_result(
     result: Path, joint: JointCalibration, of_dumps: Mapping[str, DumpCalibration], settings: Settings
 ) -> None:
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
-    tables = result / "sightings"
-    make_own_folder(tables)
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
-    estimate = joint.estimate
-    _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
-    _write_groups(tables / "strips.parquet", [pairs_table(estimate.pairs)])
     passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
-    _write_groups(tables / "passes.parquet", [pa.concat_tables(passes)])
-    _write_groups(tables / "ledger.parquet", [_ledger_table(joint.omissions)])
-    _write_groups(tables / "reliability.parquet", [_tests_table(joint.verdict)])
-    content = _installation(
-        estimate,
+    targets = _target_groups(joint.estimate.targets, joint.strips, matched)
+    _write_tables(result, {"targets": targets, "passes": [pa.concat_tables(passes)]}, joint)
+    content = installation_facts(
+        joint.estimate,
         joint.verdict,
         joint.rows,
         (joint.settings, settings),
@@ -138,6 +133,28 @@ def write_joint_result(
         joint.sigma_installation_rad,
     )
     write_json(result / "installation.json", content)
+
+
+def write_tables(result: Path, tables: Mapping[str, pa.Table], facts: dict[str, Any]) -> None:
+    """Write a result of whole tables; `installation.json` last."""
+    make_own_folder(result / "sightings")
+    for name, table in tables.items():
+        _write_groups(result / "sightings" / f"{name}.parquet", [table])
+    write_json(result / "installation.json", facts)
+
+
+def _write_tables(
+    result: Path, tables: dict[str, list[pa.Table]], found: DumpCalibration | JointCalibration
+) -> None:
+    """Write these tables and those that all results have, each of row groups."""
+    make_own_folder(result / "sightings")
+    of_all = {
+        "strips": [pairs_table(found.estimate.pairs)],
+        "ledger": [arrow_rows([entry.row for entry in found.omissions], sightings_schema("ledger"))],
+        "reliability": [_tests_table(found.verdict)],
+    }
+    for name, groups in (tables | of_all).items():
+        _write_groups(result / "sightings" / f"{name}.parquet", groups)
 
 
 def write_dumps(result: Path, names: Sequence[str]) -> None:
@@ -200,7 +217,7 @@ def joint_ground_m_per_rad(joint: JointCalibration) -> list[Floats]:
     ]
 
 
-def _installation(
+def installation_facts(
     estimate: InstallationEstimate,
     verdict: Verdict,
     rows: Sequence[Rows],
@@ -208,6 +225,9 @@ def _installation(
     grounds: Sequence[Floats],
     sigma_installation_rad: Floats | None = None,
 ) -> dict[str, Any]:
+    """What installation.json holds: `given` are the error model of the estimate and all settings, `grounds`
+    the `ground_m_per_rad` of each camera.
+    """
     error_model, settings = given
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
         "calibration": dataclasses.asdict(error_model)
@@ -400,11 +420,6 @@ def _tests_table(verdict: Verdict) -> pa.Table:
     values = {name: arrow_array([getattr(one, name) for one in tests], pa.float64()) for name in numbers}
     effect = fixed_list(np.array([one.effect_rad for one in tests]).reshape(len(tests), -1 if tests else 3))
     return pa.table(texts | values | {"effect_rad": effect})
-
-
-def _ledger_table(entries: Sequence[Entry]) -> pa.Table:
-    """One row for each observation that is not used."""
-    return arrow_rows([entry.row for entry in entries], sightings_schema("ledger"))
 
 
 def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:

@@ -155,6 +155,8 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("residuals", result.residuals, {}),
         Door("export", result.export, {"formats": "json", "out": out / "kernels", "dump": dump}, share=0.3),
         Door("report", result.report, {"path": ""}, share=0.1),
+        Door("save", result.save, {"folder": ""}, share=0.2),
+        Door("of_camera", result.of_camera, {"name": ""}, share=0.2),
         Door("method geolocate", result.geolocate, {**places, "line": 9.0, "sample": 3.0}, share=0.3),
         Door("StarSettings", stars_found_with, {"image": noise}),
         Door("MatchSettings", matched_with, {"picture": noise}),

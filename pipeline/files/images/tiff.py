@@ -7,6 +7,7 @@ caller decides whether that stops the run.
 
 from __future__ import annotations
 
+import logging
 import struct
 import warnings
 import zlib
@@ -40,6 +41,7 @@ __all__ = [
     "write_tiff",
 ]
 
+logging.getLogger("rasterio").setLevel(logging.INFO)  # else a hundred lines for each image at DEBUG
 MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a whole
 # A star image of more than 64 million pixels whose file has less than a byte for 10,000 of them shows no sky,
 # whose noise packs to some tenths of a byte a pixel; unpacked it may take a GB. Set by hand.

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from two_cameras import two_cameras
 from typer.testing import CliRunner
 
+import boresight as bs
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_cameras, open_dump
@@ -74,6 +75,25 @@ def test_each_camera_has_a_matrix_and_what_both_share_is_counted_once(
     assert between["cameras"] == ["left", "right"] and between["as_before_launch"]
     sigma = np.sqrt(np.diag(between["covariance_rad2"]))[0]
     assert sigma < 0.6 * np.sqrt(covariance[0, 0])  # the orbit across the track is common to both
+
+
+def test_from_python_each_camera_has_its_matrix(seen: tuple[Path, Path], tmp_path: Path) -> None:
+    result = Path(shutil.copytree(seen[1], tmp_path / "result"))
+    found = bs.calibrate(seen[0], out=result)  # goes on from the finished result
+    assert found.cameras == ("left", "right") and len(found.R_cs) == 2
+    assert np.array_equal(found.cov_theta, content(seen[1])["cameras_covariance_rad2"])
+    own = found.of_camera("right")
+    assert own.R_cs.single and np.array_equal(own.theta, found.theta[3:]) and len(own.table()) == 3
+    assert set(own.targets["strip_id"]) == {"right/s01-right"}
+    between = found.between_cameras
+    assert between[["a", "b"]].values.tolist() == [["left", "right"]]
+    assert between["sigma_x_arcsec"][0] < 0.6 * found.sigma_arcsec[0]  # the orbit's error is common to both
+    assert "R_cs of left: theta X" in repr(found) and len(found.table()) == 6
+    assert found.export("spice", tmp_path / "kernels", dump=seen[0], camera="left")
+    with pytest.raises(ValueError, match="name: found 'nadir', expected one of 'left', 'right'"):
+        found.of_camera("nadir")
+    with pytest.raises(ValueError, match="none with several dumps or cameras"):
+        bs.calibrate(seen[0], strips="s01-left")
 
 
 def test_two_dumps_of_one_instant_are_one_pass(finished: tuple[Path, Path], tmp_path: Path) -> None:
