@@ -33,6 +33,7 @@ from boresight.accepted import (
     source_of,
     wrong,
 )
+from boresight.calib.verdict import p_residuals
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC
@@ -137,13 +138,17 @@ class Calibration(Result):
 
     @property
     def p_value(self) -> float:
-        """Probability of so large a chi2, if errors are as stated."""
-        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+        """Probability of a chi2 as large or as small, if errors are as stated: `p_plain` of "residuals of
+        targets" in `checks`; NaN without degrees of freedom.
+        """
+        return p_residuals(self.chi2, self.dof)
 
     @property
     def checks(self) -> pd.DataFrame:
-        """One row a test of the verdict: kind, statistic, expected, n, p_value, limit, holds."""
-        names = ["kind", "statistic", "expected", "n", "p_value", "limit", "holds"]
+        """One row a test of the verdict: kind, statistic, expected, n, p_plain, p_value, limit, holds, fails;
+        neither holds nor fails what is not applicable.
+        """
+        names = ["kind", "statistic", "expected", "n", "p_plain", "p_value", "limit", "holds", "fails"]
         return pd.DataFrame(self._of_verdict("checks"), columns=names)
 
     @property
