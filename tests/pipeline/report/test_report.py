@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from datetime import datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -142,7 +143,12 @@ def test_every_number_is_the_one_that_was_saved(page: Page, finished):
         exact = float(attributes["value"])
         saved = saved_number(result / attributes["data-source"], attributes["data-key"])
         assert exact == (np.sqrt(saved) if "data-root" in attributes else saved)
-        shown = format(exact * float(attributes.get("data-scale", "1")), attributes["data-form"])
+        form = attributes["data-form"]
+        if form.startswith("UTC from "):
+            instant = datetime.fromisoformat(form[9:][:26]) + timedelta(seconds=round(exact, 6))
+            assert abs(datetime.fromisoformat(page.texts[n]) - instant) < timedelta(seconds=1e-4)
+            continue
+        shown = format(exact * float(attributes.get("data-scale", "1")), form)
         assert page.texts[n].replace("\N{MINUS SIGN}", "-") == shown
 
 
