@@ -36,9 +36,11 @@ from boresight.accepted import (
 from boresight.calib.verdict import p_residuals
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats, array, inner, record, scalar
+from boresight.geometry.record import Bools, Floats, array, inner, record, scalar
+from boresight.notebook import calibration_html, notebook_progress
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import open_dumps
@@ -46,6 +48,7 @@ from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.check_point_test import RmsTest
@@ -192,6 +195,42 @@ class Calibration(Result):
         sentence = stated.get("sentence") if isinstance(stated, dict) else None
         fit = f"{sentence or self.verdict}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
         return f"R_cs: theta {angles} arcsec\n{fit}\nfrom {self.counts}\n{self._not_used_line()}"
+
+    def _repr_html_(self) -> str:
+        stated = self.facts.get("verdict")
+        sentence = stated.get("sentence") if isinstance(stated, dict) else None
+        rows = [
+            (f"R_cs, row {'XYZ'[n % 3]}", "+.9f", row)
+            for n, row in enumerate(self.R_cs.as_matrix().reshape(-1, 3))
+        ]
+        for name, values in (("theta, arcsec", self.theta / ARCSEC), ("1 sigma, arcsec", self.sigma_arcsec)):
+            rows += [(name, ".4f", values[n : n + 3]) for n in range(0, len(values), 3)]
+        return calibration_html(self.verdict, sentence or self.verdict, rows, *self._places())
+
+    def _places(self) -> tuple[Floats, Bools]:
+        """Longitude and latitude (N, 2), deg, of sightings of targets, and which are kept; none: vectors."""
+        if self._run is not None:
+            of = self._run[0].ground_targets
+            names = self.targets["target_id"].tolist() if "target_id" in self.targets else []
+            known = [of[name].p_e for name in names if name in of]
+            if len(known) == len(names) > 0:
+                lat, lon, _ = geodetic_from_ecef(np.array(known), WGS84)
+                return np.degrees([lon, lat]).T, self.targets["kept"].to_numpy()
+        files = (
+            []
+            if self.folder is None
+            else [
+                path
+                for place in (".", *dumps_in(self.folder))
+                if (path := self.folder / place / "evidence" / "ground.parquet").is_file()
+            ]
+        )
+        tables = [read_parquet(path).to_pandas() for path in files]
+        if not tables:
+            return np.zeros((0, 2)), np.zeros(0, dtype=bool)
+        ground = pd.concat(tables)
+        ground = ground[ground["state"].isin(["used", "rejected"])]
+        return ground[["lon_deg", "lat_deg"]].to_numpy(), (ground["state"] == "used").to_numpy()
 
     def _not_used_line(self) -> str:
         groups = Counter(zip(self.not_used["kind"].tolist(), self.not_used["cause"].tolist()))
@@ -406,9 +445,9 @@ def calibrate(
             opened = _with_strips(opened, [str(one) for one in listed(strips, "strips", "ids of strips")])
         with executor_for(n_workers, None, opened.pixels) as executor:
             if folder is not None:
-                run_dump(folder, opened, str(opened.root), request, executor, _silent)
+                run_dump(folder, opened, str(opened.root), request, executor, notebook_progress())
                 return read_result(folder)
-            found = calibrate_dump(opened, chosen, None, executor)
+            found = calibrate_dump(opened, chosen, None, executor, notebook_progress())
         scratch = _Scratch()
         write_result(scratch.path, found, chosen)
         write_run(scratch.path, {"dump": str(opened.root)} | request.facts)
@@ -417,10 +456,6 @@ def calibrate(
 
 
 MOST_WORKERS = 1024  # processes; a larger number is taken for a slip
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """No progress is shown."""
 
 
 def _is_several(dump: object) -> bool:
@@ -455,7 +490,7 @@ def _jointly(
     scratch = _Scratch() if out is None else None
     folder = out if out is not None else scratch.path  # type: ignore[union-attr]
     with executor_for(workers, None, sum(named.dump.pixels for named in several)) as executor:
-        run_dumps(folder, several, request, executor, _silent)
+        run_dumps(folder, several, request, executor, notebook_progress())
     made = read_result(folder)
     return made if scratch is None else dataclasses.replace(made, folder=None, _scratch=scratch)
 

@@ -203,7 +203,11 @@ def ground_scatter(saved: Saved) -> Drawing:
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
     axes.plot(across, along, "o", color=INK, markersize=3, fillstyle="none")
     axes.add_patch(Circle((0.0, 0.0), ce90, fill=False, edgecolor=AXES[1].colour, linewidth=1.4))
-    for cell, values, turn in ((grid[0, 0], across, "vertical"), (grid[1, 1], along, "horizontal")):
+    sides: tuple[tuple[Any, Floats, Any], ...] = (
+        (grid[0, 0], across, "vertical"),
+        (grid[1, 1], along, "horizontal"),
+    )
+    for cell, values, turn in sides:
         beside = figure.add_subplot(cell)
         beside.set_axis_off()
         beside.stairs(
