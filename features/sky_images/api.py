@@ -388,9 +388,11 @@ class StarSolution(SuccessfulResult):
         if pixels is None:
             pixels = np.zeros((height, width), dtype=np.uint8)
         if pixels.shape != (height, width):
-            raise wrong("image", f"shape {pixels.shape}", f"({height}, {width}), that of the stars' image")
+            raise wrong(
+                "image", f"shape {pixels.shape}", f"the image of these stars, shape {(height, width)}"
+            )
         planets = () if self.observer is None else planets_in_view(self.field, self.observer)
-        seen = pixels[:, ::-1] if self.mirrored else pixels
+        seen = np.nan_to_num(pixels[:, ::-1] if self.mirrored else pixels)
         no_stars = np.zeros((0, 2)) if self.field.stars is None else misshapen_in(seen, self.field.stars)
         picture = named_sky(seen, self.field, planets, no_stars)
 
