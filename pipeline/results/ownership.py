@@ -101,8 +101,8 @@ def check_dump_of(result: Path, dump: Path) -> None:
 
 
 def dump_folder_of(result: Path) -> Path:
-    """The folder of the dump that a run, finished or not, was started with: where it was, or where it lies now
-    from the result, if both were moved. `RawDataError` where there is none, or it holds another dump.
+    """The folder of the dump that a run, finished or not, was started with: where it was, or where it now
+    lies from the result, if both were moved. `RawDataError` where there is none, or it holds another dump.
     """
     path = result / MARKER
     content = read_json(path)
