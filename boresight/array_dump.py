@@ -6,9 +6,10 @@ It is written as a folder, one image at a time, and opened like any other dump (
 from __future__ import annotations
 
 import atexit
+import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ from boresight.array_stars import attitude_keys, write_attitudes, write_exposure
 from boresight.array_tables import READERS, bits_of, image_of, pixels_of, stored, write_image
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
@@ -58,6 +60,14 @@ ORBIT = ("time", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 FRAMES = ("ITRF", "GCRF", "EME2000")  # of the orbit's states
 DEGREE = 7  # of the polynomial between states of the orbit
 FEWEST_STATES = 8  # through which that polynomial passes
+# Argument by the file of the dump that holds it.
+ARGUMENTS = {file: argument for argument, file in FILES.items()} | {
+    "installation.toml": "R_cs0, sigma_R_cs0_rad",
+    "targets.csv": "targets",
+    "points.csv": "points",
+    "dump.toml": "errors",
+    "terrain/dem.tif": "terrain",
+}
 HEIGHT_KINDS = ("ellipsoidal", "egm96")  # above the ellipsoid WGS84, or above this geoid
 
 
@@ -158,7 +168,7 @@ def dump_from_arrays(
     ValueError
         If an argument or a cell of a table is not as described.
     RawDataError
-        If a value is outside its range; the message names the file of the dump, field, found and expected.
+        If a value is outside its range; the message names the argument, its row, found and expected.
 
     Examples
     --------
@@ -207,7 +217,17 @@ def dump_from_arrays(
     stated = {str(key): number_of(v, f"errors, {key}") for key, v in errors.items()}
     head |= {"files": files, "errors": stated} | ({"star_cameras": [head_table]} if head_table else {})
     write_toml(folder / "dump.toml", head)  # last: a dump with a dump.toml is complete
-    return open_dump(folder)
+    try:
+        return open_dump(folder)
+    except RawDataError as error:
+        raise _of_argument(error) from error
+
+
+def _of_argument(error: RawDataError) -> RawDataError:
+    """The error with the argument and its row, from 0, instead of the file and its line."""
+    argument = ARGUMENTS.get(error.file, error.file)
+    field = re.sub(r"^line (\d+)", lambda line: f"row {int(line[1]) - 2}", error.field)
+    return RawDataError(argument, field, error.found, error.expected)
 
 
 def _new_folder(out: PathLike | None) -> Path:
@@ -238,7 +258,12 @@ def _has_sky(strips: Table) -> bool:
 
 
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None) -> int:
-    readers = {"id": label_of, "ccd": count_of, "time": utc_of, "row_period_s": number_of}
+    readers: dict[str, Callable[[Any, str], Any]] = {
+        "id": label_of,
+        "ccd": count_of,
+        "time": utc_of,
+        "row_period_s": number_of,
+    }
     ids, ccds, times, periods = (column_of(rows, key, "strips", read) for key, read in readers.items())
     places: list[tuple[str, int]] = []  # file and number of lines
     types = set()
@@ -316,5 +341,9 @@ def orbit_text(mission: str, frame: str, orbit: Table) -> str:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
     utc = column_of(rows, "time", "orbit", utc_of)
     numbers = np.array([column_of(rows, key, "orbit", number_of) for key in ORBIT[1:]]).T
+    radius_m = np.linalg.norm(numbers[:, :3], axis=1)
+    for n in np.flatnonzero(~((radius_m > 6.4e6) & (radius_m < 5e7)))[:1]:
+        found = f"{radius_m[n]:.6g} m from the centre of the Earth"
+        raise wrong(f"orbit, row {n}, x_m, y_m, z_m", found, "6.4e6 to 5e7 m (metres, not kilometres)")
     name = "".join(letter if letter.isalnum() else "-" for letter in mission.upper()) or "ARRAYS"
     return orbit_message(name, frame, ("lagrange", DEGREE), utc, numbers[:, :3], numbers[:, 3:])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
             types.add(pixels.dtype)
             write_image(folder / file, stored(pixels, stated or 8))
     rows = [{"id": f"e{n + 1:04d}", **row} for n, row in enumerate(rows)]
-    readers = {"id": label_of, "time": utc_of, "exposure_s": number_of}
+    readers: dict[str, Callable[[Any, str], Any]] = {"id": label_of, "time": utc_of, "exposure_s": number_of}
     ids, times, lengths = (column_of(rows, key, "exposures", read) for key, read in readers.items())
     lines = list(zip(ids, files, times, lengths))
     write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)

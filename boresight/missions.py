@@ -37,11 +37,14 @@ from boresight.accepted import (
     source_of,
     wrong,
 )
+from boresight.calib.verdict import p_residuals
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats, array, inner, record, scalar
+from boresight.geometry.record import Bools, Floats, array, inner, record, scalar
+from boresight.notebook import calibration_html, notebook_progress
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import named_cameras, open_dumps
@@ -49,6 +52,7 @@ from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
 from boresight.pipeline.files.object_store import dump_folder
+from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.report.evidence import write_evidence
@@ -153,13 +157,17 @@ class Calibration(Result):
 
     @property
     def p_value(self) -> float:
-        """Probability of so large a chi2, if errors are as stated."""
-        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+        """Probability of a chi2 as large or as small, if errors are as stated: `p_plain` of "residuals of
+        targets" in `checks`; NaN without degrees of freedom.
+        """
+        return p_residuals(self.chi2, self.dof)
 
     @property
     def checks(self) -> pd.DataFrame:
-        """One row a test of the verdict: kind, statistic, expected, n, p_value, limit, holds."""
-        names = ["kind", "statistic", "expected", "n", "p_value", "limit", "holds"]
+        """One row a test of the verdict: kind, statistic, expected, n, p_plain, p_value, limit, holds, fails;
+        neither holds nor fails what is not applicable.
+        """
+        names = ["kind", "statistic", "expected", "n", "p_plain", "p_value", "limit", "holds", "fails"]
         return pd.DataFrame(self._of_verdict("checks"), columns=names)
 
     @property
@@ -207,6 +215,42 @@ class Calibration(Result):
         sentence = stated.get("sentence") if isinstance(stated, dict) else None
         fit = f"{sentence or self.verdict}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
         return "\n".join([*angles, fit, f"from {self.counts}", self._not_used_line()])
+
+    def _repr_html_(self) -> str:
+        stated = self.facts.get("verdict")
+        sentence = stated.get("sentence") if isinstance(stated, dict) else None
+        rows = [
+            (f"R_cs, row {'XYZ'[n % 3]}", "+.9f", row)
+            for n, row in enumerate(self.R_cs.as_matrix().reshape(-1, 3))
+        ]
+        for name, values in (("theta, arcsec", self.theta / ARCSEC), ("1 sigma, arcsec", self.sigma_arcsec)):
+            rows += [(name, ".4f", values[n : n + 3]) for n in range(0, len(values), 3)]
+        return calibration_html(self.verdict, sentence or self.verdict, rows, *self._places())
+
+    def _places(self) -> tuple[Floats, Bools]:
+        """Longitude and latitude (N, 2), deg, of sightings of targets, and which are kept; none: vectors."""
+        if self._run is not None:
+            of = self._run[0].ground_targets
+            names = self.targets["target_id"].tolist() if "target_id" in self.targets else []
+            known = [of[name].p_e for name in names if name in of]
+            if len(known) == len(names) > 0:
+                lat, lon, _ = geodetic_from_ecef(np.array(known), WGS84)
+                return np.degrees([lon, lat]).T, self.targets["kept"].to_numpy()
+        files = (
+            []
+            if self.folder is None
+            else [
+                path
+                for place in (".", *dumps_in(self.folder))
+                if (path := self.folder / place / "evidence" / "ground.parquet").is_file()
+            ]
+        )
+        tables = [read_parquet(path).to_pandas() for path in files]
+        if not tables:
+            return np.zeros((0, 2)), np.zeros(0, dtype=bool)
+        ground = pd.concat(tables)
+        ground = ground[ground["state"].isin(["used", "rejected"])]
+        return ground[["lon_deg", "lat_deg"]].to_numpy(), (ground["state"] == "used").to_numpy()
 
     def _not_used_line(self) -> str:
         groups = Counter(zip(self.not_used["kind"].tolist(), self.not_used["cause"].tolist()))
@@ -457,7 +501,8 @@ def calibrate(
     >>> est.verdict, bool(est.sigma_arcsec.max() < 10.0)
     ('consistent', True)
     """
-    folder, told = None if out is None else new_folder_of(out, "out"), progress_of(progress)
+    folder = None if out is None else new_folder_of(out, "out")
+    told = notebook_progress() if progress is no_progress else progress_of(progress)
     n_workers, chosen = count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
     sources = [
         source_of_dump(one) for one in (listed(dump, "dump", "dumps") if _is_several(dump) else [dump])

@@ -30,7 +30,7 @@ from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 
-__all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess"]
+__all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess", "p_residuals"]
 
 SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
 LARGER, PROBABILITY_LARGER = 1.2, 1e-3  # residuals over the stated, and by chance, from which that is said
@@ -142,7 +142,11 @@ class Check:
     statistic: float = scalar("chi-square, or a count")
     expected: float = scalar("value expected of consistent data: degrees of freedom, or the tolerated count")
     n: int = scalar("degrees of freedom, or number of observations counted")
-    p_value: float = scalar("probability of a statistic as unlikely as this, if the data are consistent")
+    p_value: float = scalar(
+        "probability of a statistic as unlikely as this, if the data are consistent and "
+        "stated standard deviations are as far off as is tolerated; NaN: not applicable"
+    )
+    p_plain: float = scalar("the same with the stated standard deviations as they are; NaN: of a count")
     limit: float = scalar("p-value below which the check fails")
     names: tuple[tuple[str, ...], ...] = scalar(
         "groups of targets with equal coordinates; the head that contradicts; the orbit's bias", default=()
@@ -150,13 +154,18 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether the check finds no contradiction."""
+        """Whether the check was made and finds no contradiction."""
         return self.p_value >= self.limit
+
+    @property
+    def fails(self) -> bool:
+        """Whether the check was made and finds a contradiction."""
+        return self.p_value < self.limit
 
     @property
     def is_caution(self) -> bool:
         """Whether it fails because residuals are smaller than stated, which does not refute."""
-        return not self.holds and self.kind in TOO_SMALL and self.statistic < self.expected
+        return self.fails and self.kind in TOO_SMALL and self.statistic < self.expected
 
     @property
     def look_at(self) -> tuple[Suspect, ...]:
@@ -190,12 +199,14 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """The outcome in one line, for every place that states it."""
-        n, cautions = len(self.checks), len(self.cautions)
+        applicable = [check for check in self.checks if check.holds or check.fails]
+        held, n, cautions = sum(one.holds for one in applicable), len(applicable), len(self.cautions)
         faults = [one for one in self.findings if one.is_fault]
         match self.outcome:
             case Outcome.CONSISTENT:
                 small = ", but residuals are smaller than stated" if cautions else ""
-                return f"consistent: {n - cautions} of {n} checks hold{small}"
+                missing = f", {len(self.checks) - n} not applicable" if n < len(self.checks) else ""
+                return f"consistent: {held} of {n} checks hold{missing}{small}"
             case Outcome.FINDINGS:
                 many = "1 input looks" if len(faults) == 1 else f"{len(faults)} inputs look"
                 return f"consistent, findings: {many} wrong; correct and calibrate again"
@@ -212,7 +223,7 @@ class Verdict:
     @property
     def refuted_by(self) -> tuple[Check, ...]:
         """Checks that fail, the least likely first."""
-        failed = (c for c in self.checks if not c.holds and not c.is_caution)
+        failed = (c for c in self.checks if c.fails and not c.is_caution)
         return tuple(sorted(failed, key=lambda c: c.p_value))
 
     @property
@@ -316,7 +327,7 @@ def _larger_than_stated(checks: Sequence[Check], reliability: Reliability | None
 
 
 def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> Outcome:
-    if any(not c.holds and not c.is_caution for c in checks) or any(one.refutes for one in findings):
+    if any(c.fails and not c.is_caution for c in checks) or any(one.refutes for one in findings):
         return Outcome.REFUTED
     if dof < FEWEST_DOF:
         return Outcome.NOT_CHECKABLE
@@ -331,20 +342,47 @@ def _check(
     p_value: float,
     settings: VerdictSettings,
     names: tuple[tuple[str, ...], ...] = (),
+    p_plain: float = np.nan,
 ) -> Check:
-    limit = settings.probability_false_alarm / len(CheckKind)
     return Check(
-        kind=kind, statistic=statistic, expected=expected, n=n, p_value=p_value, limit=limit, names=names
+        kind=kind,
+        statistic=statistic,
+        expected=expected,
+        n=n,
+        p_value=p_value if n > 0 else np.nan,
+        p_plain=p_plain,
+        limit=settings.probability_false_alarm / len(CheckKind),
+        names=names,
     )
 
 
-def _residuals(kind: CheckKind, statistic: float, dof: int, settings: VerdictSettings) -> Check:
-    """Two-sided: small residuals, too, contradict the stated errors (`Check.is_caution`)."""
+def p_residuals(chi2: float, dof: int, understated: float = 1.0, overstated: float = 1.0) -> float:
+    """Two-sided probability of residuals as large or as small as chi2, if the standard deviations are
+    `understated` or `overstated` by no more than these factors; NaN without degrees of freedom.
+    """
     if dof <= 0:
-        return _check(kind, statistic, dof, dof, 1.0, settings)
-    above = float(chdtrc(dof, statistic / settings.sigma_understated**2))
-    below = float(chdtr(dof, statistic * settings.sigma_overstated**2))
-    return _check(kind, statistic, dof, dof, min(1.0, 2.0 * min(above, below)), settings)
+        return np.nan
+    above, below = chdtrc(dof, chi2 / understated**2), chdtr(dof, chi2 * overstated**2)
+    return float(min(1.0, 2.0 * min(above, below)))
+
+
+def _residuals(kind: CheckKind, chi2: float, dof: int, settings: VerdictSettings) -> Check:
+    """Small residuals, too, contradict the stated errors (`Check.is_caution`)."""
+    p_value = p_residuals(chi2, dof, settings.sigma_understated, settings.sigma_overstated)
+    return _check(kind, chi2, dof, dof, p_value, settings, p_plain=p_residuals(chi2, dof))
+
+
+def _too_large(
+    kind: CheckKind,
+    chi2: float,
+    dof: int,
+    tolerated: float,
+    settings: VerdictSettings,
+    names: tuple[tuple[str, ...], ...] = (),
+) -> Check:
+    """One-sided: a chi-square of standard deviations that may be `tolerated` times too small."""
+    p_value, p_plain = ((float(chdtrc(dof, chi2 / x**2)) if dof > 0 else np.nan) for x in (tolerated, 1.0))
+    return _check(kind, chi2, dof, dof, p_value, settings, names, p_plain)
 
 
 def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
@@ -382,13 +420,12 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
     def without(k: int | None) -> Check:
         rows = np.delete(np.arange(len(pairs.F)), [] if k is None else [k])
         gain, dof = _gain_of_own_matrices(pairs.F[rows], pairs.F_theta[rows], prior)
-        p_value = float(chdtrc(dof, gain / settings.sigma_understated**2)) if dof > 0 else 1.0
-        return _check(CheckKind.BETWEEN_STRIPS, gain, dof, dof, p_value, settings)
+        return _too_large(CheckKind.BETWEEN_STRIPS, gain, dof, settings.sigma_understated, settings)
 
     check, S = without(None), len(pairs.F)
-    if check.holds or S < 3:
+    if not check.fails or S < 3:
         return check
-    names = [str(name) for k, name in enumerate(pairs.names) if without(k).holds]
+    names = [str(name) for k, name in enumerate(pairs.names) if not without(k).fails]
     return replace(check, names=tuple((name,) for name in names)) if 2 * len(names) < S else check
 
 
@@ -423,12 +460,12 @@ def _between_heads(agreement: HeadAgreement, settings: VerdictSettings) -> list[
     if agreement.dof > 0:
         checks.append(_residuals(CheckKind.BETWEEN_HEADS, agreement.chi2, agreement.dof, settings))
     if (dof := agreement.dof_gain) > 0:
-        p_value = float(chdtrc(dof, agreement.gain / settings.sigma_understated**2))
-        checks.append(_check(CheckKind.STEADY_HEADS, agreement.gain, dof, dof, p_value, settings))
+        of_gain = agreement.gain, dof, settings.sigma_understated
+        checks.append(_too_large(CheckKind.STEADY_HEADS, *of_gain, settings))
     if not agreement.without:
         return checks
     name = min(agreement.without, key=_excess).head or "reference head"
-    return [check if check.holds else replace(check, names=((name,),)) for check in checks]
+    return [replace(check, names=((name,),)) if check.fails else check for check in checks]
 
 
 def _excess(one: WithoutHead) -> float:
@@ -450,8 +487,7 @@ def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: Ver
     covariance = estimate.cov_theta + np.diag(np.asarray(sigma_rad, dtype=float) ** 2)
     statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
     dof = len(estimate.theta)
-    p_value = float(chdtrc(dof, statistic / settings.sigma_overstated**2))
-    return _check(CheckKind.START_MATRIX, statistic, dof, dof, p_value, settings)
+    return _too_large(CheckKind.START_MATRIX, statistic, dof, settings.sigma_overstated, settings)
 
 
 def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
@@ -480,9 +516,9 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
         return []
     value, covariance = estimate.bias.value[rows], estimate.bias.covariance[np.ix_(rows, rows)]
     statistic = float(value @ np.linalg.solve(covariance, value))
-    p_value = float(chdtrc(len(rows), statistic / settings.sigma_understated**2))
     names = tuple((text,) for text in estimate.bias.texts() if not text.startswith("clock"))
-    return [_check(CheckKind.ORBIT_BIAS, statistic, len(rows), len(rows), p_value, settings, names)]
+    of_bias = statistic, len(rows), settings.sigma_understated
+    return [_too_large(CheckKind.ORBIT_BIAS, *of_bias, settings, names)]
 
 
 def _orbit_finding(
@@ -494,7 +530,7 @@ def _orbit_finding(
     """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas.
     The first of `others`, which explain it too, is listed.
     """
-    if estimate.bias is None or all(c.holds for c in checks if c.kind is CheckKind.ORBIT_BIAS):
+    if estimate.bias is None or not any(c.fails for c in checks if c.kind is CheckKind.ORBIT_BIAS):
         return
     bias = estimate.bias
     rows = [n for n, name in enumerate(bias.names) if name != "clock"]

@@ -1,6 +1,6 @@
 """Run what docs/ci.md shows: the steps of its workflow and its tests: `python scripts/ci_page.py FOLDER`.
 
-The steps run in FOLDER beside a link to `fixtures`, with the programs of this Python. Steps that use actions,
+The steps run in FOLDER, with the programs of this Python. Steps that use actions,
 and the one that installs, are left to GitHub.
 """
 
@@ -32,8 +32,6 @@ def steps() -> list[list[str]]:
 
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "fixtures").unlink(missing_ok=True)
-    (folder / "fixtures").symlink_to(ROOT / "fixtures")
     (folder / "test_limits.py").write_text(block("python"), encoding="utf-8")
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     for step in steps():

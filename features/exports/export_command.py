@@ -18,7 +18,7 @@ from boresight.pipeline.console.arguments import (
     StaleEop,
 )
 from boresight.pipeline.console.completion import among, strips_of
-from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, Answer, say, tell
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["export_command"]
@@ -91,8 +91,7 @@ def export_command(
         say(remark.text)
     if empty := [name for name in names if not _written(name, request, folder)]:
         say(f"nothing to write as {', '.join(empty)}")
-        return Answer(exit_status=DATA_DID_NOT_ALLOW)
-    return Answer()
+    return Answer(exit_status=DATA_DID_NOT_ALLOW if len(empty) == len(names) else DONE)
 
 
 def _date(text: str) -> str:

@@ -9,10 +9,9 @@ from boresight.features.exports.one_line import one_line
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.identity import identity_of_result, saved_about
-from boresight.pipeline.results.ownership import origin_of
+from boresight.pipeline.results.ownership import dump_folder_of, origin_of
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import read_sightings
 
@@ -74,7 +73,7 @@ def notes_of(result: Path, dump: Path | None, created: str, use: tuple[str, str]
 
 def _mission(result: Path, dump: Path | None) -> str:
     try:
-        noted = dump or dump_folder(str(read_json(result / "run.json", "run.json").get("dump")))
+        noted = dump or dump_folder_of(result)
         return read_toml(noted / "dump.toml", DumpFile, "dump.toml").mission
     except RawDataError:
         return UNKNOWN

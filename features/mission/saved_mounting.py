@@ -19,7 +19,7 @@ from boresight.pipeline.files.table_files import column, list_values, read_parqu
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import of_camera, read_installation, read_mounting, read_saved_result
-from boresight.pipeline.run.digests import digest
+from boresight.pipeline.run.digests import rounded_digest
 
 __all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_at"]
 
@@ -103,8 +103,8 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
         satellite=str(context.get("satellite", "")),
         camera=camera or str(context.get("camera", "")),
         head=str(heads[0]["name"]),
-        star_camera=digest(context.get("star_camera")),
-        model=digest([cameras, [settings.get(key) for key in OF_DISTORTION]]),
+        star_camera=rounded_digest(context.get("star_camera")),
+        model=rounded_digest([cameras, [settings.get(key) for key in OF_DISTORTION]]),
         verdict=str(content["verdict"]["outcome"]),
         R_cs=saved.R_cs,
         R_cs0=deviation_from_theta(saved.theta).inv() * saved.R_cs,

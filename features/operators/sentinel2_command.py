@@ -57,4 +57,4 @@ def sentinel2_command(
         for n in beyond[:MOST_ROWS]
     ]
     lines += [f"and {len(beyond) - MOST_ROWS} rows more"] if len(beyond) > MOST_ROWS else []
-    return agreement(lines, float(off_m.max()), limit_m)
+    return agreement(lines, float(off_m.max()), limit_m, len(beyond), len(rows))

@@ -30,8 +30,11 @@ from boresight.accepted import (
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
-from boresight.features.sky_images.identify_images import departure, sky_index
+from boresight.features.sky_images.identify_images import bound_words, departure, misshapen_in, sky_index
+from boresight.features.sky_images.overlay import named_sky
+from boresight.features.sky_images.planets import planets_in_view
 from boresight.features.sky_images.sip import TanSip, tan_sip
+from boresight.features.sky_images.sky_plot import draw_sky
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, inner, record, scalar
 from boresight.geometry.star_camera import StarCamera
@@ -63,7 +66,6 @@ __all__ = [
 
 NARROWEST_DEG, WIDEST_DEG = 0.5, 175.0  # fields of view that are searched
 SMALLEST_PX, MOST_COUNTS = 32, 65535  # side of an image, and its counts
-MOST_NUMBERS = 30  # in a picture
 # Largest difference, px, of a TAN-SIP header from the camera for the header to be given; wide fisheye
 # lenses have none (set by hand).
 MOST_MISFIT_PX = 1.0
@@ -85,6 +87,7 @@ class Stars(Result):
     star_list: StarList = scalar("the full record, as the functions of boresight.star_id take it")
     size_px: tuple[int, int] = scalar("width and height of the image, px")
     masked: int = scalar("pixels without a number: they have no weight")
+    pixels: NDArray[Any] | None = scalar("grey values (H, W); None: not given", default=None, repr=False)
     xy_px = inner[Floats](
         "star_list.xy_px", "(N, 2) centroids (column, row); (0, 0) is the centre of the first pixel"
     )
@@ -345,7 +348,7 @@ class StarSolution(SuccessfulResult):
             f"roll {self.roll_deg:.4f} deg ({roll:.1f} arcsec)\n"
             f"{len(self.hip)} of {len(self.stars)} stars identified, field of view {self.fov_deg:.3f} deg\n"
             f"rms residual {np.sqrt((self.residual_px**2).mean()):.3f} px per axis, "
-            f"wrong with probability < {self.false_alarm_probability:.0e}"
+            f"wrong with probability {bound_words(self.field)}"
             f"{', MIRROR IMAGE: all is stated for its columns reversed' if self.mirrored else ''}\n"
             f"{self.departure + chr(10) if self.departure else ''}"
             f"not used: {'; '.join(self.not_used) or 'nothing'}"
@@ -376,22 +379,31 @@ class StarSolution(SuccessfulResult):
         return xy
 
     def plot(self, ax: Axes | None = None, *, image: ImageLike | None = None) -> Axes:
-        """Identified stars, over the image if given; of the brightest 30 the Hipparcos numbers, as far
-        as they do not overlap.
+        """The image as `boresight identify --overlay` draws it, with what is in it named, lines of right
+        ascension and declination, north, east and a bar of scale. Of centroids `image` is their image;
+        without it, the sky is dark. A mirror image is drawn with its columns reversed.
         """
-        ax = _sky_axes(ax, self.stars.size_px, image)
-        color, xy = "black" if image is None else "yellow", self._image_px
-        ax.scatter(xy[:, 0], xy[:, 1], s=60, facecolors="none", edgecolors=color)
-        room = 0.03 * max(self.stars.size_px)  # a number of six digits is twice as wide
-        labelled: list[tuple[float, float]] = []
-        for hip, (x, y) in zip(self.hip[:MOST_NUMBERS].tolist(), xy[:MOST_NUMBERS].tolist()):
-            if any(abs(x - a) < 4.0 * room and abs(y - b) < room for a, b in labelled):
-                continue  # the numbers would overlap
-            labelled.append((x, y))
-            ax.annotate(
-                str(hip), (x, y), (5, 5), textcoords="offset points", color=color, annotation_clip=True
+        pixels = self.stars.pixels if image is None else image_pixels(image, "image")
+        width, height = self.stars.size_px
+        if pixels is None:
+            pixels = np.zeros((height, width), dtype=np.uint8)
+        if pixels.shape != (height, width):
+            raise wrong(
+                "image", f"shape {pixels.shape}", f"the image of these stars, shape {(height, width)}"
             )
-        return ax
+        planets = () if self.observer is None else planets_in_view(self.field, self.observer)
+        seen = np.nan_to_num(pixels[:, ::-1] if self.mirrored else pixels)
+        no_stars = np.zeros((0, 2)) if self.field.stars is None else misshapen_in(seen, self.field.stars)
+        picture = named_sky(seen, self.field, planets, no_stars)
+
+        def sky_of(xy_px: Floats) -> Floats:
+            xy = xy_px.copy()
+            if self.mirrored:
+                xy[:, 0] = width - 1.0 - xy[:, 0]
+            place = self.pixel_to_sky(xy)
+            return np.column_stack([place.ra.deg, place.dec.deg])
+
+        return draw_sky(axes_or_new(ax), picture, self.stars.size_px, sky_of)
 
 
 @record(kw_only=True)
@@ -503,6 +515,7 @@ def find_stars(
         star_list=stars_of_image(read.pixels, chosen, frame, read.hidden),
         size_px=(read.pixels.shape[1], read.pixels.shape[0]),
         masked=0 if read.hidden is None else int(np.count_nonzero(read.hidden)),
+        pixels=read.pixels,
     )
 
 

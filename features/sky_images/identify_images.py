@@ -46,6 +46,7 @@ from boresight.star_id.sight import explained
 __all__ = [
     "Line",
     "Request",
+    "bound_words",
     "check_field",
     "departure",
     "identify_images",
@@ -58,6 +59,7 @@ __all__ = [
 
 # Least rms displacement, px, by which a given camera is said not to fit: twice what a calibration may leave.
 TOLD_PX = 0.02
+LEAST_EXPONENT = -30.0  # of ten, of a probability that is stated
 _INDICES = 4  # kept in memory, mapped from files: of unknown cameras, and of the known ones asked for last
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
@@ -265,11 +267,17 @@ def _facts(record: dict[str, Any], found: FieldSolution) -> str:
         "RA {ra_deg:.5f}  Dec {dec_deg:+.5f} deg +- {pointing_sigma_arcsec:.2f} arcsec   "
         "roll {roll_deg:.4f} deg +- {roll_sigma_arcsec:.1f} arcsec   FOV {fov_x_deg:.4f} deg   "
     ).format_map(record) + (
-        f"wrong with probability < 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"
+        f"wrong with probability {bound_words(found)}"
         + ("" if found.camera.projection == "tangent" else "   fisheye projection")
         + (f"   {departing}" if (departing := departure(found)) else "")
         + ("   MIRROR IMAGE: all is stated for its columns reversed" if found.mirrored else "")
     )
+
+
+def bound_words(found: FieldSolution) -> str:
+    """The bound of the probability of a false answer; one that no experience can tell from 0 is cut short."""
+    exponent = found.log_false_alarm_probability / np.log(10.0)
+    return f"below 1e{max(exponent, LEAST_EXPONENT):.0f}"
 
 
 def check_field(fov_deg: float | None) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.features.sky_images.identify_images import Line, misshapen_in
+from boresight.features.sky_images.identify_images import Line, bound_words, misshapen_in
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools
 from boresight.pipeline.files.whole_file import write_text
@@ -131,7 +131,7 @@ def _solution(found: FieldSolution) -> list[tuple[str, str]]:
         ),
         ("focal length over pixel pitch", f"{camera.focal_m / camera.pixel_m:.1f} px"),
         ("residuals", f"{found.rms_arcsec:.1f}″ rms"),
-        ("probability of a false answer", f"below 1e{found.log_false_alarm_probability / np.log(10.0):.0f}"),
+        ("probability of a false answer", bound_words(found)),
     ]
     if found.mirrored:
         rows.append(("mirror image", "all is stated, and drawn, for its columns reversed"))

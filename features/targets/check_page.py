@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.features.targets.dump_check import DumpCheck
+from boresight.features.targets.dump_check import DumpCheck, grouped_faults
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.drawing import INK, Drawing, drawn, dress_axes, new_figure
 from boresight.pipeline.report.page import template
@@ -20,7 +20,7 @@ MOST_MAPS, COLUMNS = 12, 2
 def write_check_page(found: DumpCheck, path: Path) -> None:
     """Write the HTML page of a check of a dump, readable without a network."""
     drawing = _map(found) if found.footprints else None
-    text = template("check.html.j2").render(check=found, map=drawing)
+    text = template("check.html.j2").render(check=found, faults=grouped_faults(found.faults), map=drawing)
     write_text(path, text)
 
 

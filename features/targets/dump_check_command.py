@@ -35,16 +35,15 @@ def dump_check_command(
 
         write_check_page(check, out)
         lines.append(f"-> {out}")
-    failed = bool(check.faults) or not (check.footprints or check.sky_strips)
     return Answer(
         text="\n".join(lines),
         content={
-            "errors": [str(fault) for fault in check.faults],
+            "errors": [*map(str, check.faults), *check.wrong],
             "facts": list(check.facts),
             "omitted": [entry.row for entry in check.omissions],
             "targets": [plain(target) for target in check.targets],
             "footprints": {name: outline.tolist() for name, outline in check.footprints.items()},
         },
         files=() if out is None else (out,),
-        exit_status=DATA_DID_NOT_ALLOW if failed else DONE,
+        exit_status=DATA_DID_NOT_ALLOW if check.faults or check.wrong else DONE,
     )

@@ -138,7 +138,7 @@ def _explanations(
 ) -> list[Finding]:
     """A convention that is wrong; without one, what `_target_findings` says."""
     convention = None
-    if any(not check.holds for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
+    if any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
         convention = wrong_convention(basis)
     if convention:
         return [convention]

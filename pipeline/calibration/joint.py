@@ -49,9 +49,9 @@ __all__ = [
     "open_dumps",
 ]
 
-# Relative difference, and the absolute one in SI units, up to which numbers of two dumps are the same:
-# rounding of conversions (pixels of 120 µm times their number) leaves 5e-17 m.
-ROUNDING, SMALLEST = 1e-12, 1e-15
+# Difference up to which numbers of two dumps are the same, of the largest number of their array, and in SI
+# units: files with ten digits, and conversions of units, round. Of a look direction it is 2e-4 arcsec.
+ROUNDING, SMALLEST = 5e-10, 1e-15
 OF_RESULTS = ("sightings", "evidence", "work", "exports")  # folders of a result: names that no dump gets
 
 
@@ -337,5 +337,6 @@ def _is_same(a: Any, b: Any) -> bool:
     if not numbers or np.shape(a) != np.shape(b):
         return not isinstance(a, np.ndarray) and not isinstance(b, np.ndarray) and bool(a == b)
     if {np.asarray(one).dtype.kind for one in (a, b)} == {"f"}:
-        return bool(np.allclose(a, b, rtol=ROUNDING, atol=SMALLEST, equal_nan=True))
+        largest = np.nanmax(np.abs(a), initial=SMALLEST / ROUNDING, where=np.isfinite(a))
+        return bool(np.allclose(a, b, rtol=0.0, atol=ROUNDING * largest, equal_nan=True))
     return bool(np.array_equal(a, b))

@@ -117,7 +117,9 @@ def _items(hint: Any) -> list[tuple[str, Any]]:
 def plain(value: Any) -> Any:
     """`value` as JSON has it: a record as an object, arrays and tuples as lists, an enum as its value."""
     if dataclasses.is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init
+        }
     if isinstance(value, tuple):
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray):

@@ -4,11 +4,10 @@ cameras: a matrix each, and the rotations between them.
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 from typing import Any
 
-from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
@@ -16,7 +15,8 @@ from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
-from boresight.pipeline.report.saved import Number, number_from
+from boresight.pipeline.report.saved import number_from
+from boresight.pipeline.report.sheet import Basis, angles, basis_of, matrix_numbers
 from boresight.pipeline.report.small_maps import small_maps
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
@@ -30,13 +30,14 @@ __all__ = ["write_dumps_report"]
 def write_dumps_report(result: Path) -> Path:
     """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
     installation = read_json(result / "installation.json")
-    omissions = read_sightings(result, "ledger", "kind name reason").to_pylist()
+    omissions = read_sightings(result, "ledger", "kind name reason file").to_pylist()
     path = result / "report.html"
     if "cameras" in installation:
         write_text(path, _cameras_page(result, installation, omissions))
         return path
-    joint = _matrix(installation, "installation.json")
+    joint = matrix_numbers(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
+    dumps = _dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"})
     budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}
     text = template("dumps.html.j2").render(
         joint=joint,
@@ -45,7 +46,8 @@ def write_dumps_report(result: Path) -> Path:
         required=required(saved_requirement(result), joint["sigma"], sigma_m),
         verdict=verdict_view(installation),
         counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
-        dumps=_dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"}),
+        dumps=dumps,
+        basis=_basis(result, [one["name"] for one in dumps if not one["reason"]]),
         maps=small_maps(result, dumps_in(result)),
         located=len(dumps_in(result)),
         shapes=SHAPES,
@@ -67,13 +69,13 @@ def _cameras_page(result: Path, installation: dict[str, Any], omissions: list[di
             "name": one["name"],
             "page": page if (result / (page := pages.get(one["name"], ""))).is_file() else "",
             "sigma_m": sigma_on_ground(installation, n),
-            **_matrix(installation, source, f"cameras.{n}."),
+            **matrix_numbers(installation, source, f"cameras.{n}."),
         }
         for n, one in enumerate(installation["cameras"])
     ]
     between = [
         {"name": " to ".join(reversed(one["cameras"]))}
-        | _angles(
+        | angles(
             installation, source, f"between_cameras.{n}.theta_rad", f"between_cameras.{n}.covariance_rad2"
         )
         for n, one in enumerate(installation["between_cameras"])
@@ -92,30 +94,6 @@ def _cameras_page(result: Path, installation: dict[str, Any], omissions: list[di
 COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation.json
 
 
-def _matrix(content: dict[str, Any], source: str, of: str = "") -> dict[str, Any]:
-    """The matrix at the top of a content, or under the key `of`, which ends with a dot."""
-    return {
-        "matrix": [
-            [number_from(content, source, f"{of}R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)
-        ],
-        "quaternion": [number_from(content, source, f"{of}quaternion.{i}", "+.12f") for i in range(4)],
-        "covariance": [
-            [number_from(content, source, f"{of}covariance_rad2.{i}.{j}", "+.4e") for j in range(3)]
-            for i in range(3)
-        ],
-        **_angles(content, source, f"{of}theta_rad", f"{of}covariance_rad2"),
-    }
-
-
-def _angles(content: dict[str, Any], source: str, theta: str, covariance: str) -> dict[str, list[Number]]:
-    """theta and its 1-sigma, arcsec, by the keys of theta (rad) and its covariance (rad²)."""
-    arcsec = functools.partial(number_from, content, source, scale=1 / ARCSEC)
-    return {
-        "theta": [arcsec(f"{theta}.{i}", "+.4f") for i in range(3)],
-        "sigma": [arcsec(f"{covariance}.{i}.{i}", ".4f", root=True) for i in range(3)],
-    }
-
-
 def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
     """One row per dump: name, date and matrix, or the reason why it has none."""
     passes = read_sightings(result, "passes", "strip_id utc_middle").to_pylist()
@@ -128,12 +106,25 @@ def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
         utc = min((p["utc_middle"] for p in passes if p["strip_id"].startswith(f"{name}/")), default="")
         page = f"{name}/report.html"
         installation = read_json(result / source)
-        matrix, verdict = _matrix(installation, source), verdict_view(installation, source)
+        matrix, verdict = matrix_numbers(installation, source), verdict_view(installation, source)
         rows.append(
             {"name": name, "reason": "", "utc": utc[:10], "matrix": matrix, "page": page, "verdict": verdict}
             | {"has_page": (result / page).is_file()}
         )
     return rows
+
+
+def _basis(result: Path, names: list[str]) -> Basis | None:
+    """What the joint matrix belongs to; None where the dumps have no report."""
+    paths = [result / name / "evidence" / "context.json" for name in names]
+    known = [path for path in paths if path.is_file()]
+    if not known:
+        return None
+    contexts = {path: read_json(path) for path in known}
+    first = min(known, key=lambda path: str(contexts[path]["utc"][0]))
+    last = max(str(one["utc"][1]) for one in contexts.values())
+    source = first.relative_to(result).as_posix()
+    return basis_of(contexts[first], source, read_parquet(first.parent / "inputs.parquet"), last)
 
 
 def _drift(result: Path) -> dict[str, Any] | None:
@@ -147,7 +138,7 @@ def _drift(result: Path) -> dict[str, Any] | None:
         "constant": [number_from(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],
         "step": number_from(content, "drift.json", "step.p_value", ".3g"),
         "between": [str(utc)[:10] for utc in content["step"]["utc_interval"]],
-        **_angles(content, "drift.json", "step.theta_rad", "step.covariance_rad2"),
+        **angles(content, "drift.json", "step.theta_rad", "step.covariance_rad2"),
         "picture": data_uri("image/png", (result / "drift.png").read_bytes()),
     }
 

@@ -42,6 +42,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.ledger import State
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
@@ -132,8 +133,14 @@ def write_joint_evidence(result: Path, joint: JointCalibration) -> None:
 
 def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
     estimate, camera, star = calibration.estimate, dump.line_camera, dump.star_camera
+    head = _head(dump)
+    stars = head.files if head.files.star_camera else head.star_cameras[0]
     return {
         "mission": dump.mission,
+        "created_by": head.created_by,
+        "is_simulated": (dump.root / "truth").is_dir() or ": simulate " in head.created_by,
+        "star_camera_file": getattr(stars, "star_camera", None) or getattr(stars, "camera", None) or "",
+        "altitude_m": float(_altitude_m(dump, calibration).mean()),
         "satellite": dump.satellite,
         "camera": dump.camera,
         "utc": dump.epoch.utc_from_seconds(_span_s(calibration)),
@@ -224,9 +231,14 @@ def _over_ground(dump: Dump, calibration: DumpCalibration) -> tuple[float, float
     if ground:
         speed = np.concatenate([np.linalg.norm(one.v_rel_i, axis=1) for one in ground])
         return float(np.mean(np.concatenate([one.range_m for one in ground]))), float(speed.mean())
-    t_s = np.array(_span_s(calibration))
-    height = geodetic_from_ecef(dump.orbit.positions_e(t_s), WGS84)[2]
-    return float(height.mean()), float(np.linalg.norm(dump.orbit.velocities_e(t_s), axis=1).mean())
+    speed = np.linalg.norm(dump.orbit.velocities_e(np.array(_span_s(calibration))), axis=1)
+    return float(_altitude_m(dump, calibration).mean()), float(speed.mean())
+
+
+def _altitude_m(dump: Dump, calibration: DumpCalibration) -> Floats:
+    """Height of the satellite over the ellipsoid (2,), m, at the first and the last exposure."""
+    positions_e = dump.orbit.positions_e(np.array(_span_s(calibration)))
+    return np.asarray(geodetic_from_ecef(positions_e, WGS84)[2])
 
 
 def _inputs(dump: Dump) -> pa.Table:
@@ -237,12 +249,15 @@ def _inputs(dump: Dump) -> pa.Table:
 
 
 def _files(dump: Dump) -> Iterator[str]:
-    head = read_toml(dump.root / "dump.toml", DumpFile, "dump.toml")
     yield "dump.toml"
-    yield from head.paths.values()
+    yield from _head(dump).paths.values()
     yield from (exposure.file for exposure in dump.exposures)
     yield from (name for strip in dump.strips for name in strip.images.names.values())
     yield from (chip.file for chip in dump.chips)
+
+
+def _head(dump: Dump) -> DumpFile:
+    return read_toml(dump.root / "dump.toml", DumpFile, "dump.toml")
 
 
 def _fingerprint(path: Path, name: str) -> tuple[str, int, str]:

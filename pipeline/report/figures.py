@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
-from matplotlib.patches import Ellipse
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.patches import Circle, Ellipse
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import State
@@ -30,16 +30,18 @@ from boresight.pipeline.report.drawing import (
     rule_axes,
 )
 from boresight.pipeline.report.observations import ExposureCard, TargetCard
-from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.saved import Saved, utc_text
 from boresight.pipeline.report.strip_stars import StripStarRow
 
 __all__ = [
     "allan_plot",
     "angle_histogram",
     "angle_spread",
+    "ccd_means",
     "convergence",
     "covariance_ellipses",
     "exposure_chi2",
+    "ground_scatter",
     "residual_panels",
     "squared_residual_histogram",
     "star_residual_map",
@@ -98,7 +100,7 @@ def convergence(saved: Saved) -> Drawing:
 def angle_histogram(saved: Saved) -> Drawing:
     """Histogram of cross-angle residuals divided by their predicted standard deviation."""
     ratio = column(saved.angles, "z") / column(saved.angles, "sigma")
-    text = f"{len(ratio)} pairs of star and target; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
+    text = f"{len(ratio)} pairs of directions; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
     figure = new_figure(2.6)
     axes = axes_of(figure, "z / predicted σ", "fraction per unit")
     edges = np.linspace(-4.5, 4.5, 46)
@@ -163,8 +165,8 @@ def star_residual_map(saved: Saved) -> Drawing:
 
 
 def residual_panels(saved: Saved, rows: Sequence[TargetCard]) -> list[Drawing]:
-    """Residuals of targets on the ground, along and across the track, against sample, line, time and, where
-    it is stated, the temperature of the star camera.
+    """Residuals of targets on the ground, along and across the track: their scatter, the mean of each CCD,
+    and against sample, line, time, height and, where it is stated, the temperature of the star camera.
     """
     ground, width = saved.ground, saved.context["remote_camera"]["samples"]
     start = np.concatenate([[0.0], np.cumsum(width)])
@@ -175,7 +177,8 @@ def residual_panels(saved: Saved, rows: Sequence[TargetCard]) -> list[Drawing]:
     against = {
         "sample": ("sample, CCDs side by side, px", start[np.maximum(ccd, 0)] + column(ground, "sample_px")),
         "line": ("line of the strip", column(ground, "line_px")),
-        "time": (f"seconds after {first_s:.0f} s since the epoch", t_s - first_s),
+        "time": (f"seconds after {utc_text(saved.context['epoch_utc'], first_s)} UTC", t_s - first_s),
+        "height": ("ellipsoidal height of the target, m", column(ground, "height_m")),
     }
     warm = column(ground, "temperature_c")
     if np.isfinite(warm[known]).any():
@@ -183,7 +186,66 @@ def residual_panels(saved: Saved, rows: Sequence[TargetCard]) -> list[Drawing]:
     shown = [row for row in rows if known[row.row]]
     both = {f"{which}, m": column(ground, f"residual_{which}_m") for which in ("along", "across")}
     of = "targets on the ground"
-    return [_residual_panel(shown, name, x, both, of, "the map") for name, x in against.items()]
+    panels = [_residual_panel(shown, name, x, both, of, "the map") for name, x in against.items()]
+    return [ground_scatter(saved), ccd_means(saved), *panels]
+
+
+def ground_scatter(saved: Saved) -> Drawing:
+    """Residuals on the ground of the targets used, with the circle that holds 90 % and both histograms."""
+    _, across, along = _used_on_ground(saved)
+    ce90 = float(saved.context["accuracy"][0]["ce90_m"] or 0.0)
+    reach = 1.15 * float(np.abs([*across, *along, ce90, 1e-3]).max())
+    edges = np.linspace(-reach, reach, 21)
+    figure = new_figure(WIDTH_IN)
+    grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4), wspace=0.06, hspace=0.06)
+    axes = figure.add_subplot(grid[1, 0], axes_class=Ruled)
+    rule_axes(axes, "across the track, m", "along the track, m")
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.plot(across, along, "o", color=INK, markersize=3, fillstyle="none")
+    axes.add_patch(Circle((0.0, 0.0), ce90, fill=False, edgecolor=AXES[1].colour, linewidth=1.4))
+    sides: tuple[tuple[Any, Floats, Any], ...] = (
+        (grid[0, 0], across, "vertical"),
+        (grid[1, 1], along, "horizontal"),
+    )
+    for cell, values, turn in sides:
+        beside = figure.add_subplot(cell)
+        beside.set_axis_off()
+        beside.stairs(
+            np.histogram(values, edges)[0],
+            edges,
+            fill=True,
+            orientation=turn,
+            facecolor=FILL,
+            edgecolor=MUTED,
+        )
+        beside.set(**{"xlim" if turn == "vertical" else "ylim": (-reach, reach)})
+    text = f"Residuals of {len(across)} sightings of targets; circle: CE90 {ce90:.2f} m."
+    return drawn(figure, "ground-scatter", text, text)
+
+
+def ccd_means(saved: Saved) -> Drawing:
+    """Mean residual on the ground of each CCD's targets, its 1-sigma, and the spread of the residuals."""
+    ccd, *residuals = _used_on_ground(saved)
+    figure = new_figure(WIDTH_IN)
+    axes = axes_of(figure, "CCD", "mean residual, m")
+    axes.axhline(0.0, color=MUTED, linewidth=1.0)
+    names, count = np.unique(ccd, return_counts=True)
+    for curve, name, off, values in zip(AXES, ("across", "along"), (-0.08, 0.08), residuals):
+        groups = [values[ccd == one] for one in names]
+        mean, spread = (np.array([of(group) for group in groups]) for of in (np.mean, np.std))
+        style: dict[str, Any] = {"color": curve.colour, "marker": curve.marker, "linestyle": "none"}
+        axes.errorbar(names + off, mean, spread, elinewidth=0.8, label=name, **style)
+        axes.errorbar(names + off, mean, spread / np.sqrt(count), elinewidth=3.0, **style)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    _legend(axes, loc="upper right", ncols=2)
+    text = f"Mean residual of each of {len(names)} CCDs, thick its 1σ, thin the spread of the residuals."
+    return drawn(figure, "ccd-means", text, text)
+
+
+def _used_on_ground(saved: Saved) -> list[Floats]:
+    """CCD, residual across and along the track, m, of each sighting of a target that was used."""
+    used = np.array(saved.ground.column("state").to_pylist()) == State.USED.value
+    return [column(saved.ground, name)[used] for name in ("ccd", "residual_across_m", "residual_along_m")]
 
 
 def star_residual_panels(saved: Saved, rows: Sequence[StripStarRow]) -> list[Drawing]:
@@ -307,8 +369,10 @@ def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
     dof = column(table, "dof").astype(float)
     ratio = np.divide(column(table, "chi2"), dof, out=np.full(len(dof), np.nan), where=dof > 0)
     figure = new_figure(2.6)
-    axes = axes_of(figure, "seconds since the epoch", "χ² / degrees of freedom")
     t = column(table, "t_s")
+    first_s = float(np.floor(t[0])) if len(t) else 0.0
+    after = utc_text(saved.context["epoch_utc"], first_s)
+    axes, t = axes_of(figure, f"seconds after {after} UTC", "χ² / degrees of freedom"), t - first_s
     axes.plot(t, np.nan_to_num(ratio, nan=0.0), linestyle="none")  # limits
     spots = [
         Spot(

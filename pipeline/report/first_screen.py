@@ -134,12 +134,14 @@ def _about(saved: Saved) -> tuple[str, ...]:
     samples = remote["samples"]
     sizes = f"{len(samples)} × {samples[0]}" if len(set(samples)) == 1 else " + ".join(map(str, samples))
     pixel_m = context["ground"]["range_m"] * remote["pixel_rad"]
+    on_ground = saved.installation["ground_m_per_rad"][0] is not None
     satellite = f"{context['satellite']}; " if context["satellite"] else ""
     focal = f", {remote['focal_m']:.4g} m" if remote["focal_m"] else ""
     return (
         f"{satellite}{first} to {until} UTC",
         f"{_star_camera(star)} "
-        f"Remote-sensing camera {sizes} px{focal}, {pixel_m:.2g} m a pixel on the ground.",
+        f"Remote-sensing camera {sizes} px{focal}{f', {pixel_m:.2g} m a pixel on the ground' * on_ground}. "
+        f"Satellite {context['altitude_m'] * 1e-3:.0f} km above the ellipsoid.",
     )
 
 

@@ -171,7 +171,7 @@ FORMS = {
     "residual_across_m": "+.2f",
     "sample_px": ".2f",
     "line_px": ".2f",
-    "t_s": ".4f",
+    "t_s": "UTC",
     "lat_deg": ".6f",
     "lon_deg": ".6f",
     "height_m": ".1f",
@@ -252,7 +252,7 @@ def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:
             reasons[row["exposure"]] = (row["cause"], row["reason"])
     table, names = "sightings/exposures", saved.exposures.column("exposure_id").to_pylist()
     usable = saved.exposures.column("usable").to_pylist()
-    forms = {"t_s": ".2f", "stars": ".0f", "chi2": ".1f", "dof": ".0f"}
+    forms = {"t_s": "UTC", "stars": ".0f", "chi2": ".1f", "dof": ".0f"}
     rows = []
     for n, name in enumerate(names):
         numbers = {key: saved.cell(table, key, n, form) for key, form in forms.items()}

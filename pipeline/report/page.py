@@ -27,6 +27,7 @@ from boresight.pipeline.report.observations import (
     target_rows,
 )
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
+from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
@@ -80,6 +81,7 @@ def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterat
         saved=saved,
         summary=_summary(saved),
         verdict=verdict_view(saved.installation),
+        basis=basis_of(saved.context, "evidence/context.json", saved.inputs),
         first=first_screen(saved, targets),
         map=map_view(saved, targets),
         targets=targets,
@@ -94,7 +96,8 @@ def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterat
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
         },
-        residuals=drawn.get("residuals", []),
+        residuals=[drawn[name] for name in ("scatter", "of ccds") if name in drawn]
+        + drawn.get("residuals", []),
         interior=_interior(saved),
         star_residuals=drawn.get("star residuals", []),
         on_sky=drawn.get("on the sky"),
@@ -152,14 +155,7 @@ def _number(value: Number) -> Markup:
 def _summary(saved: Saved) -> dict[str, Any]:
     number, context = saved.number, saved.context_number
     return {
-        "matrix": [[number(f"R_cs.{i}.{j}", "+.12f") for j in range(3)] for i in range(3)],
-        "matrix_short": [[number(f"R_cs.{i}.{j}", "+.9f") for j in range(3)] for i in range(3)],
-        "quaternion": [number(f"quaternion.{i}", "+.12f") for i in range(4)],
-        "theta_rad": [number(f"theta_rad.{i}", "+.9f") for i in range(3)],
-        "theta_arcsec": [number(f"theta_rad.{i}", "+.4f", scale=TO_ARCSEC) for i in range(3)],
-        "euler_deg": [number(f"euler_zxy_deg.{i}", "+.8f") for i in range(3)],
-        "sigma_rad": [number(f"covariance_rad2.{i}.{i}", ".3e", root=True) for i in range(3)],
-        "covariance": [[number(f"covariance_rad2.{i}.{j}", "+.4e") for j in range(3)] for i in range(3)],
+        **matrix_numbers(saved.installation, "installation.json"),
         "counts": {name: number(name, ".0f") for name in ("frames", "stars", "targets")},
         "strips": context("strips", ".0f"),
         "chi2": number("chi2", ".2f"),

@@ -24,8 +24,9 @@ def page_figures(
     executor: Executor,
 ) -> dict[str, Any]:
     """Drawings by name; of stars and of targets where there are any."""
+    seen = "stars of strips" if strip_stars and not targets else "targets"
     to_draw: dict[str, Callable[[], Any]] = {
-        "of targets": partial(figures.squared_residual_histogram, saved, "targets", "targets"),
+        "of targets": partial(figures.squared_residual_histogram, saved, "targets", seen),
         "of attitudes": partial(figures.allan_plot, saved),
         "convergence": partial(figures.convergence, saved),
         "ellipses": partial(figures.covariance_ellipses, saved),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import pyarrow as pa
 
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
@@ -18,7 +20,9 @@ from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
-__all__ = ["Number", "Saved", "number_from", "read_saved"]
+__all__ = ["Number", "Saved", "number_from", "read_saved", "utc_text"]
+
+UTC_FROM = "UTC from "  # form of a number that counts seconds from the epoch behind it
 
 
 @record(kw_only=True)
@@ -28,7 +32,7 @@ class Number:
     exact: float = scalar("unscaled value")
     source: str = scalar("file in the result folder")
     key: str = scalar("path of keys and indices in that file, separated by dots")
-    form: str = scalar("format specification of the shown text")
+    form: str = scalar('format specification of the shown text, or "UTC from" and an epoch')
     scale: float = scalar("factor before formatting, such as rad to arcsec", default=1.0)
     root: bool = scalar("`exact` is the square root of the saved value", default=False)
 
@@ -38,7 +42,17 @@ class Number:
         value = self.exact * self.scale
         if not math.isfinite(value):
             return "not known" if math.isnan(value) else "no limit"
+        if self.form.startswith(UTC_FROM):
+            return utc_text(self.form.removeprefix(UTC_FROM), value, 24)
         return format(value, self.form).replace("-", "\N{MINUS SIGN}")
+
+
+_epoch = functools.cache(Epoch.from_utc)
+
+
+def utc_text(epoch_utc: str, t_s: float, digits: int = 19) -> str:
+    """The date and time of `t_s` seconds after an epoch."""
+    return _epoch(epoch_utc).utc_from_seconds([t_s])[0][:digits].replace("T", " ")
 
 
 @record(kw_only=True)
@@ -77,7 +91,8 @@ class Saved:
         return number_from(self.context, "evidence/context.json", key, form, scale=scale)
 
     def cell(self, table: str, column: str, row: int, form: str) -> Number:
-        """One cell of a table; `table` is its path without `.parquet`."""
+        """One cell of a table; `table` is its path without `.parquet`. Form "UTC": seconds as a time."""
+        form = f"{UTC_FROM}{self.context['epoch_utc']}" if form == "UTC" else form
         value = getattr(self, table.rpartition("/")[2]).column(column)[row].as_py()
         source, key = f"{table}.parquet", f"{column}.{row}"
         return Number(exact=float(value), source=source, key=key, form=form)

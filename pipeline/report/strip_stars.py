@@ -90,7 +90,7 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[StripStarRow, ...
 
 def _numbers(saved: Saved, row: int) -> dict[str, Number]:
     found = {
-        "t_s": saved.cell(TARGETS, "t_s", row, ".4f"),
+        "t_s": saved.cell(TARGETS, "t_s", row, "UTC"),
         "probability_wrong": saved.cell(TARGETS, "probability_wrong", row, ".1e"),
     }
     for name, (column, element, form, factor, root) in SHAPES.items():

@@ -30,10 +30,10 @@ class CheckRow:
     statistic: Number = scalar("chi-square or count")
     expected: Number = scalar("expected of consistent data")
     n: Number = scalar("degrees of freedom or number of observations")
-    p_value: Number = scalar("probability if the data are consistent")
+    p_value: Number = scalar("probability if the data are consistent, errors within the tolerance")
+    p_plain: Number = scalar("the same with the errors as stated")
     limit: Number = scalar("p-value below which the check fails")
-    holds: bool = scalar("no contradiction found")
-    is_caution: bool = scalar("residuals are smaller than stated, which does not refute")
+    outcome: str = scalar("holds, fails, smaller than stated, not applicable")
     look_at: tuple[str, ...] = scalar("inputs to look at if the check fails")
     names: tuple[str, ...] = scalar("items concerned, one text per group")
 
@@ -93,13 +93,13 @@ class VerdictView:
     @property
     def failed(self) -> tuple[CheckRow, ...]:
         """Checks that fail, the smallest p-value first."""
-        failed = (c for c in self.checks if not c.holds and not c.is_caution)
+        failed = (c for c in self.checks if c.outcome == "fails")
         return tuple(sorted(failed, key=lambda c: c.p_value.exact))
 
     @property
     def cautions(self) -> tuple[CheckRow, ...]:
         """Checks by which residuals are smaller than stated."""
-        return tuple(check for check in self.checks if check.is_caution)
+        return tuple(check for check in self.checks if check.outcome == "smaller than stated")
 
     @property
     def remedy(self) -> str:
@@ -124,9 +124,15 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
                 expected=number(f"checks.{n}.expected", ".4g"),
                 n=number(f"checks.{n}.n", ".0f"),
                 p_value=number(f"checks.{n}.p_value", ".2g"),
+                p_plain=number(f"checks.{n}.p_plain", ".2g"),
                 limit=number(f"checks.{n}.limit", ".2g"),
-                holds=bool(check["holds"]),
-                is_caution=bool(check["is_caution"]),
+                outcome="holds"
+                if check["holds"]
+                else "smaller than stated"
+                if check["is_caution"]
+                else "fails"
+                if check["fails"]
+                else "not applicable",
                 look_at=tuple(map(str, check["look_at"])),
                 names=tuple(" = ".join(map(str, group)) for group in check["names"]),
             )

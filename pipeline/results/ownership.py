@@ -101,16 +101,20 @@ def check_dump_of(result: Path, dump: Path) -> None:
 
 
 def dump_folder_of(result: Path) -> Path:
-    """The folder of the dump that a run, finished or not, was started with; `RawDataError` where it is no
-    longer there or holds another dump.
+    """The folder of the dump that a run, finished or not, was started with: where it was, or where it now
+    lies from the result, if both were moved. `RawDataError` where there is none, or it holds another dump.
     """
     path = result / MARKER
-    folders = read_json(path).get("folders")
-    dump = dump_folder(str(folders[0])) if isinstance(folders, list) and len(folders) == 1 else None
-    if dump is None or not dump.is_dir():
-        raise RawDataError(str(path), "folders", folders, "the folder of one dump")
-    check_dump_of(result, dump)
-    return dump
+    content = read_json(path)
+    folders, beside = content.get("folders"), content.get("from_result")
+    places = [dump_folder(str(folders[0]))] if isinstance(folders, list) and len(folders) == 1 else []
+    places += [(result / str(beside[0])).resolve()] if places and isinstance(beside, list) else []
+    there = [place for place in places if place.is_dir()]
+    if not there:
+        expected = "the folder of the one dump that the result was made from; or give --dump"
+        raise RawDataError(str(path), "folders", folders, expected)
+    check_dump_of(result, there[0])
+    return there[0]
 
 
 @contextmanager
@@ -197,7 +201,7 @@ def _take_over(result: Path, origin: Origin, dumps: Sequence[Path]) -> None:
         "dump": origin.dump,
         "settings": origin.settings,
     }
-    content |= {"folders": folders}
+    content |= {"folders": folders, "from_result": [os.path.relpath(dump, result) for dump in dumps]}
     text = json.dumps(content, indent=2) + "\n"
     write_text(result / MARKER, text)
 

@@ -22,7 +22,7 @@ from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.text_files import read_json, read_toml
-from boresight.pipeline.results.ownership import check_dump_of
+from boresight.pipeline.results.ownership import MARKER, check_dump_of, dump_folder_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, settings_from_values
 from boresight.pipeline.stages.coverage import rows_not_covered
@@ -169,7 +169,9 @@ def run_settings_of(saved: SavedResult, file: str) -> RunSettings:
 
 
 def _noted_dump(result: Path) -> Path:
-    path = result / "run.json"
+    if (result / MARKER).is_file():
+        return dump_folder_of(result)
+    path = result / "run.json"  # of a result in memory, or of a version that wrote no marker
     try:
         noted = dump_folder(read_json(path)["dump"])
     except (KeyError, TypeError) as error:

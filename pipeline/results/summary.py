@@ -89,11 +89,9 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
 
 def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
     """The verdict of an installation.json: its sentence, the checks that fail, and what to look at."""
-    checks = sorted(verdict["checks"], key=lambda check: check["p_value"])
-    cautions = [check for check in checks if check.get("is_caution")]
-    failed = [check for check in checks if not check["holds"] and not check.get("is_caution")]
+    failed = [check for check in verdict["checks"] if check["fails"]]
     lines = [f"{'verdict':26s}{verdict['sentence']}"]
-    for check in (*failed, *cautions):
+    for check in sorted(failed, key=lambda check: (check["is_caution"], check["p_value"])):
         found, expected = f"{check['statistic']:.6g}", f"{check['expected']:.6g}"
         lines.append(f"  {check['kind']}: {found}, expected {expected} (p {check['p_value']:.1e})")
         groups = [_equal_names(group) for group in check["names"]]

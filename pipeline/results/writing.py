@@ -39,7 +39,7 @@ from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_
 from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
-from boresight.pipeline.run.digests import digest
+from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
@@ -174,15 +174,15 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def verdict_json(verdict: Verdict, rows: Sequence[Rows] = ()) -> dict[str, Any]:
-    """A verdict as installation.json has it: for each check also whether it holds, and what to look at; for
-    all of them, the sentence that console and report begin with, with the rows of tables of which not all
-    are used.
+    """A verdict as installation.json has it: for each check also whether it holds or fails, and what to look
+    at; for all of them, the sentence that console and report begin with, with the rows of tables of which not
+    all are used.
     """
     partly = [str(one) for one in rows if one.used < one.listed]
     used = f"; used: {', '.join(partly)}" if partly else ""
     checks = [
         plain(check)
-        | {"holds": check.holds, "is_caution": check.is_caution}
+        | {"holds": check.holds, "fails": check.fails, "is_caution": check.is_caution}
         | {"look_at": [suspect.value for suspect in check.look_at]}
         for check in verdict.checks
     ]
@@ -389,7 +389,7 @@ def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
                 "strip_id": prefix + task.strip.strip_id,
                 "utc_middle": task.orbit.epoch.utc_from_seconds(t_s[:1])[0],
                 "argument_of_latitude_rad": float(argument_of_latitude(*states)[0]),
-                "camera": digest(task.camera),
+                "camera": rounded_digest(plain(task.camera)),
                 "beta_rad": float(beta_angle(*states, task.orbit.epoch, t_s[:1])[0]),
                 "begin_deg": track_deg[1].tolist(),
                 "end_deg": track_deg[2].tolist(),

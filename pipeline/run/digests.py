@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.util
+import json
 import platform
 import re
 from collections.abc import Iterator, Mapping
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from boresight.pipeline import __version__
 from boresight.pipeline.files.content import content_digest
 
-__all__ = ["digest", "files_in", "numerical_program", "numerical_versions", "sources_of"]
+__all__ = ["digest", "files_in", "numerical_program", "numerical_versions", "rounded_digest", "sources_of"]
 
 # Import statement of a module: `from` what, which names; or `import` what.
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
@@ -37,6 +38,13 @@ def digest(*values: Any) -> str:
     for value in values:
         _feed(state, value)
     return state.hexdigest()
+
+
+def rounded_digest(content: Any) -> str:
+    """`digest` of what JSON can hold, its numbers to 10 digits: the same for cameras whose files differ by
+    the rounding of a conversion of units.
+    """
+    return digest(json.loads(json.dumps(content), parse_float=lambda number: f"{float(number):.10g}"))
 
 
 def files_in(value: Any) -> Iterator[Path]:

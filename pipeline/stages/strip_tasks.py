@@ -37,7 +37,14 @@ from boresight.pipeline.stages.strip import (
 )
 from boresight.pipeline.stages.strip_sightings import strip_sightings
 
-__all__ = ["fitting_slip", "matched_strips", "strip_tasks", "strips_to_match", "strips_with_stars"]
+__all__ = [
+    "before_launch",
+    "fitting_slip",
+    "matched_strips",
+    "strip_tasks",
+    "strips_to_match",
+    "strips_with_stars",
+]
 
 Array = NDArray[np.float64]
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
@@ -117,7 +124,7 @@ def strips_to_match(
 ) -> tuple[list[StripTask], list[Entry]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
     dump = targets_once(dump, settings.match)
-    heads, tasks, uncovered = _before_launch(dump, settings, executor or InOrder())
+    heads, tasks, uncovered = before_launch(dump, settings, executor or InOrder())
     return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
 
@@ -129,12 +136,12 @@ def strips_with_stars(
     """The strips of a dump with its star exposures and the image points that `shown` states for each, with
     the pre-launch installation matrix; without strips that show nothing.
     """
-    heads, tasks, _ = _before_launch(dump, settings, InOrder())
+    heads, tasks, _ = before_launch(dump, settings, InOrder())
     parts = [shown(task) for task in tasks]
     return matched_strips([task for task, _ in parts], [matched for _, matched in parts], heads)
 
 
-def _before_launch(
+def before_launch(
     dump: Dump, settings: Settings, executor: Executor
 ) -> tuple[list[HeadSightings], list[StripTask], list[Entry]]:
     """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,

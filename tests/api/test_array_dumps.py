@@ -151,3 +151,14 @@ def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None
 def test_wrong_levels_are_named(change: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         bs.dump_from_arrays(**arrays_of(MINI) | change)
+
+
+def test_messages_name_the_argument_its_row_and_unit() -> None:
+    given = arrays_of(MINI)
+    km = [row | {name: row[name] / 1e3 for name in ("x_m", "y_m", "z_m")} for row in given["orbit"]]
+    with pytest.raises(ValueError, match=r"orbit, row 0, x_m, y_m, z_m: found 69\d\d\.\d+ m .*metres"):
+        bs.dump_from_arrays(**given | {"orbit": km})
+    targets = pd.DataFrame(given["targets"])
+    targets.loc[3, "lat_deg"] = 102.9
+    with pytest.raises(bs.RawDataError, match=r"^targets: row 3, lat_deg: found 102\.9, expected at most 90"):
+        bs.dump_from_arrays(**given | {"targets": targets})

@@ -62,9 +62,32 @@ README = """[page](docs/a.md#b) ![picture](docs/images/p.png) [site](https://exa
 
 def test_readme_of_an_index_has_absolute_links_or_plain_words() -> None:
     hook = runpy.run_path(str(ROOT / "hatch_build.py"))["readme_of_index"]
-    base = "https://example.org/boresight/blob/main/"
+    base = "https://example.org/boresight"
     with_source = hook(README, base)
-    assert f"[page]({base}docs/a.md#b) ![picture]({base}docs/images/p.png)" in with_source
+    expected = f"[page]({base}/blob/HEAD/docs/a.md#b) ![picture]({base}/raw/HEAD/docs/images/p.png)"
+    assert expected in with_source
     assert hook(README) == "page  [site](https://example.org/x) below"
-    of_project = hook((ROOT / "README.md").read_text(encoding="utf-8"), PROJECT["urls"].get("Source", ""))
-    assert not re.findall(r"\]\((?!https?://)", of_project)
+    for source in ("", base):
+        of_project = hook((ROOT / "README.md").read_text(encoding="utf-8"), source)
+        assert not re.findall(r"\]\((?!https?://)", of_project)
+
+
+def test_addresses_of_the_project_follow_from_that_of_its_repository() -> None:
+    urls_of = runpy.run_path(str(ROOT / "hatch_build.py"))["urls_of"]
+    assert set(urls_of("")) == {"Method", "Star catalogue"}
+    own = urls_of("https://example.org/boresight")
+    assert own["Source"] == "https://example.org/boresight" and own["Issues"].endswith("/issues")
+    files = [address.partition("HEAD/")[2] for address in own.values() if "HEAD/" in address]
+    assert len(files) == 2 and all((ROOT / file).is_file() for file in files)
+
+
+def test_citation_recipe_and_package_state_one_version() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.*)$", citation, re.M)[1] == PROJECT["version"]  # type: ignore[index]
+    assert re.search(r"^date-released: \d{4}-\d\d-\d\d$", citation, re.M)
+    assert re.search(r'^  version: "(.*)"$', recipe, re.M)[1] == PROJECT["version"]  # type: ignore[index]
+    of_conda = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+    needed = {of_conda.get(one.name, one.name) for one in map(Requirement, PROJECT["dependencies"])}
+    run = recipe[recipe.index("  run:") : recipe.index("tests:")]
+    assert set(re.findall(r"^    - ([\w-]+)", run, re.M)) == needed | {"python"}

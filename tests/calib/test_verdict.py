@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import kstest
+from scipy.stats import kstest, norm
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.reliability import Reliability
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess
+from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess, p_residuals
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
@@ -171,6 +171,23 @@ def test_residuals_much_smaller_than_stated_are_a_caution_and_do_not_refute():
     assert verdict.outcome is Outcome.CONSISTENT and verdict.refuted_by == ()
     too_large = [replace(s, ground=replace(s.ground, cov_c=s.ground.cov_c / 25.0)) for s in strips]
     assert verdict_on(too_large, CalibrationSettings(sigma_vibration_rad=0.0)).cautions == ()
+
+
+def test_a_check_of_nothing_is_not_applicable_and_is_not_counted_as_held():
+    verdict = verdict_on(drawn(2, strips=1))
+    between = check(verdict, CheckKind.BETWEEN_STRIPS)
+    assert between.n == 0 and np.isnan([between.p_value, between.p_plain]).all()
+    assert not between.holds and not between.fails and between not in verdict.refuted_by
+    n = len(verdict.checks)
+    assert verdict.sentence == f"consistent: {n - 1} of {n - 1} checks hold, 1 not applicable"
+
+
+def test_residuals_6_sigma_too_small_have_that_plain_p_within_the_tolerance_or_not():
+    variance = 2.0 / (9.0 * 4422)  # of the cube root of chi2 / dof (Wilson & Hilferty 1931): good to 5 %
+    z = (np.cbrt(3831.0 / 4422) - 1.0 + variance) / np.sqrt(variance)
+    assert p_residuals(3831.0, 4422) == pytest.approx(2.0 * norm.cdf(z), rel=0.05)
+    assert p_residuals(3831.0, 4422, 1.1, 2.0) == 1.0
+    assert np.isnan(p_residuals(0.0, 0))
 
 
 def test_one_target_listed_twice_is_found_where_its_two_matches_differ_by_rows():

@@ -39,10 +39,12 @@ from boresight.pipeline.calibration.joint import (
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.tiff import write_tiff
+from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.star_side import Exposure, StarImages
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_findings, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
+from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
@@ -352,6 +354,8 @@ def test_cameras_that_differ_by_rounding_are_the_same(dumps: list[Path], tmp_pat
     text = file.read_text()
     for focal, is_same in (("10.000000000000002", True), ("10.00000001", False)):
         file.write_text(text.replace("focal_length_m = 10.0", f"focal_length_m = {focal}"))
+        own, its = (rounded_digest(plain(open_dump(root).line_camera)) for root in (dumps[0], other))
+        assert (own == its) is is_same  # results of both share the camera: `compare`, archives
         if is_same:
             open_dumps([dumps[0], other], Settings())
         else:

@@ -11,9 +11,9 @@ import pyarrow as pa
 import pytest
 
 from boresight.pipeline.report import figures
-from boresight.pipeline.report.dumps_page import _angles
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.sheet import angles
 from boresight.pipeline.report.star_image import star_detection
 from boresight.pipeline.report.strip_stars import strip_star_rows
 
@@ -174,7 +174,7 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
     for n, sigma in enumerate((1e-5, 2e-5, 3e-5)):
         covariance[n][n] = sigma**2
     content = {"theta": [4e-5, -5e-5, 6e-5], "cov": covariance}
-    found = _angles(content, "joint.json", "theta", "cov")
+    found = angles(content, "joint.json", "theta", "cov")
     arcsec = 648_000.0 / np.pi
     assert [one.exact * one.scale for one in found["theta"]] == pytest.approx(
         arcsec * np.array(content["theta"])

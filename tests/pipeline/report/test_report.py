@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from datetime import datetime, timedelta
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -142,7 +143,12 @@ def test_every_number_is_the_one_that_was_saved(page: Page, finished):
         exact = float(attributes["value"])
         saved = saved_number(result / attributes["data-source"], attributes["data-key"])
         assert exact == (np.sqrt(saved) if "data-root" in attributes else saved)
-        shown = format(exact * float(attributes.get("data-scale", "1")), attributes["data-form"])
+        form = attributes["data-form"]
+        if form.startswith("UTC from "):
+            instant = datetime.fromisoformat(form[9:][:26]) + timedelta(seconds=round(exact, 6))
+            assert abs(datetime.fromisoformat(page.texts[n]) - instant) < timedelta(seconds=1e-4)
+            continue
+        shown = format(exact * float(attributes.get("data-scale", "1")), form)
         assert page.texts[n].replace("\N{MINUS SIGN}", "-") == shown
 
 
@@ -165,17 +171,24 @@ def test_captions_tell_what_the_tables_hold(html: str, finished):
     assert f"Mean residual of {len(kept)} stars" in html
     assert f"Single stars scatter by {np.sqrt((residual**2).mean()):.3f} px rms per axis" in html
     targets = pq.read_table(result / "sightings/targets.parquet").to_pandas()
-    assert html.count(f"Residuals of {len(targets)} targets on the ground against") == 6  # figures and words
+    assert html.count(f"Residuals of {len(targets)} targets on the ground against") == 8  # figures and words
+    ground = pq.read_table(result / "evidence/ground.parquet").to_pandas()
+    used = ground[ground.state == "used"]
+    ce90 = np.percentile(np.hypot(used.residual_along_m, used.residual_across_m), 90)
+    (shown,) = set(
+        re.findall(rf"Residuals of {len(used)} sightings of targets; circle: CE90 ([\d.]+) m", html)
+    )
+    assert float(shown) == approx(ce90, rel=0.1)  # the page interpolates between the sorted radii otherwise
     angles = pq.read_table(result / "evidence/angles.parquet").to_pandas()
     spread = np.sqrt(((angles.z / angles.sigma) ** 2).mean())
-    assert f"{len(angles)} pairs of star and target; standard deviation of z/σ {spread:.3f}" in html
+    assert f"{len(angles)} pairs of directions; standard deviation of z/σ {spread:.3f}" in html
     for table, what in ((stars, "stars"), (targets, "targets")):
         mean = table.normalised[table.kept].mean()
         text = f"{table.kept.sum()} {what} used, mean {mean:.3f} (2 expected); {(~table.kept).sum()} rejected"
         assert text in html
 
 
-def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_three_plots(page: Page, finished):
+def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_four_plots(page: Page, finished):
     targets = pq.read_table(finished[1] / "sightings/targets.parquet").to_pandas()
     ground = pq.read_table(finished[1] / "evidence/ground.parquet").to_pandas()
     cards = {a["id"]: page.texts[n] for n, a in page.all("article") if a["id"].startswith("t")}
@@ -187,7 +200,7 @@ def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_three_plots(pag
     for strip, target, ccd, kept in zip(targets.strip_id, targets.target_id, targets.ccd, targets.kept):
         (link,) = [link for link, text in cards.items() if f"{target}, strip {strip}, CCD {ccd}" in text]
         assert ("used" if kept else "rejected") in cards[link]
-        assert marks.count(f"#{link}") == 1 and dots.count(link) == 6 and rows.count(link) == 1
+        assert marks.count(f"#{link}") == 1 and dots.count(link) == 8 and rows.count(link) == 1
 
 
 def test_ground_residuals_are_those_of_the_sightings(finished):

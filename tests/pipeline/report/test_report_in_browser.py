@@ -351,7 +351,7 @@ def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(addres
     assert float(seen["view"].split()[2]) < 200  # of 1000: it came closer
     x, y, width, height, top, inner = seen["spot"]
     assert 0 < x < width and 0 < y < height and 0 < top < inner
-    assert seen["dots"] == 6 and seen["back"] == f"#{link}" and seen["closed"]
+    assert seen["dots"] == 8 and seen["back"] == f"#{link}" and seen["closed"]
     assert other["target_id"] in seen["unmatched"] and other["reason"] in seen["unmatched"]
     mine = [("target_id", "=", one["target_id"])]
     (row,) = pq.read_table(faulty / "evidence/matches.parquet", filters=mine).to_pylist()

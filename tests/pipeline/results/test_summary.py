@@ -194,8 +194,13 @@ def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
 
 def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at() -> None:
     def check(kind: str, p_value: float, *, holds: bool, names: tuple = ()) -> dict[str, Any]:
-        given = {"kind": kind, "p_value": p_value, "holds": holds, "names": names}
-        return given | {"statistic": 3745.25, "expected": 2130, "look_at": ["the orbit", "the clocks"]}
+        given = {"kind": kind, "p_value": p_value, "holds": holds, "fails": not holds, "names": names}
+        return given | {
+            "is_caution": False,
+            "statistic": 3745.25,
+            "expected": 2130,
+            "look_at": ["the orbit", "the clocks"],
+        }
 
     lines = verdict_lines(
         {
