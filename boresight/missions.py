@@ -52,6 +52,7 @@ from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.results.reading import read_saved_result as saved_in
+from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.pipeline.results.validate import validation_of as against_truth
@@ -521,7 +522,6 @@ def read_result(folder: PathLike) -> Calibration:
     place = path_of(folder, "folder")
     saved = saved_in(place)
     facts = saved.installation
-    tables = place / "sightings"
     names = {name: facts.get(name) for name in ("frames", "stars", "targets", "chi2", "dof")}
     if missing := [name for name, value in names.items() if not isinstance(value, int | float)]:
         expected = "a number, as `calibrate` wrote it"
@@ -533,25 +533,17 @@ def read_result(folder: PathLike) -> Calibration:
         chi2=float(facts["chi2"]),
         dof=int(facts["dof"]),
         counts=f"{facts['frames']} exposures, {facts['stars']} stars, {facts['targets']} target sightings",
-        targets=_target_residuals(tables / "targets.parquet"),
-        not_used=_columns(tables / "ledger.parquet", ["kind", "name", "reason", "cause", "file"]),
+        targets=_target_residuals(place),
+        not_used=read_sightings(place, "ledger", "kind name reason cause file").to_pandas(),
         facts=facts,
         saved=saved,
         folder=place,
     )
 
 
-def _columns(path: Path, names: list[str]) -> pd.DataFrame:
-    """Columns of a table of a result. `RawDataError` where it is damaged."""
-    try:
-        return pd.read_parquet(path, columns=names)
-    except Exception as error:  # pyarrow raises many kinds for damaged files
-        found = f"{type(error).__name__}: {error}"
-        raise RawDataError(str(path), "table", found, f"the columns {', '.join(names)}") from error
-
-
-def _target_residuals(path: Path) -> pd.DataFrame:
-    rows = _columns(path, [*TARGETS, "normalised", "kept", "weight", "residual_c"])
+def _target_residuals(folder: Path) -> pd.DataFrame:
+    names = " ".join([*TARGETS, "normalised", "kept", "weight", "residual_c"])
+    rows = read_sightings(folder, "targets", names).to_pandas()
     residual = np.array(rows["residual_c"].tolist(), dtype=float).reshape(-1, 2) / ARCSEC
     return rows[[*TARGETS]].assign(
         residual_x_arcsec=residual[:, 0],
@@ -570,7 +562,7 @@ def _star_residuals(folder: Path) -> pd.DataFrame:
             _star_residuals(folder / name).assign(dump=name) for name in names if (folder / name).is_dir()
         ]
         return pd.concat(parts, ignore_index=True)
-    rows = _columns(folder / "sightings" / "stars.parquet", [*STARS, "xy_px", "residual_s"])
+    rows = read_sightings(folder, "stars", " ".join([*STARS, "xy_px", "residual_s"])).to_pandas()
     residual = np.array(rows["residual_s"].tolist(), dtype=float).reshape(-1, 3) / ARCSEC
     xy = np.array(rows["xy_px"].tolist(), dtype=float).reshape(-1, 2)
     found = rows[[*STARS]].rename(columns=STARS)
