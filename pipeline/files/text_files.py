@@ -150,12 +150,16 @@ def read_json(path: Path, file: str = "") -> dict[str, Any]:
     text = read_text(path, file)
     check_extent(file, "values", (sum(map(text.count, ",[{")),), MAX_JSON_VALUES, "values")
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise RawDataError(file, "JSON", str(error), "JSON that `calibrate` wrote") from error
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(f"{word}, which JSON has not")
 
 
 def read_toml(path: Path, model: type[Model], file: str) -> Model:
@@ -192,9 +196,12 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
 
 
 def each_once(ids: Sequence[str], file: str) -> None:
-    """`RawDataError` where an id occurs twice."""
+    """`RawDataError` where an id occurs twice, or two differ in case only: files are named by them."""
     if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
         raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
+    of_name = {name.lower(): name for name in ids}
+    if alike := [f"{name} and {of_name[name.lower()]}" for name in ids if of_name[name.lower()] != name]:
+        raise RawDataError(file, "id", ", ".join(alike[:5]), "ids that differ in more than case")
 
 
 def csv_rows(

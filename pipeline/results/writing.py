@@ -37,7 +37,7 @@ from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
-from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
+from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_text
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
 from boresight.pipeline.run.digests import digest
@@ -90,7 +90,6 @@ def write_result(result: Path, calibration: DumpCalibration, settings: Settings)
 def write_sightings(result: Path, calibration: DumpCalibration) -> None:
     """Write the tables in the folder `sightings`."""
     tables = result / "sightings"
-    make_own_folder(tables)
     _write_groups(tables / "stars.parquet", _star_groups(calibration))
     _write_groups(tables / "exposures.parquet", [_exposures_table(calibration)])
     matched = {one.strip_id: one for one in calibration.observed}
@@ -120,7 +119,6 @@ def write_joint_result(
 ) -> None:
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
     tables = result / "sightings"
-    make_own_folder(tables)
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
     estimate = joint.estimate
     _write_groups(tables / "targets.parquet", _target_groups(estimate.targets, joint.strips, matched))
@@ -422,4 +420,4 @@ def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
                 file.write_table(group, row_group_size=max(len(group), 1))
 
     if groups:
-        write_whole(path, write)
+        write_inside(path, write)
