@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,8 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
 from boresight.pipeline.files.star_side import star_camera_table
-from boresight.pipeline.files.text_tables import write_csv, write_toml
+from boresight.pipeline.files.text_tables import table_csv, write_csv, write_toml
+from boresight.pipeline.files.whole_file import write_text
 
 __all__ = ["attitude_keys", "write_attitudes", "write_exposures"]
 
@@ -70,7 +71,7 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
         return {}
     if len({tuple(one.columns) for one in lists}) > 1:
         raise wrong("exposures, stars", "lists with different columns", "the same columns in each")
-    pd.concat(lists).to_csv(folder / "centroids.csv", index=False)
+    write_text(folder / "centroids.csv", table_csv(pd.concat(lists)))
     named = {"camera": "star_camera.toml", "exposures": "exposures.csv", "centroids": "centroids.csv"}
     return HEAD | {"level": "centroids"} | named
 

@@ -62,6 +62,7 @@ from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
 from boresight.pipeline.results.reading import SavedResult, read_for_dump, read_matrices
 from boresight.pipeline.results.reading import read_saved_result as saved_in
+from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.pipeline.results.validate import validation_of as against_truth
@@ -638,7 +639,7 @@ def read_result(folder: PathLike) -> Calibration:
     """
     place = path_of(folder, "folder")
     facts = read_json(place / "installation.json")
-    tables, of_vectors = place / "sightings", facts.get("made_from") == "vectors"
+    of_vectors = facts.get("made_from") == "vectors"
     names = {name: facts.get(name) for name in ("frames", "stars", "targets", "chi2", "dof")}
     if missing := [name for name, value in names.items() if not isinstance(value, int | float)]:
         expected = "a number, as `calibrate` wrote it"
@@ -653,26 +654,25 @@ def read_result(folder: PathLike) -> Calibration:
         chi2=float(facts["chi2"]),
         dof=int(facts["dof"]),
         counts=str(facts.get("counts", counts)),
-        targets=_columns(tables / "targets.parquet") if of_vectors else _target_residuals(tables),
-        stars=_columns(tables / "stars.parquet") if of_vectors else None,
-        not_used=_columns(tables / "ledger.parquet", UNUSED),
+        targets=_of_vectors(place, "targets") if of_vectors else _target_residuals(place),
+        stars=_of_vectors(place, "stars") if of_vectors else None,
+        not_used=_of_vectors(place, "ledger")[UNUSED]
+        if of_vectors
+        else read_sightings(place, "ledger", " ".join(UNUSED)).to_pandas(),
         facts=facts,
         saved=None if len(cameras) > 1 or of_vectors else saved_in(place),
         folder=place,
     )
 
 
-def _columns(path: Path, names: list[str] | None = None) -> pd.DataFrame:
-    """Columns of a table of a result, or all. `RawDataError` where it is damaged."""
-    try:
-        return pd.read_parquet(path, columns=names)
-    except Exception as error:  # pyarrow raises many kinds for damaged files
-        found = f"{type(error).__name__}: {error}"
-        raise RawDataError(str(path), "table", found, f"the columns {', '.join(names or [])}") from error
+def _of_vectors(folder: Path, table: str) -> pd.DataFrame:
+    """A table of a result of vectors. `RawDataError` where it is damaged."""
+    return read_parquet(folder / "sightings" / f"{table}.parquet").to_pandas()
 
 
-def _target_residuals(tables: Path) -> pd.DataFrame:
-    rows = _columns(tables / "targets.parquet", [*TARGETS, "normalised", "kept", "weight", "residual_c"])
+def _target_residuals(folder: Path) -> pd.DataFrame:
+    names = " ".join([*TARGETS, "normalised", "kept", "weight", "residual_c"])
+    rows = read_sightings(folder, "targets", names).to_pandas()
     residual = np.array(rows["residual_c"].tolist(), dtype=float).reshape(-1, 2) / ARCSEC
     return rows[[*TARGETS]].assign(
         residual_x_arcsec=residual[:, 0],
@@ -691,7 +691,7 @@ def _star_residuals(folder: Path) -> pd.DataFrame:
             _star_residuals(folder / name).assign(dump=name) for name in names if (folder / name).is_dir()
         ]
         return pd.concat(parts, ignore_index=True)
-    rows = _columns(folder / "sightings" / "stars.parquet", [*STARS, "xy_px", "residual_s"])
+    rows = read_sightings(folder, "stars", " ".join([*STARS, "xy_px", "residual_s"])).to_pandas()
     residual = np.array(rows["residual_s"].tolist(), dtype=float).reshape(-1, 3) / ARCSEC
     xy = np.array(rows["xy_px"].tolist(), dtype=float).reshape(-1, 2)
     found = rows[[*STARS]].rename(columns=STARS)

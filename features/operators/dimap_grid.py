@@ -12,6 +12,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.dimap_metadata import DimapStrip
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff
@@ -19,6 +20,8 @@ from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 
 __all__ = ["dimap_grid_differences", "places_of_pixels"]
+
+MAX_VALUES = 2**26  # of a location grid; one has some thousands
 
 
 def places_of_pixels(strip: DimapStrip, pixels: Path, height_m: float) -> Iterator[str]:
@@ -54,6 +57,7 @@ def dimap_grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, f
         names = [f"ALTITUDE_B{2 * k}" for k in range(count // 2)]
         if not names or any(name not in tags for name in names):
             raise RawDataError(grid.name, "tags", f"{count} bands", "a location grid with ALTITUDE_B0, ...")
+        check_extent(grid.name, "bands", (raster.width, raster.height, count), MAX_VALUES, "values")
         try:
             bands = raster.read()
         except rasterio.errors.RasterioError as error:

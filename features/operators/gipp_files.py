@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import limited_content
+from boresight.pipeline.files.content import check_extent, limited_content
 from boresight.pipeline.files.text_files import GZIP, unpacked
 from boresight.pipeline.files.xml_files import xml_of_bytes
 
@@ -133,7 +133,7 @@ def _of_tar(raw: bytes, file: str, stem: str) -> dict[str, tuple[str, bytes]]:
     with tarfile.open(fileobj=io.BytesIO(raw), mode="r:") as archive:
         regular: dict[str, tarfile.TarInfo] = {}
         for count, member in enumerate(archive):
-            _check_count(count, file)
+            check_extent(file, "archive", (count + 1,), MAX_MEMBERS, "members")
             if member.isreg() and not member.issparse() and member.size <= len(raw):
                 regular[member.name] = member
         found = {}
@@ -148,19 +148,13 @@ def _of_zip(raw: bytes, file: str, stem: str) -> dict[str, tuple[str, bytes]]:
     """The same of a ZIP archive."""
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = archive.infolist()
-        _check_count(len(members) - 1, file)
+        check_extent(file, "archive", (len(members),), MAX_MEMBERS, "members")
         regular = {one.filename: one for one in members if stat.S_IFMT(one.external_attr >> 16) in REGULAR}
         found, size = {}, 0
         for own, name in _wanted(list(regular), stem).items():
             with archive.open(regular[name]) as stream:
                 content = stream.read(MAX_BYTES - size + 1)
-            if (size := size + len(content)) > MAX_BYTES:
-                found_bytes = f"more than {MAX_BYTES} bytes unpacked"
-                raise RawDataError(file, "zip", found_bytes, f"at most {MAX_BYTES} bytes")
+            size += len(content)
+            check_extent(file, "unpacked", (size,), MAX_BYTES, "bytes")
             found[own] = name, content
     return found
-
-
-def _check_count(before: int, file: str) -> None:
-    if before >= MAX_MEMBERS:
-        raise RawDataError(file, "members", f"more than {MAX_MEMBERS}", "fewer")

@@ -18,7 +18,7 @@ from pyproj.exceptions import CRSError, ProjError
 from boresight.geometry.constants import WGS84
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular
+from boresight.pipeline.files.content import check_extent, check_regular
 from boresight.pipeline.files.dump_schema import PointRow
 from boresight.pipeline.files.text_files import check_number, read_text
 from boresight.pipeline.files.text_tables import csv_line
@@ -227,8 +227,7 @@ def _geotiff(path: Path, file: str, errors: PointErrors, image: str | None) -> M
             gcps, crs = opened.gcps
     except (rasterio.errors.RasterioError, OSError, ValueError) as error:
         raise RawDataError(file, "file", str(error), "a GeoTIFF with ground control points") from error
-    if len(gcps) > MOST_POINTS:
-        raise RawDataError(file, "points", f"{len(gcps)}", f"at most {MOST_POINTS}")
+    check_extent(file, "points", (len(gcps),), MOST_POINTS, "points")
     to_degrees = _to_degrees(None if crs is None else crs.to_wkt(), file)
     rows = []
     for n, gcp in enumerate(gcps, start=1):

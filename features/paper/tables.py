@@ -37,6 +37,8 @@ from boresight.features.paper.vector_experiments import (
 )
 from boresight.geometry.record import Floats
 from boresight.geometry.spherical import unit_vectors
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_text
 from boresight.simulator.campaign import CameraPair
 from boresight.star_id.catalogue import hipparcos_stars
 
@@ -93,7 +95,7 @@ def run_from_pixels(
 def _written(name: str, table: pd.DataFrame, out: Path, cpu_s: float) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     written = [out / f"{name}.{kind}" for kind in ("csv", "png", "txt")]
-    table.to_csv(written[0], index=False, float_format="%.6g")
+    write_text(written[0], table_csv(table, "%.6g"))
     figure = PLOTS[name](table)
     figure.savefig(written[1], dpi=160)
     lines = [*record_head(name, cpu_s), *COMPARISONS[name](table)]

@@ -10,6 +10,8 @@ import typer
 from boresight.features.planning.campaign_plan import forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_text
 
 __all__ = ["plan_command"]
 
@@ -29,7 +31,7 @@ def plan_command(
     text, files = found.text, tuple[Path, ...]()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        found.table.to_csv(out / "plan.csv", index=False, float_format="%.6g")
+        write_text(out / "plan.csv", table_csv(found.table, "%.6g"))
         plot_forecast(found.table, target, found.by_targets, found.without).savefig(
             out / "plan.png", dpi=110, bbox_inches="tight"
         )

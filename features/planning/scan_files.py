@@ -12,7 +12,8 @@ import pandas as pd
 from boresight.features.planning.scan_plan import PlannedScan, ScanChoice
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import INK, OURS, SERIES, panels
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def write_scans(choice: ScanChoice, epoch: Epoch, out: Path) -> tuple[Path, ...]
     out.mkdir(parents=True, exist_ok=True)
     table, figure = scan_table(choice, epoch), _figure(choice, epoch)
     files = (out / "scans.csv", out / "scans.png")
-    write_whole(files[0], lambda path: table.to_csv(path, index=False, lineterminator="\n"))
+    write_text(files[0], table_csv(table))
     write_figure(files[1], figure)
     return files
 

@@ -28,7 +28,8 @@ from boresight.features.sky_images.sky_plan import SkyPlan, StarImageModel, plan
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.whole_file import write_figure, write_whole
+from boresight.pipeline.files.text_tables import table_csv
+from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
 from boresight.star_id.field import ra_dec_roll, solve_field
 from boresight.star_id.identification.identify import NotIdentified
@@ -100,7 +101,7 @@ def plan_sky(path: Path | None, request: SkyPlanRequest, settings: StarSettings)
         status = DONE if reached else LIMIT_MISSED
     if request.out is not None:
         out = request.out
-        write_whole(out, lambda target: table.to_csv(target, index=False, lineterminator="\n"))
+        write_text(out, table_csv(table))
         lines.append(f"-> {out}")
     if request.plot is not None:
         _draw(camera, plan, table, index, request.plot)

@@ -30,7 +30,7 @@ from boresight.pipeline.console.messages import (
     tell,
     wrong_usage,
 )
-from boresight.pipeline.files.text_tables import csv_line
+from boresight.pipeline.files.text_tables import csv_line, table_csv
 
 __all__ = ["identify_command"]
 
@@ -129,7 +129,7 @@ def _track(
     found = track(images, camera=known, interval_s=interval_s, exposure_s=exposure_s, settings=chosen)
     table = found.table()
     if as_csv:
-        print_data(table.assign(file=[str(one) for one in images]).to_csv(index=False, lineterminator="\n"))
+        print_data(table_csv(table.assign(file=[str(one) for one in images])))
     for path, row in zip(images, () if as_csv else table.to_dict("records")):
         sigmas = f"{row['pointing_sigma_arcsec']:.2f}, {row['roll_sigma_arcsec']:.1f}"
         place = f"RA {row['ra_deg']:.5f} deg, Dec {row['dec_deg']:+.5f} deg, roll {row['roll_deg']:.4f} deg"

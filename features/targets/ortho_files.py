@@ -17,6 +17,7 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.xml_files import read_xml
 
@@ -127,15 +128,14 @@ def _read(
     driver = _driver_of(path, file)
     try:
         with rasterio.Env(**_OFFLINE), rasterio.open(path.resolve(), driver=driver) as image:
-            if image.width * image.height > MAX_PIXELS:
-                size = f"{image.width} x {image.height} px"
-                raise RawDataError(file, "image size", size, f"at most {MAX_PIXELS} px; cut it into parts")
+            bands = [band] if band is not None else list(range(1, min(image.count, most) + 1))
+            size = image.width, image.height, len(bands)
+            check_extent(file, "image size", size, MAX_PIXELS, "px (cut larger images into parts)")
             if band is not None and not 1 <= band <= image.count:
                 raise RawDataError(file, "--band", str(band), f"1 to {image.count}")
             if image.crs is None or image.transform.is_identity:
                 expected = "a raster with coordinate reference system and affine transform"
                 raise RawDataError(file, "map", "none", expected)
-            bands = [band] if band is not None else list(range(1, min(image.count, most) + 1))
             values = image.read(bands, out_dtype="float32").mean(axis=0)
             valid = (image.dataset_mask() > 0) & np.isfinite(values)
             crs, t = image.crs.to_wkt(), tuple(float(v) for v in image.transform)[:6]

@@ -80,6 +80,9 @@ def errors_reported() -> Iterator[None]:
         name = printable(str(error.object))
         log.error("error: %s: a name that is not text in UTF-8; rename the file or folder", name)
         sys.exit(DATA_DID_NOT_ALLOW)
+    except MemoryError as error:
+        log.error("error: memory: %s", str(error) or "no more of it; what is finished is on disk")
+        sys.exit(DATA_DID_NOT_ALLOW)
     except RuntimeError as error:
         if str(error) != NO_THREAD:
             raise

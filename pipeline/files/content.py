@@ -1,4 +1,7 @@
-"""Content of files: read once, for the digest and for the decoder.
+"""Content of files: its extent checked before, read once, for the digest and for the decoder.
+
+Every reader compares what a head, a footer or the file system states (bytes, rows x columns, width x height)
+with its limit by `check_extent` before it reads, so a small or sparse file cannot fill the memory.
 
 The bytes of the last small file that was read as a whole stay in memory, and are its content as long as its
 size, its place on the disk and its times are the same. So do the digests of files.
@@ -8,8 +11,10 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import os
 import stat
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -19,6 +24,8 @@ from boresight.pipeline.files.object_store import StoredPath
 
 __all__ = [
     "Identity",
+    "check_bytes",
+    "check_extent",
     "check_regular",
     "content_digest",
     "content_of",
@@ -111,10 +118,20 @@ def check_regular(path: Path, file: str, expected: str) -> int:
     return status.st_size
 
 
+def check_extent(file: str, field: str, extent: Sequence[int], most: int, unit: str) -> None:
+    """`RawDataError` where the product of an extent (rows, columns) of `field` exceeds `most`, in `unit`."""
+    if math.prod(extent) > most:
+        raise RawDataError(file, field, f"{' x '.join(map(str, extent))} {unit}", f"at most {most} {unit}")
+
+
+def check_bytes(path: Path, file: str, most: int) -> None:
+    """`RawDataError` for a file of more than `most` bytes; of a missing one its reader reports that."""
+    check_extent(file, "file", identity_of(path)[:1], most, "bytes")
+
+
 def limited_content(path: Path, file: str, expected: str, max_bytes: int) -> bytes:
     """All bytes of a regular file; `RawDataError` for one that is missing, unreadable or too large."""
-    if (size := check_regular(path, file, expected)) > max_bytes:
-        raise RawDataError(file, "file", f"{size} bytes", f"at most {max_bytes} bytes")
+    check_extent(file, "file", (check_regular(path, file, expected),), max_bytes, "bytes")
     try:
         return content_of(path)
     except OSError as error:

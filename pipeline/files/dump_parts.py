@@ -21,6 +21,7 @@ from boresight.geometry.record import Floats
 from boresight.geometry.spherical import unit_vectors
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files.content import check_bytes
 from boresight.pipeline.files.dates import Span, check_exposure_dates, check_orbit_dates, orbit_covers
 from boresight.pipeline.files.ground_points import (
     NO_TARGETS,
@@ -50,7 +51,13 @@ from boresight.pipeline.files.star_side import (
 )
 from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
-from boresight.pipeline.files.terrain_files import NO_TERRAIN, TargetHeights, TerrainFiles, surface_of
+from boresight.pipeline.files.terrain_files import (
+    MAX_TERRAIN_BYTES,
+    NO_TERRAIN,
+    TargetHeights,
+    TerrainFiles,
+    surface_of,
+)
 from boresight.pipeline.files.text_files import path_inside, read_toml
 
 __all__ = ["DumpParts"]
@@ -222,6 +229,8 @@ class DumpParts:
             return TargetHeights(unit_vectors(lon, lat), heights)
         paths = (path_inside(self.root, name, file="dump.toml", field="files.terrain") for name in names)
         terrain = TerrainFiles(tuple(names), tuple(paths), stated.height_kind)
+        for name, path in zip(terrain.files, terrain.paths):
+            check_bytes(path, name, MAX_TERRAIN_BYTES)
         surface_of(terrain)  # an invalid file is reported before hours of work
         return terrain
 

@@ -41,12 +41,20 @@ __all__ = [
 ]
 
 
+# Names that Windows gives to no file, whatever follows a point in them.
+DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(1, 10))}
 DIRECTION_LENGTH = 1e-3  # tolerated error of a unit vector's length: three decimals
 
 
 def _one_line(text: str) -> str:
     if not text.isprintable():
         raise ValueError("text must be one line without control characters")
+    return text
+
+
+def _portable(text: str) -> str:
+    if text.endswith(".") or text.partition(".")[0].upper() in DEVICES:
+        raise ValueError("an id that names a file on every system: no . at the end, no device of Windows")
     return text
 
 
@@ -58,6 +66,7 @@ def within(low: float, high: float, meaning: str) -> Any:
 Id = Annotated[
     str,
     StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"),
+    AfterValidator(_portable),  # files are named by it
     Field(description="letters, digits, _ - . after a letter or digit, at most 64"),
 ]
 Line = Annotated[str, AfterValidator(_one_line)]  # it is copied into files of other formats

@@ -26,6 +26,7 @@ from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.ground_points import StripPoints
+from boresight.pipeline.files.images.image_file import check_length
 from boresight.pipeline.files.images.rasters import grid_place
 from boresight.pipeline.files.same_content import (
     equal_files,
@@ -167,7 +168,8 @@ def strips_once(strips: Sequence[Strip], file: str) -> tuple[tuple[Strip, ...], 
 
 
 def heads_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], list[Entry]]:
-    """The heads without exposures and attitudes that repeat others, and entries for these.
+    """The heads without exposures and attitudes that repeat others, without exposures whose files are longer
+    than their pixels can account for, and entries for these.
 
     `RawDataError` for two heads with the same attitudes.
     """
@@ -179,6 +181,7 @@ def heads_once(heads: Sequence[Head]) -> tuple[tuple[Head, ...], list[Entry]]:
         return a.content == b.content or None in (a.content, b.content)
 
     why = _why_images(images, same, has_one_grey_value=lambda image: False)
+    why |= {row: entry for row, image in enumerate(images) for entry in _too_long(image)}
     kept, entries = [], list(why.values())
     for name, entry in ((entry.subject.head, entry) for entry in entries if entry.subject.head):
         expected = "a file of its own for each head"
@@ -211,6 +214,17 @@ def _images_of(head: Head) -> Iterator[Image]:
         of_list = None if stars is None else stars.xy_px.tobytes()
         content = exposure.path if isinstance(source, StarImages) else of_list
         yield Image(exposure.item, sensor, begin_s, end_s, content, source, exposure)
+
+
+def _too_long(image: Image) -> Iterator[Entry]:
+    """Why the file of an exposure is not even opened, if it is too long."""
+    if isinstance(image.source, StarImages) and image.exposure is not None:
+        camera, exposure = image.source.camera, image.exposure
+        size = camera.width_px * camera.height_px * (1 if image.source.bit_depth <= 8 else 2)
+        try:
+            check_length(exposure.path, exposure.file, size)
+        except RawDataError as error:
+            yield image.entry.because(Reason.UNREADABLE, str(error))
 
 
 def _attitudes_once(head: Head, source: SolvedAttitudes) -> tuple[SolvedAttitudes, list[Entry]]:

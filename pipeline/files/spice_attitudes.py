@@ -20,6 +20,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows, check_rows
+from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.spice_kernels import Kernels, loaded, toolkit
 from boresight.pipeline.files.text_files import MAX_ROWS
 
@@ -131,8 +132,7 @@ def _ticks(spice: Any, ck: str, instrument: int, file: str) -> Floats:
             file, "objects", others, f"{instrument}, the object of the frame that is asked for"
         )
     ticks = np.unique(np.concatenate(found))
-    if len(ticks) > MAX_ROWS:
-        raise RawDataError(file, "attitudes", f"{len(ticks)}", f"at most {MAX_ROWS}")
+    check_extent(file, "segments", ticks.shape, MAX_ROWS, "attitudes")
     return ticks
 
 

@@ -18,7 +18,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import Identity, identity_of, limited_content
+from boresight.pipeline.files.content import Identity, check_extent, identity_of, limited_content
 from boresight.pipeline.files.xml_files import read_xml
 from boresight.star_id.whole_catalogue import all_hipparcos
 
@@ -27,8 +27,8 @@ __all__ = ["StarTable", "read_star_table", "survey_of"]
 # Astropy's name of a table's format by the file's suffix.
 FORMATS = {".csv": "ascii.csv", ".fits": "fits", ".fit": "fits", ".vot": "votable", ".xml": "votable"}
 FITS_MAGIC = b"SIMPLE  ="  # first bytes of every FITS file
-# Largest file of a star catalogue, bytes.
-MAX_BYTES = 2**28
+MAX_BYTES = 2**27  # of a file, and of a text table whose rows are all as long as its longest
+MAX_CELLS = 2**25
 MAS = 1e-3 * ARCSEC
 # Name, least and largest value, value where the column is absent (None: it must be there)
 COLUMNS: dict[str, tuple[float, float, float | None]] = {
@@ -80,8 +80,16 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
         _check_streams(read_xml(path, file), file)  # and no DTD or entity, before another parser sees it
     elif kind == "fits" and not content.startswith(FITS_MAGIC):
         raise RawDataError(file, "byte 0", content[:8].hex(" "), "a FITS file that is not packed")
+    elif kind == "ascii.csv":
+        lines = content.split(b"\n")
+        check_extent(file, "table", (len(lines), max(map(len, lines))), MAX_BYTES, "bytes")
+        check_extent(file, "table", (content.count(b",") + len(lines),), MAX_CELLS, "cells")
     try:
+        if kind == "fits":
+            _check_cells(content, file)
         table = Table.read(io.BytesIO(content), format=kind)
+    except RawDataError:
+        raise
     except Exception as error:  # astropy raises errors of many kinds for a damaged file
         raise RawDataError(file, "table", f"{type(error).__name__}: {error}", f"a table ({kind})") from error
     table.rename_columns(table.colnames, [name.lower() for name in table.colnames])
@@ -118,6 +126,15 @@ def read_star_table(path: Path, file: str) -> SurveyedStars:
         sigma_pm_rad_yr=np.hypot(c["pmra_error"], c["pmdec_error"]) / np.sqrt(2.0) * MAS,
         single=np.ones(len(dec), dtype=bool),
     )
+
+
+def _check_cells(content: bytes, file: str) -> None:
+    """`RawDataError` for a FITS file with a table of too many cells."""
+    from astropy.io import fits
+
+    with fits.open(io.BytesIO(content)) as hdus:
+        for header in (hdu.header for hdu in hdus if "TFIELDS" in hdu.header):
+            check_extent(file, "table", (int(header["NAXIS2"]), int(header["TFIELDS"])), MAX_CELLS, "cells")
 
 
 def _check_streams(root: Element, file: str) -> None:

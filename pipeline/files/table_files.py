@@ -11,13 +11,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular
+from boresight.pipeline.files.content import check_extent, check_regular
 
 __all__ = ["arrow_array", "arrow_rows", "column", "fixed", "fixed_list", "list_values", "read_parquet"]
 
 # NumPy type of an Arrow type; others are read as objects.
 NUMBERS = {pa.float64(): np.float64, pa.int64(): np.int64, pa.bool_(): np.bool_}
 EXPECTED = "the table that `calibrate` wrote"  # what messages say was expected
+MAX_VALUES, MAX_BYTES = 2**26, 2**29  # of the columns that are read; a star takes 26 values
 
 
 def fixed(width: int) -> pa.DataType:
@@ -35,7 +36,11 @@ def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -
     names = None if columns is None else list(columns)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as stored:
-            table = stored.read(columns=names, use_threads=False)
+            repeated = _check_footer(stored, names, file)
+            if not repeated:
+                table = stored.read(columns=names, use_threads=False)
+        if repeated:
+            table = _with_repeated_texts(path, names, repeated)
     except (OSError, ValueError, MemoryError, pa.ArrowException) as error:
         raise RawDataError(file, "file", str(error), EXPECTED) from error
     for name, kind in (columns or {}).items():
@@ -45,6 +50,38 @@ def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -
         if column.type != kind or column.null_count:
             found = f"{column.type} with {column.null_count} empty cells"
             raise RawDataError(file, f"column {name}", found, f"{kind} without empty cells")
+    return table
+
+
+def _check_footer(stored: pq.ParquetFile, names: Sequence[str] | None, file: str) -> list[str]:
+    """Columns of which equal texts, written once, may take more than `MAX_TEXT_BYTES`; `RawDataError` where
+    the wanted columns state more values, or more bytes, than are read.
+    """
+    footer = stored.metadata
+    groups = [footer.row_group(n) for n in range(footer.num_row_groups)]
+    every = [group.column(n) for group in groups for n in range(footer.num_columns)]
+    chunks = [one for one in every if names is None or one.path_in_schema.partition(".")[0] in names]
+    check_extent(file, "columns", (sum(one.num_values for one in chunks),), MAX_VALUES, "values")
+    size = sum(one.total_uncompressed_size for one in chunks)
+    check_extent(file, "columns", (size,), MAX_BYTES, "bytes")
+    texts = [one for one in chunks if one.physical_type == "BYTE_ARRAY" and one.has_dictionary_page]
+    wide = [one for one in texts if one.num_values * one.total_uncompressed_size > MAX_BYTES]
+    return sorted({one.path_in_schema for one in wide})
+
+
+def _with_repeated_texts(path: Path, names: Sequence[str] | None, repeated: Sequence[str]) -> pa.Table:
+    """The table, of whose columns of `repeated` texts the lengths are added before they are written out."""
+    with pq.ParquetFile(path, page_checksum_verification=True, read_dictionary=list(repeated)) as stored:
+        table = stored.read(columns=names, use_threads=False)
+    for name in repeated:
+        texts = table.column(name)
+        size = 0
+        for part in texts.chunks:
+            lengths = [len(text or "") for text in part.dictionary.to_pylist()]
+            size += int(np.take([*lengths, 0], part.indices.fill_null(len(lengths))).sum())
+        check_extent(str(path), f"column {name}", (size,), MAX_BYTES, "bytes")
+        plain = texts.cast(texts.type.value_type)
+        table = table.set_column(table.column_names.index(name), name, plain)
     return table
 
 

@@ -22,6 +22,7 @@ __all__ = ["NO_TERRAIN", "TargetHeights", "TerrainFiles", "surface_of"]
 
 # Most pixels of a terrain model; of single precision they take 256 MiB.
 MAX_TERRAIN_PIXELS = 8192 * 8192
+MAX_TERRAIN_BYTES = 16 * MAX_TERRAIN_PIXELS  # of a file: of doubles, not packed, with a smaller copy
 
 
 @record

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import limited_content
+from boresight.pipeline.files.content import check_extent, limited_content
 
 __all__ = [
     "GZIP",
@@ -43,18 +43,22 @@ __all__ = [
 ]
 
 Model = TypeVar("Model", bound=BaseModel)
-# Largest file that is read as text, and as TOML: far above any of a mission, far below memory.
-MAX_TEXT_BYTES = 256 * 2**20
+# Largest file that is read as text, and as TOML: far above any of a mission. One character beyond 0xffff
+# makes Python take 4 bytes for each.
+MAX_TEXT_BYTES = 128 * 2**20
 MAX_TOML_BYTES = 2**20
 GZIP = b"\x1f\x8b"  # first bytes of a gzip file
 MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
 MAX_WRONG_ROWS = 100  # of a table, before it is given up
 MAX_ROWS = 500_000  # of a table; a record takes 1 kB
+MAX_LINE = 2**20  # characters of a line of a table
+MAX_JSON_VALUES = 2**22  # of a file; an empty object takes 64 bytes
 # Regular expression of a decimal number in the text files of a dump: ASCII digits, optional sign, point and
 # exponent; no nan, no inf.
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 PLAIN_NUMBER = "a finite number in ASCII digits"  # the same in messages
 _PLAIN_NUMBER = re.compile(NUMBER)  # of a whole text
+_LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
 # Strings and comments of TOML, of any of its four kinds of quotes, closed or not.
 _STRING_OR_COMMENT = re.compile(
     r'''"""(?:\\.|[^\\])*?(?:"""|\Z)|\'{3}.*?(?:\'{3}|\Z)|"(?:\\.|[^"\\\n])*(?:"|$)|'[^'\n]*(?:'|$)|\#[^\n]*''',
@@ -104,10 +108,7 @@ def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
             content = stream.read(max_bytes + 1)
     except (OSError, EOFError, zlib.error) as error:
         raise RawDataError(file, "gzip", str(error), "a whole gzip file") from error
-    if len(content) > max_bytes:
-        raise RawDataError(
-            file, "gzip", f"more than {max_bytes} bytes unpacked", f"at most {max_bytes} bytes"
-        )
+    check_extent(file, "unpacked", (len(content),), max_bytes, "bytes")
     return content
 
 
@@ -147,13 +148,18 @@ def read_json(path: Path, file: str = "") -> dict[str, Any]:
         expected = "the folder of a result that `boresight calibrate` finished; see `boresight status`"
         raise RawDataError(file, "file", "no such file", expected)
     text = read_text(path, file)
+    check_extent(file, "values", (sum(map(text.count, ",[{")),), MAX_JSON_VALUES, "values")
     try:
-        content = json.loads(text)
+        content = json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise RawDataError(file, "JSON", str(error), "JSON that `calibrate` wrote") from error
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(f"{word}, which JSON has not")
 
 
 def read_toml(path: Path, model: type[Model], file: str) -> Model:
@@ -190,9 +196,12 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
 
 
 def each_once(ids: Sequence[str], file: str) -> None:
-    """`RawDataError` where an id occurs twice."""
+    """`RawDataError` where an id occurs twice, or two differ in case only: files are named by them."""
     if twice := [f"{name} {n} times" for name, n in Counter(ids).items() if n > 1]:
         raise RawDataError(file, "id", ", ".join(twice[:5]), "each id once")
+    of_name = {name.lower(): name for name in ids}
+    if alike := [f"{name} and {of_name[name.lower()]}" for name in ids if of_name[name.lower()] != name]:
+        raise RawDataError(file, "id", ", ".join(alike[:5]), "ids that differ in more than case")
 
 
 def csv_rows(
@@ -201,8 +210,7 @@ def csv_rows(
     """Rows of a CSV file as ("line N", cells by column); `RawDataError` for other columns, or other numbers
     of cells than the header has.
     """
-    text = read_text(path, file)
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows = csv.reader(_lines(read_text(path, file), file), strict=True)
     count = 0
     try:
         header = [name.strip() for name in next(rows, [])]
@@ -211,13 +219,19 @@ def csv_rows(
             if not cells:
                 continue
             line = f"line {rows.line_num}"
-            if (count := count + 1) > MAX_ROWS:
-                raise RawDataError(file, line, f"more than {MAX_ROWS} rows", f"at most {MAX_ROWS} rows")
+            check_extent(file, line, (count := count + 1,), MAX_ROWS, "rows")
             if len(cells) != len(header):
                 raise RawDataError(file, line, f"{len(cells)} cells", f"{len(header)} cells")
             yield line, dict(zip(header, cells))
     except csv.Error as error:
         raise RawDataError(file, f"line {rows.line_num}", str(error), "comma-separated values") from error
+
+
+def _lines(text: str, file: str) -> Iterator[str]:
+    """Lines with their ends, one in memory at a time; `RawDataError` for one that is too long."""
+    for n, line in enumerate(_LINE.finditer(text), start=1):
+        check_extent(file, f"line {n}", (line.end() - line.start(),), MAX_LINE, "characters")
+        yield line[0]
 
 
 def check_number(cell: str, file: str, field: str) -> float:

@@ -18,7 +18,15 @@ from boresight.pipeline.errors import RawDataError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["is_vacant", "make_own_folder", "remove_abandoned", "write_figure", "write_text", "write_whole"]
+__all__ = [
+    "is_vacant",
+    "make_own_folder",
+    "remove_abandoned",
+    "write_figure",
+    "write_inside",
+    "write_text",
+    "write_whole",
+]
 
 # Name of a file that is being written: digest of the host, process, random digits.
 _TEMPORARY = re.compile(r"\..+\.boresight-([0-9a-f]{8})-([0-9]+)-[0-9a-f]{8}\.tmp")
@@ -57,6 +65,14 @@ def make_own_folder(folder: Path) -> None:
     if folder.is_symlink() or not folder.is_dir():
         found = "a link" if folder.is_symlink() else "a file"
         raise RawDataError(str(folder), "folder of the result", found, "a folder; remove what is there")
+
+
+def write_inside(path: Path, write: Any) -> None:
+    """`write_whole` into the folder of a result, made where it is missing; `RawDataError` where it is a link,
+    or has become one during the run.
+    """
+    make_own_folder(path.parent)
+    write_whole(path, write)
 
 
 def write_text(path: Path, text: str) -> None:

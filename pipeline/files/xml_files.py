@@ -16,11 +16,13 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import limited_content
+from boresight.pipeline.files.content import check_extent, limited_content
 from boresight.pipeline.files.text_files import GZIP, MAX_TEXT_BYTES, NUMBER, unpacked, utf8_text
 
 __all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_of_bytes", "xml_root"]
 
+# Most tags and attributes of a document: one takes some 200 bytes of memory.
+MAX_TAGS = 2**22
 # The declaration of an XML file that names its encoding.
 _ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
 
@@ -45,6 +47,8 @@ def xml_of_bytes(raw: bytes, file: str) -> Element:
 
 def xml_root(text: str | bytes, file: str) -> Element:
     """The root element of XML text; `RawDataError` for anything else, and for a DTD."""
+    marks = "<=" if isinstance(text, str) else (b"<", b"=")
+    check_extent(file, "XML", (sum(map(text.count, marks)),), MAX_TAGS, "tags and attributes")  # type: ignore
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:

@@ -54,7 +54,7 @@ from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, fixed_list
 from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.files.whole_file import make_own_folder, write_whole
+from boresight.pipeline.files.whole_file import make_own_folder, write_inside
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
@@ -89,7 +89,6 @@ def write_evidence(
     `executor` makes what takes longest; default: this process.
     """
     folder, executor = result / "evidence", executor or InOrder()
-    make_own_folder(folder)
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
     parts = (
@@ -112,7 +111,7 @@ def write_evidence(
         "map": scene_pictures(scenes, dump, calibration, executor),
     }
     for name, table in tables.items():
-        write_whole(
+        write_inside(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
     context = _context(dump, calibration) | accuracy

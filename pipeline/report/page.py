@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unicodedata import category
 
 import jinja2
 from markupsafe import Markup
@@ -132,12 +133,20 @@ def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
+        finalize=_visible,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters["number"] = _number
     return environment
+
+
+def _visible(value: Any) -> Any:
+    """Text without characters that act unseen, such as those that reverse its direction."""
+    if isinstance(value, Markup) or not isinstance(value, str):
+        return value
+    return "".join(c if c in "\n\t" or category(c)[0] != "C" else repr(c)[1:-1] for c in value)
 
 
 def _number(value: Number) -> Markup:

@@ -12,17 +12,37 @@ import pyarrow as pa
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.report.ground_map import SCHEMA as GROUND
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
-__all__ = ["Number", "Saved", "number_from", "read_saved", "utc_text"]
+__all__ = ["EVIDENCE", "Number", "Saved", "number_from", "read_saved", "utc_text"]
 
 UTC_FROM = "UTC from "  # form of a number that counts seconds from the epoch behind it
+# Types of columns, and the columns of pictures of targets.
+_TEXT, _WHOLE, _NUMBER = pa.string(), pa.int64(), pa.float64()
+_PICTURES = {"strip_id": _TEXT, "target_id": _TEXT, "ccd": _WHOLE} | {
+    name: pa.binary() if kind is bytes else _NUMBER for name, kind in get_type_hints(MatchPictures).items()
+}
+# Tables of evidence/, which docs/result-format.md describes.
+EVIDENCE: dict[str, dict[str, pa.DataType]] = {
+    "inputs": {"file": _TEXT, "bytes": _WHOLE, "sha256": _TEXT},
+    "convergence": {"strip_id": _TEXT, "frames": _WHOLE, "targets": _WHOLE}
+    | {"theta_rad": fixed(3), "sigma_rad": fixed(3)},
+    "angles": dict.fromkeys(("strip_id", "target_id", "exposure_id"), _TEXT)
+    | {"hip": _WHOLE, "z": _NUMBER, "sigma": _NUMBER},
+    "matches": _PICTURES,
+    "unmatched": _PICTURES,
+    "ground": dict(zip(GROUND.names, GROUND.types)),
+    "map": {"scene": _WHOLE, "strip_id": _TEXT, "box_m": fixed(4), "jpeg": pa.binary()},
+    "allan": {"averaged_s": _NUMBER, "deviation_rad": fixed(3)},
+    "exposure": {"xy_px": fixed(2), "snr": _NUMBER, "state": _TEXT, "hip": _WHOLE},
+}
 
 
 @record(kw_only=True)
@@ -113,20 +133,14 @@ def number_from(
 def read_saved(result: Path) -> Saved:
     """The saved files of a finished result. `RawDataError` names a file that is missing or damaged."""
     installation = read_installation(result)
-    needed = ("context.json", *(f"{name}.parquet" for name in _EVIDENCE))
+    needed = ("context.json", *(f"{name}.parquet" for name in EVIDENCE))
     if not all((result / "evidence" / name).is_file() for name in needed):
         again = "what `calibrate` writes unless --no-report is given; run it again, finished work is kept"
         raise RawDataError(str(result / "evidence"), "folder", "missing or incomplete", again)
     tables = {name: read_sightings(result, name, names) for name, names in _SIGHTINGS.items()}
-    tables["targets"] = read_parquet(result / "sightings" / "targets.parquet")
-    tables["ledger"] = read_sightings(result, "ledger", " ".join(COLUMNS["ledger"]))
-    tables |= {name: read_parquet(result / "evidence" / f"{name}.parquet") for name in _EVIDENCE}
-    tables["detections"] = read_parquet(result / "evidence" / "exposure.parquet")
-    for column in get_type_hints(MatchPictures):
-        if column not in tables["matches"].column_names:
-            again = "a result of this version of the program; `calibrate` writes it again"
-            file = result / "evidence" / "matches.parquet"
-            raise RawDataError(str(file), f"column {column}", "no such column", again)
+    for name, columns in EVIDENCE.items():
+        tables[name] = read_parquet(result / "evidence" / f"{name}.parquet", columns)
+    tables["detections"] = tables.pop("exposure")
     own = {name: result / f"{name}.json" for name in ("run", "requirement", "validation")}
     own["interior"] = result / INTERIOR
     picture = own["interior"].with_suffix(".png")
@@ -144,6 +158,6 @@ def read_saved(result: Path) -> Saved:
 _SIGHTINGS = {  # only the plotted columns of long tables
     "stars": "xy_px residual_s normalised kept",
     "exposures": "exposure_id t_s stars usable chi2 dof",
+    "targets": " ".join(COLUMNS["targets"]),
+    "ledger": " ".join(COLUMNS["ledger"]),
 }
-# Tables of evidence/ that every result has.
-_EVIDENCE = ("inputs", "convergence", "angles", "matches", "ground", "unmatched", "map", "allan")

@@ -24,7 +24,7 @@ COLUMNS = MappingProxyType(
         "targets": {"strip_id": _TEXT, "target_id": _TEXT, "ccd": _WHOLE, "t_s": _NUMBER, "xy_px": fixed(2)}
         | {"cov_px": fixed(4), "predicted_px": fixed(2), "correlation": _NUMBER, "probability_wrong": _NUMBER}
         | {"u_c": fixed(3), "u_i": fixed(3), "cov_c": fixed(9), "range_m": _NUMBER, "v_rel_i": fixed(3)}
-        | {"cov_target_i": fixed(9), "residual_c": fixed(3), "normalised": _NUMBER, "kept": _FLAG}
+        | {"cov_target_i": fixed(9), "residual_c": fixed(2), "normalised": _NUMBER, "kept": _FLAG}
         | {"weight": _NUMBER, "detectable_rad": _NUMBER, "detectable_m": _NUMBER},
         "passes": {"strip_id": _TEXT, "utc_middle": _TEXT, "argument_of_latitude_rad": _NUMBER}
         | {"camera": _TEXT, "beta_rad": _NUMBER, "begin_deg": fixed(2), "end_deg": fixed(2)},

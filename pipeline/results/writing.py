@@ -36,7 +36,7 @@ from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
-from boresight.pipeline.files.whole_file import make_own_folder, remove_abandoned, write_text, write_whole
+from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_text
 from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
 from boresight.pipeline.run.digests import rounded_digest
@@ -137,7 +137,6 @@ def write_joint_result(
 
 def write_tables(result: Path, tables: Mapping[str, pa.Table], facts: dict[str, Any]) -> None:
     """Write a result of whole tables; `installation.json` last."""
-    make_own_folder(result / "sightings")
     for name, table in tables.items():
         _write_groups(result / "sightings" / f"{name}.parquet", [table])
     write_json(result / "installation.json", facts)
@@ -147,7 +146,6 @@ def _write_tables(
     result: Path, tables: dict[str, list[pa.Table]], found: DumpCalibration | JointCalibration
 ) -> None:
     """Write these tables and those that all results have, each of row groups."""
-    make_own_folder(result / "sightings")
     of_all = {
         "strips": [pairs_table(found.estimate.pairs)],
         "ledger": [arrow_rows([entry.row for entry in found.omissions], sightings_schema("ledger"))],
@@ -437,4 +435,4 @@ def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
                 file.write_table(group, row_group_size=max(len(group), 1))
 
     if groups:
-        write_whole(path, write)
+        write_inside(path, write)

@@ -8,9 +8,23 @@ from typing import BinaryIO
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.content import check_regular, content_of, open_regular, small_content
+from boresight.pipeline.files.content import (
+    check_bytes,
+    check_extent,
+    check_regular,
+    content_of,
+    open_regular,
+    small_content,
+)
 
-__all__ = ["MAX_STAR_PIXELS", "PNG_MAGIC", "ImageFile", "check_star_pixels", "open_image"]
+__all__ = [
+    "MAX_STAR_PIXELS",
+    "PNG_MAGIC",
+    "ImageFile",
+    "check_length",
+    "check_star_pixels",
+    "open_image",
+]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"  # PNG 3rd ed., 5.2
 # Formats by the first bytes of their files; of a TIFF little-endian or big-endian, classic (42) or Big (43).
@@ -32,6 +46,7 @@ FORMATS = {
     b"P6": "PPM",
 }
 MAX_STAR_PIXELS = 2**28  # an image of `identify`; those of a dump must have the camera's size
+MAX_STAR_BYTES = 2**29  # of its values, colours among them: 16 bits of so many pixels
 _HEAD_BYTES = 64  # read when a file is opened
 _SPARE_BYTES = 2**20  # for tables and comments of a file, beyond twice its pixels
 
@@ -69,15 +84,8 @@ class ImageFile:
     def whole(self, pixel_bytes: int | None = None) -> bytes:
         """All bytes; `RawDataError` if they are more than pixels of so many bytes can account for."""
         if pixel_bytes is not None:
-            self.check_length(pixel_bytes)
+            check_length(self.path, self.name, pixel_bytes)
         return content_of(self.path) if self.content is None else self.content
-
-    def check_length(self, pixel_bytes: int) -> None:
-        """`RawDataError` for a file that is longer than its pixels can account for."""
-        limit = 2 * pixel_bytes + _SPARE_BYTES
-        if self.length > limit:
-            expected = f"at most {limit} bytes for so many pixels"
-            raise RawDataError(self.name, "file", f"{self.length} bytes", expected)
 
     def check_size(self, width: int, height: int, bits: int) -> None:
         """`RawDataError` unless width and height are as expected, or few enough, and so is the depth."""
@@ -111,7 +119,12 @@ def open_image(
         raise RawDataError(name, "file", error.strerror or str(error), "a readable image") from error
 
 
-def check_star_pixels(name: str, width: int, height: int) -> None:
-    """`RawDataError` for more pixels than `MAX_STAR_PIXELS`."""
-    if width * height > MAX_STAR_PIXELS:
-        raise RawDataError(name, "image size", f"{width} x {height} px", f"at most {MAX_STAR_PIXELS} px")
+def check_length(path: Path, name: str, pixel_bytes: int) -> None:
+    """`RawDataError` for a file that is longer than its pixels can account for."""
+    check_bytes(path, name, 2 * pixel_bytes + _SPARE_BYTES)
+
+
+def check_star_pixels(name: str, width: int, height: int, pixel_bytes: int = 1) -> None:
+    """`RawDataError` for more pixels than `MAX_STAR_PIXELS`, or for more bytes than `MAX_STAR_BYTES`."""
+    check_extent(name, "image size", (width, height), MAX_STAR_PIXELS, "px")
+    check_extent(name, "image size", (width, height, pixel_bytes), MAX_STAR_BYTES, "bytes")

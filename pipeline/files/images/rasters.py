@@ -16,6 +16,7 @@ from rasterio.windows import Window
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
 
@@ -44,10 +45,7 @@ def read_grid(path: Path, file: str, *, max_pixels: int, first_band: bool = Fals
     It must have one band; with `first_band` the first of several is read.
     """
     with open_tiff(open_image(path, file, whole=False)) as image:
-        if image.width * image.height > max_pixels:
-            raise RawDataError(
-                file, "image size", f"{image.width} x {image.height} px", f"<= {max_pixels} px"
-            )
+        check_extent(file, "image size", (image.width, image.height), max_pixels, "px")
         if image.count != 1 and not first_band:
             raise RawDataError(file, "bands", str(image.count), "1")
         if image.dtypes[0] not in ("uint8", "uint16", "int16", "float32", "float64"):

@@ -25,9 +25,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_bytes
 from boresight.pipeline.files.images.image_file import (
-    MAX_STAR_PIXELS,
+    MAX_STAR_BYTES,
     ImageFile,
+    check_length,
     check_star_pixels,
     open_image,
 )
@@ -192,21 +194,20 @@ def _check_packing(header: Any, file: str) -> None:
 
 def _check_fits_size(hdu: Any, image: ImageFile) -> None:
     """`RawDataError` if an HDU states more values than are read, or than the file holds."""
-    values = math.prod(int(hdu.header[f"NAXIS{k + 1}"]) for k in range(hdu.header["NAXIS"]))
-    if values > MAX_STAR_PIXELS:
-        raise RawDataError(image.name, "image size", f"{values} values", f"at most {MAX_STAR_PIXELS}")
-    need = values * abs(int(hdu.header["BITPIX"])) // 8
+    width, *more = (int(hdu.header[f"NAXIS{k + 1}"]) for k in range(hdu.header["NAXIS"]))
+    size = abs(int(hdu.header["BITPIX"])) // 8
+    check_star_pixels(image.name, width, math.prod(more), size)
+    need = width * math.prod(more) * size
     have = image.length - hdu.fileinfo()["datLoc"]
     if have < need and not hasattr(hdu, "compression_type"):
         raise RawDataError(image.name, "pixels", f"{have} bytes", f"{need} bytes")
 
 
 def _read_npy(image: ImageFile) -> NDArray[Any]:
+    check_bytes(image.path, image.name, MAX_STAR_BYTES)
     try:
         values = np.load(image.path, mmap_mode="r", allow_pickle=False)
-        if values.size > 4 * MAX_STAR_PIXELS:
-            expected = f"at most {MAX_STAR_PIXELS} px"
-            raise RawDataError(image.name, "image size", f"{values.size} values", expected)
+        check_star_pixels(image.name, values.size // 4, 1, 4 * values.itemsize)
         return np.array(values)
     except RawDataError:
         raise
@@ -272,7 +273,7 @@ def _by_pillow(image: ImageFile, kind: str) -> NDArray[Any]:
             warnings.simplefilter("ignore")  # of metadata, and of sizes, which are limited here
             with image.stream() as stream, Image.open(stream, formats=(kind,)) as picture:
                 check_star_pixels(image.name, *picture.size)
-                image.check_length(4 * picture.width * picture.height)
+                check_length(image.path, image.name, 4 * picture.width * picture.height)
                 frames = getattr(picture, "n_frames", 1)
                 if frames > 1 and picture.format != "MPO":  # MPO: previews follow
                     raise RawDataError(image.name, "frames", str(frames), "one image")

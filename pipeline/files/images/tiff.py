@@ -26,7 +26,8 @@ from rasterio.windows import Window
 
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.images.image_file import ImageFile, check_star_pixels, open_image
+from boresight.pipeline.files.content import check_extent
+from boresight.pipeline.files.images.image_file import ImageFile, check_length, check_star_pixels, open_image
 from boresight.pipeline.files.object_store import StoredPath
 
 __all__ = [
@@ -110,10 +111,8 @@ def open_tiff(image: ImageFile) -> Iterator[Any]:
             raise RawDataError(image.name, "TIFF header", str(error), "a TIFF image") from error
         with tiff:
             for (rows, columns), kind in zip(tiff.block_shapes, tiff.dtypes):
-                if (row := rows * max(columns, tiff.width) * np.dtype(kind).itemsize) > MAX_BLOCK_BYTES:
-                    found = f"{columns} x {rows} px, {row} bytes in a row"
-                    expected = f"at most {MAX_BLOCK_BYTES} bytes"
-                    raise RawDataError(image.name, "tiles or strips", found, expected)
+                row = rows, max(columns, tiff.width), np.dtype(kind).itemsize
+                check_extent(image.name, "tiles or strips", row, MAX_BLOCK_BYTES, "bytes in a row")
             if tiff.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES":
                 expected = "1, black is zero: programs disagree whether to reverse the values of 0"
                 raise RawDataError(image.name, "PhotometricInterpretation", "0, white is zero", expected)
@@ -155,7 +154,7 @@ def _check_planes(image: ImageFile, tiff: Any) -> None:
     """`RawDataError` for an open TIFF of too many bands or pixels, or of more than its file can hold."""
     if tiff.count not in _BANDS:  # a header of some kB may state 65535 of them, which take minutes
         raise RawDataError(image.name, "SamplesPerPixel", str(tiff.count), "1 to 4: grey or colours")
-    check_star_pixels(image.name, tiff.width * tiff.count, tiff.height)
+    check_star_pixels(image.name, tiff.width * tiff.count, tiff.height, np.dtype(tiff.dtypes[0]).itemsize)
     values = tiff.width * tiff.height * tiff.count
     least = values // MOST_PIXELS_A_BYTE if values > LARGE_PIXELS else 0
     if image.content is not None and image.length < least:
@@ -279,7 +278,9 @@ class StripFiles:
 
 def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_depth: int) -> None:
     """`RawDataError` if a strip's image has not the stated size and depth, or its last row is missing."""
-    image = open_image(path, file, whole=False, size=(samples, lines), bits=8 if bit_depth <= 8 else 16)
+    bits = 8 if bit_depth <= 8 else 16
+    image = open_image(path, file, whole=False, size=(samples, lines), bits=bits)
+    check_length(path, file, lines * samples * bits // 8)
     with open_tiff(image) as tiff:
         _check_counts(image, tiff)
         tiff_window(tiff, file, Window(0, lines - 1, samples, 1))

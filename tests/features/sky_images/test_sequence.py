@@ -1,5 +1,7 @@
 """A sequence of star images: every frame is right or lost, and the stated covariance holds."""
 
+import csv
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -156,13 +158,15 @@ def test_the_command_says_of_every_frame_what_it_is(tmp_path, monkeypatch) -> No
     monkeypatch.chdir(tmp_path)
     Path("camera.toml").write_text(tomlkit.dumps(star_camera_table(CAMERA, 8)), "utf-8")
     images = sequence(INDEX, 31, 30, fastest_deg_s=0.0).images[:3]
-    names = [f"f{n}.png" for n in range(3)]
+    names = ["f0.png", "f1.png", "=f2.png"]
     for name, image in zip(names, images):
         cv2.imwrite(name, image)
     shown = CliRunner().invoke(app, ["identify", *names, "--camera", "camera.toml", "--sequence"])
     assert shown.exit_code == 0
     lines = shown.stdout.splitlines()
     assert ["found anew" in lines[0], "found anew" in lines[1], "tracked" in lines[2]] == [True] * 3
+    table = CliRunner().invoke(app, ["identify", *names, "--camera", "camera.toml", "--sequence", "--csv"])
+    assert [row["file"] for row in csv.DictReader(io.StringIO(table.stdout))] == [*names[:2], "'=f2.png"]
     refused = CliRunner().invoke(app, ["identify", *names, "--sequence"])
     assert refused.exit_code == 2
 

@@ -98,7 +98,7 @@ def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_pa
         ("exposure", (48, 64), "float32", "bit depth: found float32, expected uint8 or uint16"),
         ("strip", (200, 65), "uint8", "image size: found 65 x 200 px, expected 64 x 200 px"),
         ("strip", (200, 64), "uint16", "bit depth: found 16 bits, expected 8 bits"),
-        ("chip", (5000, 4000), "uint8", "image size: found 4000 x 5000 px, expected <= 16777216 px"),
+        ("chip", (5000, 4000), "uint8", "image size: found 4000 x 5000 px, expected at most 16777216 px"),
         ("chip", (32, 32), "complex64", "bit depth: found complex64, expected 8 or 16 bits or floating"),
         ("terrain", (32, 32), "int32", "bit depth: found int32, expected 8 or 16 bits or floating point"),
         ("terrain", (1, 32), "int16", "heights: found terrain needs at least 2 x 2 heights"),
@@ -129,19 +129,6 @@ def test_tiff_that_claims_a_million_by_a_million_pixels_costs_nothing(
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 * 1024  # KiB
 
 
-def test_blocks_that_are_decoded_as_a_whole_are_bounded(tmp_path: Path) -> None:
-    """A strip as large as a dump may state it, in tiles of a gigabyte a row; a chip in one tile of 4 GB."""
-    path = tmp_path / "image.tif"
-    claiming(path, 65536, 10**7, tile=16384)
-    with pytest.raises(
-        RawDataError, match="tiles or strips: found 16384 x 16384 px, 1073741824 bytes in a row"
-    ):
-        check_strip_file(path, "image", lines=10**7, samples=65536, bit_depth=8)
-    claiming(path, 4096, 4096, tile=65536)
-    with pytest.raises(RawDataError, match="tiles or strips: found 65536 x 65536 px, 4294967296 bytes"):
-        chip(path)
-
-
 def test_huge_strip_is_read_by_window(tmp_path: Path) -> None:
     """65536 x 40000 px, 2.6 GB, of which nothing is stored: what is not looked at is not decoded."""
     path, before = tmp_path / "image.tif", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -150,20 +137,6 @@ def test_huge_strip_is_read_by_window(tmp_path: Path) -> None:
         pass
     check_strip_file(path, "image", lines=40_000, samples=65536, bit_depth=8)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200 * 1024  # KiB
-
-
-def test_compressed_exposure_larger_than_its_pixels_can_account_for_is_not_loaded(handmade: Path) -> None:
-    path = handmade / "exposures/0.png"
-    with path.open("r+b") as stream:
-        stream.truncate(3 * 2**30)  # a hole: nothing is stored
-    with pytest.raises(RawDataError, match="file: found 3221225472 bytes, expected at most 1054720 bytes"):
-        exposure(path)
-    endless = handmade / "endless.fits"
-    with endless.open("wb") as stream:
-        stream.write(b"SIMPLE  =                    T" + b" " * 50)
-        stream.truncate(3 * 2**30)
-    with pytest.raises(RawDataError, match="FITS header: found no END, expected END within 288000 bytes"):
-        exposure(endless)
 
 
 def test_archive_in_the_place_of_an_image_is_not_unpacked(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from command_line import app
 from PIL import Image
 from typer.testing import CliRunner
 
+import boresight
 from boresight.pipeline.files.text_tables import csv_line, table_csv
 
 HARMFUL = {
@@ -34,6 +36,16 @@ def test_text_that_begins_like_a_formula_gets_an_apostrophe_and_controls_are_esc
     table = pd.DataFrame({"file": [text, "sky.png"], "x": [-1.5, np.nan], "n": [-1, 2]})
     read = list(csv.reader(io.StringIO(table_csv(table), newline="")))
     assert read == [["file", "x", "n"], [HARMFUL[text], "-1.5", "-1"], ["sky.png", "", "2"]]
+
+
+def test_csv_is_written_in_one_place() -> None:
+    here = Path(boresight.__file__).parent
+    files = [path for path in here.glob("**/*.py") if path.name != "text_tables.py"]
+    files += [path for room in here.iterdir() if room.is_dir() for path in room.rglob("*.py")]
+    for path in files:
+        if path.name != "text_tables.py":
+            assert not re.search(r"\.to_csv\(|csv\.(Dict)?[wW]riter\(", path.read_text("utf-8")), path
+    assert len(files) > 400
 
 
 def test_table_without_rows_and_numbers_of_a_stated_format() -> None:

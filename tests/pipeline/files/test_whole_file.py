@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import whole_file
-from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
+from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_whole
 
 KILLED = """
 import os, signal, sys
@@ -50,6 +51,17 @@ def test_only_temporary_files_of_dead_processes_of_ours_are_removed(tmp_path: Pa
     assert not left.exists()
     assert all(other.read_text() == "not ours" for other in others)
     assert (tmp_path / "file").read_text() == "whole"
+
+
+def test_folder_that_becomes_a_link_during_a_run_is_not_followed(tmp_path: Path) -> None:
+    folder, outside = tmp_path / "sightings", tmp_path / "outside"
+    outside.mkdir()
+    write_inside(folder / "first", lambda path: path.write_text("1"))
+    folder.rename(tmp_path / "aside")
+    folder.symlink_to(outside)
+    with pytest.raises(RawDataError, match="sightings: folder of the result: found a link"):
+        write_inside(folder / "second", lambda path: path.write_text("2"))
+    assert not list(outside.iterdir())
 
 
 def test_temporary_file_of_another_machine_stays_for_a_day(

@@ -19,9 +19,12 @@ from matplotlib.path import Path as MplPath
 from pytest import approx
 from typer.testing import CliRunner
 
+from boresight.pipeline.console import report_command
+from boresight.pipeline.console.program import errors_reported
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report.page import report_html
-from boresight.pipeline.report.saved import Saved, read_saved
+from boresight.pipeline.report.saved import EVIDENCE, Saved, read_saved
+from boresight.pipeline.results.sightings_tables import COLUMNS
 
 SECTIONS = {
     "map",
@@ -270,15 +273,48 @@ def test_the_command_draws_the_same_page_again(finished, tmp_path):
     assert (result / "report.html").read_bytes() == before
 
 
-def test_a_result_of_a_version_without_a_column_is_refused_with_what_to_do(finished, tmp_path):
+TABLES = [f"evidence/{name}" for name in EVIDENCE] + ["sightings/stars", "sightings/targets"]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_of_others_is_refused_with_its_column(name, finished, tmp_path):
     result = tmp_path / "result"
     shutil.copytree(finished[1], result)
-    file = result / "evidence" / "matches.parquet"
-    pq.write_table(pq.read_table(file).drop_columns(["off_x_px"]), file)
-    with pytest.raises(
-        RawDataError, match=r"matches\.parquet: column off_x_px: .*`calibrate` writes it again"
-    ):
-        read_saved(result)
+    file = result / f"{name}.parquet"
+    sound, kept = pq.read_table(file), (EVIDENCE | COLUMNS)[name.rpartition("/")[2]]
+    assert dict(zip(sound.schema.names, sound.schema.types)) == kept
+    column = "residual_c" if name == "sightings/targets" else [*kept][-1]
+    column = "normalised" if name == "sightings/stars" else column
+    foreign = sound.set_column(sound.column_names.index(column), column, pa.array([True] * len(sound)))
+    empty = sound.set_column(sound.column_names.index(column), column, pa.nulls(len(sound), kept[column]))
+    for table in (sound.drop_columns([column]), foreign, empty):
+        pq.write_table(table, file)
+        if table is not empty or len(empty):
+            with pytest.raises(RawDataError, match=rf"{name}\.parquet: (column {column}|file): found"):
+                read_saved(result)
+
+
+def test_what_is_no_number_in_a_result_of_others_is_refused(finished, tmp_path):
+    result = tmp_path / "result"
+    shutil.copytree(finished[1], result)
+    file = result / "installation.json"
+    text = file.read_text()
+    for word in ("NaN", "-Infinity"):
+        file.write_text(re.sub(r'"chi2": [^,]*', f'"chi2": {word}', text))
+        with pytest.raises(
+            RawDataError, match=rf"installation\.json: JSON: found {word}, which JSON has not"
+        ):
+            read_saved(result)
+
+
+def test_memory_that_is_not_there_is_told_in_a_line(finished, monkeypatch, caplog):
+    def full(result):
+        raise MemoryError("Unable to allocate 8.00 GiB")
+
+    monkeypatch.setattr(report_command, "write_report", full)
+    with pytest.raises(SystemExit) as ended, errors_reported():
+        report_command.report_command(finished[1])
+    assert ended.value.code == 1 and "memory: Unable to allocate 8.00 GiB" in caplog.text
 
 
 def test_of_too_many_targets_the_worst_have_pictures_and_all_have_a_card(finished):
@@ -345,8 +381,9 @@ def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
 
 def test_names_of_a_mission_cannot_become_markup(finished):
     saved = read_saved(finished[1])
-    hostile = replace(saved, context=saved.context | {"mission": "<script>alert('\"&</script>"})
+    hostile = replace(saved, context=saved.context | {"mission": "\u202e\x1b<script>alert('\"&</script>"})
     page = Page(report_html(hostile))
+    assert r"\u202e\x1b" in page.texts[0] and not {"\u202e", "\x1b"} & set(page.texts[0])
     assert len(page.all("script")) == 1  # and the cards as data
     assert "<script>alert('\"&</script>" in page.texts[0]
 

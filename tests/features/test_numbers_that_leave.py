@@ -1,0 +1,333 @@
+"""Every number that is printed, exported or written into JSON and CSV, beside one computed independently.
+
+Each record is lopsided: no two axes, units, sigmas, dates, cameras or heads are alike, so that an exchange, a
+wrong unit or a wrong frame changes a number. A case gives what is written and what is right; both must hold
+the same places, so that a number without a row fails.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace as Of
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+import boresight
+from boresight import array_stars, missions, vectors
+from boresight.calib.information import InformationPairs
+from boresight.calib.orbit_bias import CommonBias
+from boresight.features.exports.spice_attitude import instrument_kernel
+from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.features.interior import interior_files
+from boresight.features.mission import joint_trend
+from boresight.features.targets.target_matches import StripLine, matches_table
+from boresight.geometry.constants import ARCSEC
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
+from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.pipeline.results.sightings_tables import sightings_schema
+
+R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
+THETA = np.array([[3e-5, -8e-5, 1.7e-4], [9e-5, 2e-5, -6e-5]])  # of two results, rad
+F = np.array([[[9.0, 1, 2], [1, 5, -1], [2, -1, 3]], [[4.0, -1, 1], [-1, 7, 2], [1, 2, 6]]]) * 1e10
+UTC = ("2026-02-03T04:05:06Z", "2026-09-08T17:16:06Z")
+RESIDUAL = np.array([[1.5, -2.5], [0.25, 7.0], [-4.0, 0.75]]) * ARCSEC  # x and y
+SQUARES, WEIGHT = np.array([0.5, 3.25, 9.5]), np.array([1.0, 0.375, 0.0])
+PLAIN = {"rotation_rad": 0.0, "principal_sample": 0.0}
+CCDS = (Ccd(n_px=400, y_first_m=-0.003, x_offset_m=0.0004, pixel_m=7e-6, **PLAIN),)
+CCDS += (Ccd(n_px=300, y_first_m=-0.0005, x_offset_m=-0.0011, pixel_m=7e-6, **PLAIN),)
+
+
+def of_text(text: str) -> dict[str, Any]:
+    """Words and numbers of a text in their order."""
+    words = re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?|[^\W\d_]+", text)
+    return {str(n): word for n, word in enumerate(words)}
+
+
+def places(value: Any, at: str = "") -> dict[str, Any]:
+    """Every single value by its path."""
+    if isinstance(value, pd.DataFrame):
+        value = value.to_dict("list")
+    if isinstance(value, Mapping):
+        return {k: v for name, item in value.items() for k, v in places(item, f"{at}/{name}").items()}
+    if isinstance(value, (list, tuple, np.ndarray, pd.Series)):
+        return {k: v for n, item in enumerate(value) for k, v in places(item, f"{at}/{n}").items()}
+    return {at: value}
+
+
+def biases(folder: Path) -> tuple[Any, Any]:
+    cov = np.diag([0.5, 1.5, 2.5, 0.0003]) ** 2
+    bias = CommonBias(
+        names=("along", "across", "radial", "clock"),
+        value=np.array([1.25, -3.5, 7.75, -0.0125]),
+        covariance=cov,
+        stated=np.array([1.0, 2.0, 3.0, 4.0]),
+    )
+    return bias.texts(), [
+        *("along +1.25 ± 0.5 m", "across -3.5 ± 1.5 m", "radial +7.75 ± 2.5 m"),
+        "clock -12.5 ± 0.3 ms",
+    ]
+
+
+def residuals_of_vectors(folder: Path) -> tuple[Any, Any]:
+    found = Of(strip_id=np.array(["4", "4", "7"]), residual_c=RESIDUAL, statistic=SQUARES)
+    found = Of(**vars(found), kept=np.array([True, True, False]), weight=WEIGHT)
+    found.detectable_rad = np.array([11.0, 13.0, 17.0]) * ARCSEC
+    u_i = np.array([[0.6, 0.48, 0.64], [-0.48, 0.6, 0.64], [0.64, -0.6, 0.48]])
+    tilt = np.column_stack([RESIDUAL, np.zeros(3)])
+    stars = Of(u_s=R_CS.apply(u_i) + tilt, u_i=u_i, hip=np.array([11, 22, 33]))
+    attitudes = Of(R_si=R_CS.as_matrix()[None], usable=[True], kept=found.kept, squared_mahalanobis=SQUARES)
+    strip = Of(strip_id="7", attitudes=attitudes, exposures=[stars])
+    made = {
+        "targets": vectors._target_table(Of(targets=found), Of(target_start=np.array([0, 2, 3]))),
+        "stars": vectors._star_table(Of(strips=[strip])),
+    }
+    both = {"residual_x_arcsec": [1.5, 0.25, -4.0], "residual_y_arcsec": [-2.5, 7.0, 0.75]}
+    both |= {"statistic": SQUARES, "p_value": np.exp(-SQUARES / 2.0), "kept": found.kept}  # 2 dof
+    targets = both | {"frame": [4, 4, 7], "target": [0, 1, 0], "weight": WEIGHT}
+    targets |= {"detectable_arcsec": [11.0, 13.0, 17.0]}
+    return made, {"targets": targets, "stars": both | {"frame": [7, 7, 7], "star": [11, 22, 33]}}
+
+
+def residuals_of_a_result(folder: Path) -> tuple[Any, Any]:
+    """`targets` and `stars` of a result read back."""
+    (folder / "sightings").mkdir()
+    xy = np.array([[10.0, 20.5], [30.25, 40.0], [50.0, 60.75]])
+    kept = np.array([True, True, False])
+    given: dict[str, dict[str, Any]] = {
+        "stars": {"exposure_id": ["e1", "e1", "e2"], "hip": [11, 22, 33], "xy_px": xy}
+        | {"residual_s": np.column_stack([RESIDUAL, RESIDUAL[:, 0]])},
+        "targets": {"strip_id": ["s1", "s2", "s2"], "target_id": ["a", "b", "c"], "ccd": [0, 2, 1]}
+        | {"correlation": [0.75, 0.875, 0.625], "weight": WEIGHT, "residual_c": RESIDUAL},
+    }
+    for name, columns in given.items():
+        columns |= {"normalised": SQUARES, "kept": kept}
+        schema = sightings_schema(name)
+        arrays = {
+            f.name: pa.array(list(columns[f.name]), f.type) if f.name in columns else pa.nulls(3, f.type)
+            for f in schema
+        }
+        table = pa.table(arrays).select(list(columns))
+        pq.write_table(table, folder / "sightings" / f"{name}.parquet")
+    both = {"residual_x_arcsec": [1.5, 0.25, -4.0], "residual_y_arcsec": [-2.5, 7.0, 0.75]}
+    both |= {"statistic": SQUARES, "p_value": np.exp(-SQUARES / 2.0), "kept": kept}
+    targets = {k: given["targets"][k] for k in ("strip_id", "target_id", "ccd", "correlation", "weight")}
+    stars = {"exposure": ["e1", "e1", "e2"], "hip": [11, 22, 33], "x_px": xy[:, 0], "y_px": xy[:, 1]}
+    made = {"targets": missions._target_residuals(folder), "stars": missions._star_residuals(folder)}
+    return made, {"targets": targets | both, "stars": stars | both}
+
+
+def lists_of_stars(folder: Path) -> tuple[Any, Any]:
+    cov = np.array([[[0.04, 0.01], [0.01, 0.09]], [[0.16, -0.02], [-0.02, 0.25]]])
+    more = {"snr": [8.0, 31.0], "saturated": [False, True], "blended": [True, False]}
+    more |= {"psf_sigma_px": [1.25, 1.75]}
+    stars = Of(xy_px=np.array([[1.5, 9.0], [33.0, 7.25]]), cov_px=cov, flux_dn=np.array([5e3, 700.0]), **more)
+    right = {"x_px": [1.5, 33.0], "y_px": [9.0, 7.25], "sigma_x_px": [0.2, 0.4], "sigma_y_px": [0.3, 0.5]}
+    return array_stars._stars(stars, "stars"), right | {
+        "cov_xy_px2": [0.01, -0.02],
+        "flux_dn": [5e3, 700.0],
+    } | more
+
+
+def matches(folder: Path) -> tuple[Any, Any]:
+    numbers = {"ccd": 2, "correlation": 0.875, "probability_wrong": 3e-4, "model": "shift"}
+    match = Of(
+        target_id="T",
+        xy_px=np.array([101.5, 2002.25]),
+        cov_px=np.array([[0.04, -0.01], [-0.01, 0.25]]),
+        predicted_px=np.array([99.0, 1990.0]),
+        residual_px=np.array([0.125, -0.75]),
+        **numbers,
+    )
+    entry = Entry(Subject(Kind.TARGET, strip="S", ccd=1, id="U"), Reason.OUT_OF_VIEW, "why", "chip.tif")
+    made = matches_table([StripLine("S", [match], [entry], "")])
+    right = {"strip_id": "S", "target_id": "T", "outcome": "placed", "sample_px": 101.5, "line_px": 2002.25}
+    right |= {"sigma_sample_px": 0.2, "sigma_line_px": 0.5, "covariance_px2": -0.01, "reason": ""}
+    right |= {"predicted_sample_px": 99.0, "predicted_line_px": 1990.0}
+    right |= {"residual_sample_px": 0.125, "residual_line_px": -0.75} | numbers
+    refused = dict.fromkeys(right, math.nan) | {"strip_id": "S", "target_id": "U", "ccd": 1}
+    return made.to_dict("records"), [right, refused | {"outcome": "refused", "reason": entry.text}]
+
+
+def trend(folder: Path) -> tuple[Any, Any]:
+    """Two results: one matrix by weighted least squares, and the step that explains their difference."""
+    R_cs0 = Rotation.from_rotvec([4e-4, -2e-4, 1e-4]) * R_CS
+    names = ["late", "early"]  # in another order than their dates
+    saved = {
+        folder / name: Of(
+            id=f"id-{name}",
+            folder=(folder / name).resolve(),
+            t_s=joint_trend_t_s(UTC[n]),
+            utc=UTC[n],
+            model="m",
+            star_camera="c",
+            R_cs0=R_cs0,
+            cos_sin=np.full(2, np.nan),
+            beta_rad=np.nan,
+            temperature_c=np.nan,
+            pair=InformationPairs(np.array([name]), F[n : n + 1], (F[n] @ THETA[n])[None], R_CS),
+        )
+        for name, n in (("late", 1), ("early", 0))
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joint_trend, "read_saved_mounting", saved.__getitem__)
+        joint_trend.trend_of_dumps(folder, names)
+    made = json.loads((folder / "drift.json").read_text())
+    mean = np.linalg.solve(F.sum(axis=0), F[0] @ THETA[0] + F[1] @ THETA[1])
+    cov = np.linalg.inv(F.sum(axis=0))
+    apart, of_each = THETA[1] - THETA[0], np.linalg.inv(F)
+    gain = apart @ np.linalg.solve(of_each.sum(axis=0), apart)
+    R = Rotation.from_rotvec(-mean) * R_CS
+    first, last = (pd.Timestamp(one).as_unit("ms") for one in UTC)  # 95 % of the time between them
+    within = first + 0.025 * (last - first), last - 0.025 * (last - first)
+    right = {
+        "results": ["early", "late"],
+        "utc": list(UTC),
+        "moved": True,
+        "probability_false_alarm": 0.01,
+        "merged": {
+            "R_cs": R.as_matrix().tolist(),
+            "quaternion": R.as_quat(canonical=True).tolist(),
+            "theta_rad": (-(R * R_cs0.inv()).as_rotvec()).tolist(),
+            "covariance_rad2": cov.tolist(),
+        },
+        "constant": {"chi2": gain, "dof": 3, "p_value": chi2(3).sf(gain)},
+        "step": {
+            "after": "early",
+            "before": "late",
+            "utc_interval": [f"{date:%Y-%m-%dT%H:%M:%SZ}" for date in within],
+            "theta_rad": apart.tolist(),
+            "covariance_rad2": of_each.sum(axis=0).tolist(),
+            "p_value": chi2(3).sf(gain),
+        },
+        "version": boresight.__version__,
+    }
+    table = pd.read_csv(folder / "drift.csv")
+    rows = {"result": np.repeat(["early", "late"], 3), "utc": np.repeat(UTC, 3), "axis": [*"XYZXYZ"]}
+    rows |= {"theta_arcsec": ((THETA - mean) / ARCSEC).ravel()}
+    rows |= {"sigma_arcsec": np.sqrt(np.diagonal(of_each, axis1=1, axis2=2)).ravel() / ARCSEC}
+    course = table[["course_arcsec", "course_sigma_arcsec"]]
+    assert np.isfinite(course).all(axis=None)  # by the model of the course: test_mounting_course.py
+    return [made, table.drop(columns=course)], [right, rows]
+
+
+def joint_trend_t_s(utc: str) -> float:
+    return (pd.Timestamp(utc) - pd.Timestamp("2000-01-01T11:59:28Z")).total_seconds() + 5.0  # 37 - 32 s
+
+
+def in_order(corners: Any) -> list[list[float]]:
+    return sorted(np.round(corners, 9).tolist())
+
+
+def fields_of_view(folder: Path) -> tuple[Any, Any]:
+    """Tangents of the corners of both CCDs, by x = -f u_x / u_z and y likewise."""
+    camera = LineCamera(focal_m=0.75, ccds=CCDS)
+    frames = SpiceFrames()
+    text = instrument_kernel(camera, frames, "")
+    made, right, ends = {}, {}, []
+    for number, rows in re.findall(r"INS(-?\d+)_FOV_BOUNDARY = \(\n(.*?)\)", text, re.S):
+        corners = np.array([line.split() for line in rows.strip().splitlines()], dtype=float)
+        made[int(number)] = in_order(corners[:, :2] / corners[:, 2:])
+        middle = re.search(rf"INS{number}_BORESIGHT = \(([^)]*)\)", text)
+        made[f"{number}, boresight"] = np.array(middle[1].split(), dtype=float) - corners.mean(axis=0)
+        right[f"{number}, boresight"] = np.zeros(3)
+    for n, ccd in enumerate(CCDS):
+        y = -(ccd.y_first_m + np.array([-0.5, ccd.n_px - 0.5]) * 7e-6) / 0.75
+        x = -ccd.x_offset_m / 0.75 + np.array([-0.5, 0.5]) * 7e-6 / 0.75
+        ends.append([[a, b] for a in x for b in y])
+        right[frames.remote_camera_id - 1 - n] = in_order(ends[-1])
+    every = np.concatenate(ends)
+    box = [
+        [a, b] for a in (every[:, 0].min(), every[:, 0].max()) for b in (every[:, 1].min(), every[:, 1].max())
+    ]
+    right[frames.remote_camera_id] = in_order(box)
+    return made, right
+
+
+def interior(folder: Path) -> tuple[Any, Any]:
+    """Parameters in their units, and the new focal length behind the old one."""
+    old, new = LineCamera(focal_m=0.75, ccds=CCDS), LineCamera(focal_m=0.7503, ccds=CCDS)
+    values = {"focal": 4e-4, "shift_along/0": 0.5, "shift_along/1": -1.25, "rotation/0": 3e-6}
+    values |= {"rotation/1": -7e-6, "scale/0": 2e-6, "scale/1": 9e-6, "stagger/0": 4e-6, "stagger/1": -5e-6}
+    values |= {"shift_across/0": 1.5, "shift_across/1": -2.5, "curve_1/0/1": 0.3, "curve_1/1/1": -0.4}
+    sigma = np.array([1e-5, 0.1, 0.2, 1e-6, 2e-6, 3e-7, 5e-7, 6e-7, 8e-7, 0.3, 0.4, 0.05, 0.06])
+    estimate = Of(
+        sigma_theta=np.array([1.0, 2.0, 3.0]) * ARCSEC,
+        cov_theta=np.diag([1.0, 4.0, 9.0]) * ARCSEC**2,
+        R_cs=R_CS,
+        n_targets=17,
+        chi2=21.5,
+        dof=19,
+    )
+    found = Of(
+        covariance=np.diag(sigma**2),
+        values=np.array([*values.values()]),
+        model=Of(names=tuple(values), camera=old),
+        camera=new,
+        gauges=[Of(name="scale/all", reason="focal")],
+        installation=estimate,
+        map_change_px=lambda ccd, sample: np.column_stack([ccd + 0.0 * sample, 2.0 + 0.0 * sample]),
+        map_sigma_px=lambda ccd, sample: np.full((len(sample), 2), 0.25),
+    )
+    calibration = Of(found=found, strips=[1, 2, 3, 4])
+    rms = math.sqrt((0.0 + 4.0 + 1.0 + 4.0) / 4.0)
+    text = "\n".join(interior_files.interior_lines(calibration))
+    right = """focal length, m 0.7500000 -> 0.7503000 (+400.0 ± 10.0 ppm)
+        shift_along, px shift_across, px
+        CCD 0 +0.50 ± 0.10 +1.50 ± 0.30
+        CCD 1 -1.25 ± 0.20 -2.50 ± 0.40""".split()
+    shown = " ".join(text.split())
+    for part in (" ".join(right[:11]), "+3.00 ± 1.00", "-7.00 ± 2.00", "+2.00 ± 0.30", "+9.00 ± 0.50"):
+        assert part in shown, (part, shown)
+    for part in ("+4.00 ± 0.60", "-5.00 ± 0.80", "+0.50 ± 0.10", "-1.25 ± 0.20", "+1.50 ± 0.30"):
+        assert part in shown, (part, shown)
+    for part in ("-2.50 ± 0.40", "curve, px", "0.30", "0.40", f"rms px {rms:.3f}", "after it 0.250"):
+        assert part in shown, (part, shown)
+    assert "1 sigma of the matrix 1.0000 2.0000 3.0000 arcsec" in shown
+    return interior_files.interior_json(calibration), {
+        "parameters": [
+            {"name": name, "value": value, "sigma": s} for (name, value), s in zip(values.items(), sigma)
+        ],
+        "gauge": [{"name": "scale/all", "not_told_from": "focal"}],
+        "map_change_rms_px": rms,
+        "map_sigma_rms_px": 0.25,
+        "R_cs": R_CS.as_matrix(),
+        "covariance_rad2": estimate.cov_theta,
+        "strips": 4,
+        "targets": 17,
+        "chi2": 21.5,
+        "dof": 19,
+    }
+
+
+CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
+    "calib/orbit_bias.py": biases,
+    "boresight/vectors.py": residuals_of_vectors,
+    "boresight/missions.py": residuals_of_a_result,
+    "boresight/array_stars.py": lists_of_stars,
+    "features/targets/target_matches.py": matches,
+    "features/mission/joint_trend.py": trend,
+    "features/exports/spice_attitude.py": fields_of_view,
+    "features/interior/interior_files.py": interior,
+}
+
+
+@pytest.mark.parametrize("module", CASES)
+def test_every_number_that_leaves_is_the_one_computed_independently(module: str, tmp_path: Path) -> None:
+    made, right = map(places, CASES[module](tmp_path))
+    assert made.keys() == right.keys()
+    for place, value in right.items():
+        if isinstance(value, str):
+            assert made[place] == value, place
+        else:  # of CSV nine digits are written
+            assert made[place] == pytest.approx(value, rel=1e-6, abs=1e-15, nan_ok=True), place
