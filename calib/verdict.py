@@ -312,7 +312,7 @@ def _larger_than_stated(checks: Sequence[Check], reliability: Reliability | None
         if of_targets and causes and rest is None:
             continue  # it is what was found
         chi2, n = rest if of_targets and rest else (check.statistic, check.n)
-        ratio = float(np.sqrt(chi2 / n)) if n > 0 else 0.0
+        ratio = float(np.sqrt(max(chi2, 0.0) / n)) if n > 0 else 0.0
         p_value = float(chdtrc(n, chi2)) if n > 0 else 1.0
         is_told = of_targets and causes  # a check that fails by itself is told anyway
         if (check.holds or is_told) and ratio > LARGER and p_value < PROBABILITY_LARGER:

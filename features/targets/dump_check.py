@@ -315,7 +315,7 @@ def check_lines(found: DumpCheck) -> list[str]:
             f"{len(found.faults)} error(s) in the files of {found.root}; images were not checked",
         ]
     lines = [*found.facts, *(f"error: {text}" for text in found.wrong)]
-    lines += [f"not used: {text}" for text in grouped(found.omissions, lambda one: one.line, _like)]
+    lines += [f"not used: {text}" for text in lines_grouped(found.omissions, lambda one: one.line, _like)]
     if n := len(found.targets):
         seen, maybe = sum(bool(t.seen_by) for t in found.targets), sum(t.may_be_seen for t in found.targets)
         counts = f"{seen} of {n} targets are in view, {maybe} may be, {n - seen - maybe} are not"
@@ -327,7 +327,7 @@ def check_lines(found: DumpCheck) -> list[str]:
 
 def grouped_faults(faults: Sequence[RawDataError]) -> list[str]:
     """The errors, those that differ by their row and value alone as one line."""
-    return grouped(faults, str, lambda one: (one.file, re.sub(r"\d+", "", one.field), one.expected))
+    return lines_grouped(faults, str, lambda one: (one.file, re.sub(r"\d+", "", one.field), one.expected))
 
 
 def _like(entry: Entry) -> tuple[object, ...]:
@@ -337,7 +337,7 @@ def _like(entry: Entry) -> tuple[object, ...]:
 T = TypeVar("T")
 
 
-def grouped(items: Sequence[T], line: Callable[[T], str], key: Callable[[T], object]) -> list[str]:
+def lines_grouped(items: Sequence[T], line: Callable[[T], str], key: Callable[[T], object]) -> list[str]:
     """A line for each group of items of one key: its first item, and how many more there are."""
     groups: dict[object, list[T]] = {}
     for one in items:

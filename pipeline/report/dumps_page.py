@@ -16,7 +16,7 @@ from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import data_uri
 from boresight.pipeline.report.page import template
 from boresight.pipeline.report.saved import number_from
-from boresight.pipeline.report.sheet import Basis, angles, basis_of, matrix_numbers
+from boresight.pipeline.report.sheet import SheetBasis, angles, basis_of, matrix_numbers
 from boresight.pipeline.report.small_maps import small_maps
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
@@ -114,7 +114,7 @@ def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:
     return rows
 
 
-def _basis(result: Path, names: list[str]) -> Basis | None:
+def _basis(result: Path, names: list[str]) -> SheetBasis | None:
     """What the joint matrix belongs to; None where the dumps have no report."""
     paths = [result / name / "evidence" / "context.json" for name in names]
     known = [path for path in paths if path.is_file()]

@@ -137,7 +137,7 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
     return {
         "mission": dump.mission,
         "created_by": head.created_by,
-        "is_simulated": (dump.root / "truth").is_dir() or ": simulate " in head.created_by,
+        "is_simulated": ": simulate " in head.created_by,
         "star_camera_file": getattr(stars, "star_camera", None) or getattr(stars, "camera", None) or "",
         "altitude_m": float(_altitude_m(dump, calibration).mean()),
         "satellite": dump.satellite,

@@ -11,7 +11,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.saved import Number, number_from
 
-__all__ = ["Basis", "angles", "basis_of", "matrix_numbers"]
+__all__ = ["SheetBasis", "angles", "basis_of", "matrix_numbers"]
 
 AXES = {
     "axes of c": "remote-sensing camera: X along the direction of flight, Y along the detectors, Z out of "
@@ -22,7 +22,7 @@ AXES = {
 
 
 @record(kw_only=True)
-class Basis:
+class SheetBasis:
     """What a matrix belongs to."""
 
     facts: dict[str, str] = scalar("texts by name: data, dates, star camera, axes")
@@ -32,7 +32,7 @@ class Basis:
     is_simulated: bool = scalar("whether the data are simulated")
 
 
-def basis_of(context: dict[str, Any], source: str, inputs: pa.Table, last: str = "") -> Basis:
+def basis_of(context: dict[str, Any], source: str, inputs: pa.Table, last: str = "") -> SheetBasis:
     """The basis of a dump's matrix, by its context.json (the file `source`) and its input files. Of several
     dumps, by those of the first, to the instant `last`, UTC.
     """
@@ -41,7 +41,7 @@ def basis_of(context: dict[str, Any], source: str, inputs: pa.Table, last: str =
     star = context["star_camera_file"]
     by = context["created_by"] or "its origin is not stated in dump.toml"
     number = functools.partial(number_from, context, source)
-    return Basis(
+    return SheetBasis(
         facts={
             "data": f"simulated, by {by}" if context["is_simulated"] else by,
             "observed": f"{_to_seconds(first)} to {_to_seconds(last or own_last)} UTC",

@@ -116,7 +116,7 @@ def test_another_dump_or_other_settings_need_overwrite(mine: tuple[Path, Path]) 
     with pytest.raises(RawDataError, match=r"a result of another dump.*--overwrite"):
         with claimed(out, [FIXTURE], Settings()):
             pass
-    other = Settings(run=RunSettings(passes=3))
+    other = Settings(run=RunSettings(rounds=3))
     with pytest.raises(RawDataError, match=r"a result of other settings.*--overwrite"):
         with claimed(out, [dump], other):
             pass
@@ -205,7 +205,7 @@ def test_link_inside_a_result_is_refused_and_its_target_left_as_it_is(
     else:
         (out / name).symlink_to(target)
     before = everything(tmp_path)
-    for settings in (Settings(), Settings(run=RunSettings(passes=3))):
+    for settings in (Settings(), Settings(run=RunSettings(rounds=3))):
         with pytest.raises(RawDataError, match=r"link.*remove"):
             with claimed(out, [FIXTURE], settings, overwrite=True):
                 pass
