@@ -400,7 +400,10 @@ def _exposure(dump: Dump, calibration: DumpCalibration, settings: Settings) -> p
     """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
     preview = _preview(dump, calibration, settings)
     if preview is None:
-        return pa.table({"xy_px": fixed_list(np.zeros((0, 2))), "snr": [], "state": [], "hip": []})
+        none: Floats = np.zeros(0)
+        columns = {"xy_px": fixed_list(np.zeros((0, 2))), "snr": arrow_array(none)}
+        texts = {"state": pa.array([], pa.string()), "hip": pa.array([], pa.int64())}
+        return pa.table(columns | texts)
     about = {
         "exposure_id": preview.exposure_id,
         "shrunk": preview.shrunk,
