@@ -53,7 +53,7 @@ class VectorSets:
         return [first.setdefault(key, k) for k, key in enumerate(own)]
 
     def stars_of(self, frames: list[int]) -> Ints:
-        """Rows of the stars of frames of one attitude, a star that several of them list once."""
+        """Rows (M,) of the stars of frames of one attitude, a star that several of them list once."""
         rows = np.concatenate([np.arange(*self.star_start[k : k + 2]) for k in frames])
         both = np.hstack([self.u_s[rows], self.v_stars[rows]])
         return rows[np.sort(np.unique(both, axis=0, return_index=True)[1])]

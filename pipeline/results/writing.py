@@ -224,7 +224,7 @@ def installation_facts(
     sigma_installation_rad: Floats | None = None,
 ) -> dict[str, Any]:
     """What installation.json holds: `given` are the error model of the estimate and all settings, `grounds`
-    the `ground_m_per_rad` of each camera.
+    the `ground_m_per_rad` (3,) of each camera, `sigma_installation_rad` (3 C,) the 1-sigma before launch.
     """
     error_model, settings = given
     used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {

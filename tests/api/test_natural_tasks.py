@@ -151,7 +151,7 @@ def a_covariance_that_is_wider_along_one_axis_widens_that_axis(at: At) -> None:
     wide = [np.broadcast_to(SIGMA_C**2 * np.diag([100.0, 1.0, 1.0]), (20, 3, 3)) for _ in range(4)]
     found = bs.calibrate_vectors(*at.given._replace(sigma_c=wide))
     ratio = found.sigma_arcsec / at.result.sigma_arcsec
-    assert ratio[1] > 1.05 > 1.02 > ratio[0]  # looks along x turn about y
+    assert ratio[1] > 1.05 > 1.02 > ratio[0]  # what lies along x shows a rotation about y
 
 
 @task

@@ -76,11 +76,11 @@ MISTAKES: dict[str, tuple[Change, str]] = {
     "the sign of y of w_c": (each("w_c", lambda w: w * [1, -1, 1]), "refused"),
     "the sign of z of w_c": (each("w_c", lambda w: w * [1, 1, -1]), "refused"),
     "x and y of w_c exchanged": (each("w_c", lambda w: w[:, [1, 0, 2]]), "refused or refuted"),
-    "w_c turned by a quarter": (each("w_c", turned("z", 90).apply), "refused"),
+    "w_c a quarter off about z": (each("w_c", turned("z", 90).apply), "refused"),
     "both signs of u_s": (each("u_s", lambda v: v * [-1, -1, 1]), "refused"),
     "u_s mirrored": (each("u_s", lambda v: v * [-1, 1, 1]), "refused"),
     "R_cs0 inverted": (lambda g: g._replace(R_cs0=g.R_cs0.inv()), "refused"),
-    "R_cs0 half a turn about z off": (lambda g: g._replace(R_cs0=turned("z", 180) * g.R_cs0), "refused"),
+    "R_cs0 180 degrees about z off": (lambda g: g._replace(R_cs0=turned("z", 180) * g.R_cs0), "refused"),
     "R_cs0 thirty degrees about z off": (lambda g: g._replace(R_cs0=turned("z", 30) * g.R_cs0), "refused"),
     "R_cs0 of a quaternion with its scalar first": (
         put(R_cs0=Rotation.from_quat(np.roll(R_TRUE.as_quat(), 1))),
@@ -143,7 +143,7 @@ MISTAKES: dict[str, tuple[Change, str]] = {
 
 
 def what_came(given: Given, **more: Any) -> str:
-    """What a caller is told."""
+    """What a caller learns."""
     try:
         found = bs.calibrate_vectors(*given, **more)
     except (ValueError, bs.DataNotSufficientError):
