@@ -113,8 +113,11 @@ def interpolation_weights(
 
 def linear_weights(t_nodes: Array, t: Array, inside: Bools | None = None) -> sparse.csr_array:
     """Sparse weights (J, K) by which values at nodes (K,) give values at instants (J,), linearly between two
-    nodes, beyond the ends those of the nearest; rows of zeros for instants that are not `inside`.
+    nodes, beyond the ends those of the nearest; rows of zeros for instants that are not `inside`. Without
+    nodes there are no columns.
     """
+    if not len(t_nodes):
+        return sparse.csr_array((len(t), 0))
     k = np.clip(np.searchsorted(t_nodes, t, side="right") - 1, 0, max(len(t_nodes) - 2, 0))
     after = np.minimum(k + 1, len(t_nodes) - 1)
     share = np.clip((t - t_nodes[k]) / np.maximum(t_nodes[after] - t_nodes[k], 1e-9), 0.0, 1.0)
