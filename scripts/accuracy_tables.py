@@ -1,16 +1,12 @@
-"""The table of accuracy beside the paper's, from benchmarks/results/table4.csv: `python
-scripts/accuracy_tables.py` puts it into README.md between its marks.
-"""
+"""The table of accuracy beside the paper's on docs/accuracy.md, from benchmarks/results/table4.csv."""
 
 from __future__ import annotations
 
 import csv
-import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 TABLE_4 = ROOT / "benchmarks" / "results" / "table4.csv"
-MARKS = re.compile(r"(<!-- accuracy -->\n).*?(<!-- /accuracy -->)", re.DOTALL)
 COLUMNS = ("rms_arcsec", "bound_arcsec", "paper_arcsec")
 
 
@@ -34,13 +30,3 @@ def table4_markdown() -> str:
         "of vectors, as in the paper's Table 4. Bound: Cramér-Rao. Paper: size of its printed single draws.",
     ]
     return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    readme = ROOT / "README.md"
-    table = table4_markdown()
-    readme.write_text(MARKS.sub(lambda m: m[1] + table + m[2], readme.read_text()))
-
-
-if __name__ == "__main__":
-    main()

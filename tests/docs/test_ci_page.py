@@ -26,7 +26,7 @@ def test_the_steps_name_commands_and_options_that_exist() -> None:
 
     known = get_command(app).commands
     ours = [step[1:] for step in steps() if step[0] == "boresight"]
-    assert [step[0] for step in ours] == ["calibrate", "validate"]
+    assert [step[0] for step in ours] == ["simulate", "calibrate", "validate"]
     for name, *arguments in ours:
         options = {option for parameter in known[name].params for option in parameter.opts}
         assert {word for word in arguments if word.startswith("--")} <= options

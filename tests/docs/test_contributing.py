@@ -18,13 +18,13 @@ from boresight.features.table import NAMES, features
 # Text of the line below which a step adds its own: that of the last feature.
 LAST_LINES = {
     "features/table.py": f'    "{NAMES[-1]}",',
-    "README.md": f"`boresight {features()[-1].commands[-1].name} ",
+    "docs/tasks.md": f"`boresight {features()[-1].commands[-1].name} ",
     "docs/architecture.md": f"| `{NAMES[-1]}` |",
 }
 # Tests that look at the new feature beside its own: floors, pages, help without it.
 GUARDS = ("pipeline/test_floors.py", "docs/test_guides.py", "docs/test_pages.py")
 GUARDS += ("features/test_features_can_be_taken_out.py",)
-NEAR = "strip_times or line_of_the_table or the_architecture_names or in_the_readme"
+NEAR = "strip_times or line_of_the_table or the_architecture_names or among_the_tasks"
 
 
 def copy_folder(source: Path, copy: Path, changed: Iterable[str]) -> None:

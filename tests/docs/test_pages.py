@@ -80,22 +80,12 @@ def test_all_formats_of_the_program_are_described():
     assert all(f"`{name}`" in text for name in FORMATS)
 
 
-def test_all_commands_of_the_program_are_in_the_readme():
+def test_all_commands_of_the_program_are_among_the_tasks():
     from command_line import app
 
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / "docs" / "tasks.md").read_text()
     names = [c.name or c.callback.__name__.replace("_", "-") for c in app.registered_commands]
     assert [name for name in names if f"boresight {name}" not in text] == []
-
-
-def test_the_readme_shows_the_accuracy_that_was_measured():
-    sys.path.insert(0, str(ROOT / "scripts"))
-    from accuracy_tables import MARKS, table4_markdown
-
-    found = MARKS.search((ROOT / "README.md").read_text())
-    assert found is not None
-    shown = found[0].removeprefix(found[1]).removesuffix(found[2])
-    assert shown == table4_markdown(), "run scripts/accuracy_tables.py"
 
 
 def test_an_api_page_must_hold_every_exported_name_with_its_text():
