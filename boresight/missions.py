@@ -476,7 +476,7 @@ def calibrate(
     overwrite : bool
         Replace the result of another dump or of other settings in `out`.
     progress : callable, optional
-        Called with the stage, the tasks done and all tasks.
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------
