@@ -94,8 +94,8 @@ def _inconsistent(match: TargetMatch, off_px: Floats, distance: float) -> Entry:
 
 
 def _attitude_covariance(scene: Scene, design: Floats, t_s: Floats) -> Floats:
-    """Covariance (N, 2, 2), px², of displacements by the stated errors of smoothed attitudes at instants (N,),
-    zero without them; `design` (N, 2, 3) is the change by a rotation about the axes of c.
+    """Covariance (N, 2, 2), px², of displacements by errors of smoothed attitudes at instants (N,), zero
+    without them; `design` (N, 2, 3) is the change by a rotation about the axes of c.
     """
     track, by_rotation = scene.pushbroom.attitude, design @ scene.pushbroom.R_cs.as_matrix()
     if not (isinstance(track, AttitudeTrack) and track.is_smoothed):

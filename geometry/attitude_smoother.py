@@ -218,7 +218,12 @@ def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> F
     """
     share = max(MOST_NODES // len(passes), 8)
     chosen = passes[:: -(-len(passes) * 8 // MOST_NODES)]
-    nodes = _Nodes.together([_centred(heads, share) for heads in chosen])
+    groups = dict[bytes, list[_Nodes]]()  # of passes with the same heads
+    for one in (_centred(heads, share) for heads in chosen):
+        groups.setdefault(
+            np.concatenate([one.by_rows.shape[1:], one.variance, one.time_s]).tobytes(), []
+        ).append(one)
+    nodes = _Nodes.together(max(groups.values(), key=lambda group: sum(len(one.t_s) for one in group)))
 
     def posterior(q: Floats) -> float:
         away = np.log(q / stated) / SPREAD if stated else np.zeros(3)

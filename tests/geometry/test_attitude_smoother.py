@@ -49,7 +49,7 @@ def heads(turns: list[Floats]) -> list[HeadRows]:
 
 
 def motion_covariance(t: Floats, u: Floats) -> Floats:
-    """(J, 3, K, 3) about the axes of s: a free start and rate at -0.2 s, and the integral of a random walk."""
+    """(J, 3, K, 3), axes of s: a free start and rate at -0.2 s, and the integral of a random walk."""
     R, a, b = MIDDLE.as_matrix(), t + 0.2, u + 0.2
     first, last = np.minimum.outer(a, b), np.maximum.outer(a, b)
     walk = first**2 * (3.0 * last - first) / 6.0
