@@ -44,15 +44,14 @@ __all__ = [
 @record(kw_only=True)
 class HeadTie:
     """What the rows of all heads tell of their alignments in one pass, M whitened rows
-    r = by_phi q + by_alpha alpha + noise of unit variance.
-    """
+    M whitened rows
+        r = by_phi q"""
 
     heads: tuple[str, ...] = scalar("A / 3 heads with an alignment")
     r: Floats = array("M", "residuals")
     by_phi: Floats = array("M, P", "change by the strip's attitude unknowns, units of their prior sigma")
     by_alpha: Floats = array("M, A", "change by the errors of the alignments, 1/rad")
-    chi2: float = scalar("weighted sum of squares that any alignments leave")
-    dof: int = scalar("its degrees of freedom")
+    dof: int = scalar("degrees of freedom of the last row: root of the squares that any alignments leave")
 
 
 def head_names(heads: Sequence[str]) -> tuple[str, ...]:

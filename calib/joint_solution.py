@@ -108,9 +108,9 @@ def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadA
         parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + tie.by_phi.T @ tie.by_phi, G)
     total = parts.sum(axis=0)
     together, apart = _left_by_alignments(total), sum(_left_by_alignments(part) for part in parts)
-    rows = sum(len(tie.r) for tie in ties) - (int(np.linalg.matrix_rank(total[:-1, :-1])) if ties else 0)
+    rows = sum(len(tie.r) - 1 for tie in ties) - (int(np.linalg.matrix_rank(total[:-1, :-1])) if ties else 0)
     return HeadAgreement(
-        chi2=max(together, 0.0) + sum(tie.chi2 for tie in ties),
+        chi2=max(together, 0.0),
         dof=rows + sum(tie.dof for tie in ties),
         gain=max(together - apart, 0.0),
         dof_gain=rows,

@@ -130,7 +130,7 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     R_si, root = np.tile(np.eye(3), (J, 1, 1)), np.zeros((J, 3, 0))
     by_constants: Floats = np.zeros((J, 3, 3 * len(heads)))
     told: Floats = np.zeros((0, 1 + 3 * len(heads)))
-    chi2, dof = 0.0, 0
+    dof = 0
     if inside.any():
         found = SmoothedAttitude.of(rows, q)
         R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
@@ -138,7 +138,8 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         root = np.zeros((J, 3, -(-part.shape[2] // IN_STEPS_OF) * IN_STEPS_OF))
         root[inside, :, : part.shape[2]] = part
         by_constants[inside] = found.by_constants(t_s[inside])
-        told, chi2, dof = found.constants, found.chi2, found.dof
+        rest, dof = np.eye(1, told.shape[1]) * np.sqrt(found.chi2), found.dof
+        told = np.concatenate([found.constants, rest])
     r, T = told[:, 0], told[:, 1:]
     constant: Floats = np.zeros((3 * len(heads), 0))
     for h, head in enumerate(rows):
@@ -153,7 +154,6 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         r=r,
         by_phi=np.column_stack([np.zeros((len(r), n)), T @ constant]),
         by_alpha=-T[:, is_known],
-        chi2=chi2,
         dof=dof,
     )
     return PassAttitude(

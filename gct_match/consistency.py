@@ -15,6 +15,7 @@ from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import TargetMatch
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats
@@ -49,8 +50,9 @@ def consistent_matches(
     keep, refused = [], []
     information: Floats = np.diag(sigma_rad**-2.0)
     pull: Floats = np.zeros(3)
+    attitude = _attitude_covariance(scene, design, t_s)
     for group in groups:
-        scatter = _scatter(scene.settings, cov_px[group], t_s[group])
+        scatter = _scatter(scene.settings, cov_px[group], t_s[group], attitude[group])
         left, off, distance = _agreeing(d[group], design[group], scatter, sigma_rad)
         keep += group[left].tolist()
         refused += [_inconsistent(found[group[n]], off[n], float(distance[n])) for n in off]
@@ -91,12 +93,27 @@ def _inconsistent(match: TargetMatch, off_px: Floats, distance: float) -> Entry:
     )
 
 
-def _scatter(settings: MatchSettings, cov_px: Floats, t_s: Floats) -> Floats:
+def _attitude_covariance(scene: Scene, design: Floats, t_s: Floats) -> Floats:
+    """Covariance (N, 2, 2), px², of displacements by errors of smoothed attitudes at instants (N,), zero
+    without them; `design` (N, 2, 3) is the change by a rotation about the axes of c.
+    """
+    track, by_rotation = scene.pushbroom.attitude, design @ scene.pushbroom.R_cs.as_matrix()
+    if not (isinstance(track, AttitudeTrack) and track.is_smoothed):
+        return np.zeros((len(t_s), 2, 2))
+    return np.asarray(by_rotation @ track.covariance_s(t_s) @ np.swapaxes(by_rotation, 1, 2))
+
+
+def _scatter(settings: MatchSettings, cov_px: Floats, t_s: Floats, attitude: Floats | None = None) -> Floats:
     """(N, N, 2, 2) covariance of displacements about the common rotation: that of each match, (N, 2, 2), and
-    the attitude error, common to matches seen, at instants (N,), between the same star exposures.
+    the attitude error, common to matches seen, at instants (N,), between the same star exposures; beside the
+    usual one that of `attitude` (N, 2, 2).
     """
     correlated = np.maximum(1.0 - np.abs(t_s[:, None] - t_s) / settings.attitude_step_s, 0.0)
     out = np.asarray(settings.attitude_sigma_px**2 * correlated[:, :, None, None] * np.eye(2))
+    if attitude is not None and attitude.any():
+        values, vectors = np.linalg.eigh(attitude)
+        root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        out += correlated[:, :, None, None] * (root[:, None] @ root)
     every = np.arange(len(t_s))
     out[every, every] += cov_px + settings.consistency_sigma_px**2 * np.eye(2)
     return out

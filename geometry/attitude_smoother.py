@@ -40,6 +40,7 @@ NEGLIGIBLE = 1e-4  # of the largest variance of a rotation: less is left out of 
 WINDOWS = 2.0 ** np.arange(-2.0, 6.0)  # steps over which a motion would let rows be averaged, that are tried
 NEAR = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of the best for all axes, for each axis by itself
 SPREAD = 2.5  # 1-sigma of the logarithm of q about the stated one
+UNLIKE = 1.5  # the same of an axis about that of all: axes of one satellite move somewhat alike
 MOST_NODES = 240  # that are asked for the motion; more would not change it
 
 
@@ -217,19 +218,25 @@ def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> F
     """
     share = max(MOST_NODES // len(passes), 8)
     chosen = passes[:: -(-len(passes) * 8 // MOST_NODES)]
-    nodes = _Nodes.together([_centred(heads, share) for heads in chosen])
+    groups = dict[bytes, list[_Nodes]]()  # of passes with the same heads
+    for one in (_centred(heads, share) for heads in chosen):
+        groups.setdefault(
+            np.concatenate([one.by_rows.shape[1:], one.variance, one.time_s]).tobytes(), []
+        ).append(one)
+    nodes = _Nodes.together(max(groups.values(), key=lambda group: sum(len(one.t_s) for one in group)))
 
     def posterior(q: Floats) -> float:
         away = np.log(q / stated) / SPREAD if stated else np.zeros(3)
         return _solved(nodes, q)[3] - 0.5 * float(away @ away)
 
-    usual = nodes.white2 * nodes.step_s ** (1 - 2 * ORDER)
-    q = np.full(
-        3, max((usual / one ** (2 * ORDER) for one in WINDOWS), key=lambda q: posterior(np.full(3, q)))
-    )
+    scale, every = nodes.white2 * nodes.step_s ** (1 - 2 * ORDER), np.arange(3)
+    alike = scale / WINDOWS ** (2 * ORDER)
+    usual = float(alike[np.argmax([posterior(np.full(3, one)) for one in alike])])
+    q = np.full(3, usual)
     for axis in range(3):
-        tried = q[axis] / NEAR ** (2 * ORDER)
-        fit = np.array([posterior(np.where(np.arange(3) == axis, one, q)) for one in tried])
+        tried = usual / NEAR ** (2 * ORDER)
+        fit = np.array([posterior(np.where(every == axis, one, q)) for one in tried])
+        fit -= 0.5 * (np.log(tried / usual) / UNLIKE) ** 2
         weight = np.exp(fit - fit.max())
         q[axis] = np.exp(np.log(tried) @ weight / weight.sum())
     return q

@@ -83,6 +83,7 @@ class StripTask:
     orbit: Orbit = scalar("states around the strip")
     t_attitude_s: Floats = array("K", "exposures around the strip, TAI seconds since the dump's epoch")
     R_si: Rotation = array("K", "their attitudes, GCRS to star camera")
+    cov_s: Floats | None = array("K, 3, 3", "of smoothed attitudes, rad²; None: not smoothed", default=None)
     R_cs: Rotation = scalar("installation matrix to start from")
     sigma_installation_rad: Floats = array("3", "1-sigma of its error, rad, axes of c")
     effects: LightEffects = scalar("effects on the line of sight that are modelled")
@@ -132,7 +133,14 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
         rows=task.strip.clock,
         orbit=task.orbit,
         earth=task.orbit.earth,
-        attitude=AttitudeTrack(task.t_attitude_s, task.R_si, task.orbit, interpolation=task.interpolation),
+        attitude=AttitudeTrack(
+            task.t_attitude_s,
+            task.R_si,
+            task.orbit,
+            task.cov_s,
+            interpolation=task.interpolation,
+            is_smoothed=task.cov_s is not None,
+        ),
         R_cs=task.R_cs,
         effects=task.effects,
     )
