@@ -36,6 +36,9 @@ MERGED = 0.3  # of the usual step: rows nearer together share a node
 ALONE_S = 0.5  # step where every head has one row
 DIFFUSE_RAD = 1.0  # 1-sigma of constants of which nothing is known
 DIFFUSE = 1e3  # the same of rotation and rate before the first row, in units of a row's error and steps
+# Knots for each step of the nodes, between which errors of the attitude are linear: to 1 % of them where they
+# go to and fro in four steps.
+KNOTS = 4
 NEGLIGIBLE = 1e-4  # of the largest variance of a rotation: less is left out of a root
 WINDOWS = 2.0 ** np.arange(-2.0, 6.0)  # steps over which a motion would let rows be averaged, that are tried
 NEAR = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of the best for all axes, for each axis by itself
@@ -322,8 +325,21 @@ class SmoothedAttitude:
 
     def root_s(self, t_s: Floats) -> Floats:
         """Rotation (J, 3, n) about the axes of s, at instants (J,), by n independent errors of unit variance:
-        a root of the joint covariance, the constants given.
+        a root of the joint covariance, the constants given. Instants that are more than `KNOTS` for each step
+        of the nodes are linear between such knots.
         """
+        k, share = self._steps_of(t_s)
+        steps, own = np.unique(k, return_inverse=True)
+        if len(t_s) <= KNOTS * len(steps):
+            return self._root_at(t_s)
+        places, dt = np.arange(KNOTS + 1) / KNOTS, np.diff(self.t_s)[steps, None]
+        knots, at = np.unique(self.t_s[steps, None] + places * dt, return_inverse=True)
+        before = np.minimum((share * KNOTS).astype(np.int64), KNOTS - 1)
+        ahead = (share * KNOTS - before)[:, None, None]
+        root, at = self._root_at(knots), at.reshape(len(steps), KNOTS + 1)
+        return np.asarray((1.0 - ahead) * root[at[own, before]] + ahead * root[at[own, before + 1]])
+
+    def _root_at(self, t_s: Floats) -> Floats:
         J, D = len(t_s), self.full.shape[1]
         k, here, after, s = self._around(t_s)
         joint = np.zeros((3 * J, 3 * J))
@@ -371,14 +387,20 @@ class SmoothedAttitude:
         if np.any(outside):
             span = f"{self.t_s[0]:.6f} ... {self.t_s[-1]:.6f} s"
             raise ValueError(f"{outside.sum()} of {len(t_s)} instants lie outside the attitudes: {span}")
-        k = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, len(self.t_s) - 2)
-        s, dt = t_s - self.t_s[k], self.t_s[k + 1] - self.t_s[k]
+        k, share = self._steps_of(t_s)
+        dt = self.t_s[k + 1] - self.t_s[k]
+        s = share * dt
         by_after = _pinned(s, dt)
         by_here = _step(s)[:, 0] - (by_after[:, None] @ _step(dt))[:, 0]
         here, after = np.zeros((2, len(t_s), 3, self.full.shape[1]))
         for axis in range(3):
             here[:, axis, axis:MOTION:3], after[:, axis, axis:MOTION:3] = by_here, by_after
         return k, here, after, s
+
+    def _steps_of(self, t_s: Floats) -> tuple[Ints, Floats]:
+        """Node (J,) before each instant, and the share (J,) of the step to the next that has passed."""
+        k = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, len(self.t_s) - 2)
+        return k, (t_s - self.t_s[k]) / (self.t_s[k + 1] - self.t_s[k])
 
     def _bridge(self, k: Ints, s: Floats, u: Floats) -> Floats:
         """Covariance for q = 1 of the rotations s and u seconds after node k, the states at k and the next
