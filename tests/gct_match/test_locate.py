@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rendered_pairs import Pair, make_pair
 from scipy import ndimage
 
+from boresight.gct_match import locate as module
 from boresight.gct_match.imaging.views import normalised, view_of
 from boresight.gct_match.locate import locate, locate_template
 from boresight.gct_match.records import TemplateMatch, not_matched
@@ -148,3 +149,21 @@ def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(
     assert isinstance(refused, Entry) and refused.reason is reason
     assert refused.limit == next(iter(limits.values()))
     assert np.isfinite(refused.value)
+
+
+def test_target_that_is_rarely_visible_is_found_less_surely(monkeypatch: pytest.MonkeyPatch):
+    half, rng = estate(np.random.default_rng(3), 1200), np.random.default_rng(4)
+    pair = make_pair(half, np.random.default_rng(8), size_px=32, margin_px=MARGIN, condition="clean")
+    noisy = np.clip(pair.window + rng.normal(0.0, 40.0, pair.window.shape), 1.0, 255.0).astype(np.float32)
+    lenient = replace(TRUSTING, probability_wrong=1.0, least_correlation=0.1, sigma_px=9.0)
+    wrong = []
+    for absent in (0.05, 0.5, 0.95):
+        monkeypatch.setattr(module, "_PRIOR_ABSENT", absent)
+        with np.errstate(divide="ignore"):  # frequencies that so small a template has not
+            match = looked_for(pair.template, noisy, lenient)
+        assert isinstance(match, TemplateMatch)
+        wrong.append(match.probability_wrong)
+    # w = (e + c o) / (1 + c o) with o = absent / (1 - absent) and c a constant: two give the third.
+    sure = [1.0 / (1.0 - w) for w in wrong]  # = (1 + c o) / (1 - e)
+    slope = (sure[1] - sure[0]) / (1.0 - 1.0 / 19.0)
+    assert slope > 1e-4 and sure[2] == pytest.approx(sure[1] + slope * 18.0, rel=1e-9)
