@@ -287,9 +287,9 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
         ("too long", "too short"),
     )
     bend = _bend(_part_of_pass(of))[:, None] * late.change_c
-    bent = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
-    yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, bent])
-    yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, bent])
+    curved = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
+    yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, curved])
+    yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, curved])
 
 
 def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:

@@ -311,7 +311,7 @@ def _larger_than_stated(checks: Sequence[Check], reliability: Reliability | None
         if check.kind not in (CheckKind.STAR_RESIDUALS, CheckKind.TARGET_RESIDUALS) or n <= 0:
             continue
         ratio, p_value = float(np.sqrt(max(chi2, 0.0) / n)), float(chdtrc(n, chi2))
-        # A check that fails is told by itself.
+        # A check that fails reports itself.
         if (check.holds or left) and ratio > LARGER and p_value < PROBABILITY_LARGER:
             yield Finding(
                 cause=check.kind.value,
