@@ -32,42 +32,30 @@ PERCENT = 1e-2
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
-# Usual size of an error, in its unit, by the beginning of its cause: larger ones are rarer, a size x is less
-# likely than a usual one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure
-# that warms and cools; an orbit's velocity is known as its positions are; heights and datums are mistaken by
-# tens of metres. The first row that fits counts.
-USUAL = {
-    "clock of the exposures": 10.0,
-    "clock of the rows, curved": 1.0,
-    "clock of the rows": 10.0,
-    "row period": 0.05,
-    "lines": 1.0,
-    "orbit or targets, height": 30.0,
-    "orbit or targets": 3.0,
-    "datum": 30.0,
-    "velocity of the orbit": 1e-3,
-    "attitude": 10.0,
-    "mounting drifts": 1.0,
-    "mounting bends": 1.0,
-    "mounting": 10.0,
-    "place of": 0.5,
-    "rotation of a CCD": 0.5,
-    "length of a CCD": 0.5,
-    "bend of a CCD": 0.5,
-    "image of a CCD": 0.5,
-    "focal length": 0.05,
-    "principal point": 1.0,
-    "radial distortion": 1.0,
-    "line of sight": 1.0,
-}
-# How much rarer than what is stated wrong by hand a cause is, by its beginning (set by hand).
-RARE = {
-    "mounting": 30.0,
-    "lines of a strip": 30.0,
-    "clock of the rows, curved": 30.0,
-    "length of a CCD": 30.0,
-    "bend of a CCD": 30.0,
-    "datum": 3.0,
+# Usual size of an error, in its unit, and how much rarer it is than what is stated wrong by hand (set by
+# hand), by the beginning of its cause; the first row that fits counts. A size x is less likely than a usual
+# one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure that warms and
+# cools; an orbit's velocity is known as its positions are; heights and datums are mistaken by tens of metres.
+USUAL: dict[str, tuple[float, float]] = {
+    "clock of the exposures": (10.0, 1.0),
+    "clock of the rows, curved": (1.0, 30.0),
+    "clock of the rows": (10.0, 1.0),
+    "row period": (0.05, 1.0),
+    "lines of a strip": (1.0, 30.0),
+    "orbit or targets, height": (30.0, 1.0),
+    "orbit or targets": (3.0, 1.0),
+    "datum": (30.0, 3.0),
+    "velocity of the orbit": (1e-3, 1.0),
+    "attitude": (10.0, 1.0),
+    "mounting moved": (10.0, 30.0),
+    "mounting": (1.0, 30.0),
+    "length of a CCD": (0.5, 30.0),
+    "bend of a CCD": (0.5, 30.0),
+    "place of": (0.5, 1.0),
+    "rotation of a CCD": (0.5, 1.0),
+    "image of a CCD": (0.5, 1.0),
+    "focal length": (0.05, 1.0),
+    "catalogue": (25.0, 1.0),
 }
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
@@ -91,18 +79,19 @@ class Hypothesis(InputError):
         return min(self.most, LARGEST.get(self.unit, np.inf))
 
     @property
-    def usual(self) -> float:
-        """Usual size, in its unit; 1 where `USUAL` has none (effects that are there once or not)."""
-        return next((size for cause, size in USUAL.items() if self.cause.startswith(cause)), 1.0)
-
-    def price(self, size: float) -> float:
-        """Minus twice the logarithm of how likely this error is in this size, beside a usual one."""
-        return 2.0 * float(np.log1p(abs(size) / self.usual) + np.log(self.rarity))
+    def _usual(self) -> tuple[float, float]:
+        """Of `USUAL`; an effect that is there once or not has no row."""
+        return next((row for cause, row in USUAL.items() if self.cause.startswith(cause)), (1.0, 1.0))
 
     @property
     def rarity(self) -> float:
         """How much rarer its cause is than others."""
-        return next((times for cause, times in RARE.items() if self.cause.startswith(cause)), 1.0)
+        return self._usual[1]
+
+    def price(self, size: float) -> float:
+        """Minus twice the logarithm of how likely this error is in this size, beside a usual one."""
+        usual, rarity = self._usual
+        return 2.0 * float(np.log1p(abs(size) / usual) + np.log(rarity))
 
     @property
     def remedy(self) -> str:
@@ -298,9 +287,9 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
         ("too long", "too short"),
     )
     bend = _bend(_part_of_pass(of))[:, None] * late.change_c
-    bent = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
-    yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, bent])
-    yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, bent])
+    curved = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
+    yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, curved])
+    yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, curved])
 
 
 def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:

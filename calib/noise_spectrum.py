@@ -187,11 +187,7 @@ def _axes_density(x: Floats, omega: Floats, step_s: float) -> tuple[Floats, Floa
     shape = (1.0 - r**2) / below
     by_r = -2.0 * (r + shape * (r - cosine)) / below
     by_x = np.stack(
-        [
-            np.broadcast_to(2.0 * white, shape.shape),
-            2.0 * correlated * shape,
-            correlated * by_r * r * late,
-        ],
+        [np.broadcast_to(2.0 * white, shape.shape), 2.0 * correlated * shape, correlated * by_r * r * late],
         axis=-1,
     )
     return np.asarray(white + correlated * shape), by_x
@@ -252,7 +248,7 @@ def _with_means(
 ) -> NoiseFit:
     count = max(round(mean_s / signal.step_s), 1)
     means = np.concatenate([_means(part, count) for part in parts])
-    scatter2 = _scatter(parts, count)
+    scatter2 = means.var(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1], np.nan)
     by_axis = _variance_of_means(x, count, signal.step_s)
     predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
     white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
@@ -292,12 +288,6 @@ def _means(part: Floats, count: int) -> Floats:
     return part[: whole * count].reshape(whole, count, part.shape[1]).mean(axis=1)
 
 
-def _scatter(parts: Sequence[Floats], count: int) -> Floats:
-    """Variance (D,) of means about their mean over the record; NaN with fewer than two."""
-    means = np.concatenate([_means(part, count) for part in parts])
-    return means.var(axis=0, ddof=1) if len(means) > 1 else np.full(parts[0].shape[1], np.nan)
-
-
 def _variance_of_means(x: Floats, count: int, step_s: float) -> Floats:
     """Variance (H, 3) of a mean over `count` rows."""
     lag = np.arange(1, count)
@@ -328,9 +318,7 @@ def _binned(parts: Sequence[Floats], signal: Signal, centres: Floats) -> Floats:
 
 
 def difference_signal(
-    R_si: Rotation,
-    others: Sequence[tuple[Rotation, Rotation]],
-    step: tuple[float, tuple[slice, ...]],
+    R_si: Rotation, others: Sequence[tuple[Rotation, Rotation]], step: tuple[float, tuple[slice, ...]]
 ) -> Signal:
     """Signal of several heads with attitudes at the same K instants: of each (R_hi, R_sh) after the
     reference head's `R_si`, the rotation from it, axes of s.

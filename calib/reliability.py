@@ -63,6 +63,7 @@ __all__ = ["Contradiction", "HypothesisTest", "Reliability", "ReliabilitySetting
 # Most causes that are named together for one calibration: with more, any pattern of residuals is explained
 # (set by hand).
 MOST_CAUSES = 3
+STATED = ("cause", "item", "unit", "file", "field")  # what tests and findings repeat of a hypothesis
 # Share of an error that shows in the residuals, below which it is a blind spot: it shows only at a hundred
 # times its own size.
 LEAST_REDUNDANCY = 0.01
@@ -343,11 +344,7 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
         statistic = float(y[n] ** 2 / S[n]) if seen[n] else 0.0
         tests.append(
             HypothesisTest(
-                cause=h.cause,
-                item=h.item,
-                unit=h.unit,
-                file=h.file,
-                field=h.field,
+                **{name: getattr(h, name) for name in STATED},
                 value=float(y[n] / S[n]) if seen[n] else np.nan,
                 sigma=float(S[n] ** -0.5) if seen[n] else np.inf,
                 statistic=statistic,
@@ -430,8 +427,8 @@ def _causes(
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
         strip, ccd, is_star = (one.of.column(name) for name in ("strip", "ccd", "is_star"))
-        known, inside = limits.sigma_understated, one.problem.inside
-        noise = noisiest(before.statistic, one.limit, known, strip, ccd, is_star, inside)
+        tolerated, inside = limits.sigma_understated, one.problem.inside
+        noise = noisiest(before.statistic, one.limit, tolerated, strip, ccd, is_star, inside)
         if noise and noise.gain > max(worth.values(), default=0.0):
             p_value = float(chdtrc(1, noise.gain)) * n
             if p_value <= limits.probability_found:
@@ -439,7 +436,9 @@ def _causes(
         if not gain:
             break
         most = max(worth.values())
-        left = NOT_LINEAR * max(gain.values())  # by which two linear forms of the same large error may differ
+        left = NOT_LINEAR * max(
+            0.0, *gain.values()
+        )  # by which two linear forms of the same large error may differ
         alike = [h for h in gain if most - worth[h] < EQUAL + left]
         decade = {h: np.floor((gain[h] - worth[h]) / (2.0 * np.log(10.0))) for h in alike}
         # Of equals the most usual size, then what concerns most, then the first of the table.
@@ -622,15 +621,11 @@ def _finding(
     if excluded and len(f"{h.cause} {h.item} {text}; not {_named(excluded)}".split()) <= MOST_WORDS:
         text += f"; not {_named(excluded)}"
     return Finding(
-        cause=h.cause,
-        item=h.item,
+        **{name: getattr(h, name) for name in STATED},
         subjects=h.subjects,
         text=f"{text}.",
         value=value,
         sigma=sigma,
-        unit=h.unit,
-        file=h.file,
-        field=h.field,
         refutes=worst > limits.harm_sigma and p_value <= limits.probability_refuted,
         effect_rad=published - fit.theta,
         effect_sigma=worst,

@@ -394,10 +394,7 @@ def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Flo
 
 
 def _group(
-    strips: list[PreparedStrip],
-    place: Ints,
-    shared: SharedUnknowns,
-    settings: CalibrationSettings,
+    strips: list[PreparedStrip], place: Ints, shared: SharedUnknowns, settings: CalibrationSettings
 ) -> StripGroup:
     members = [strips[n] for n in place]
     camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))

@@ -306,21 +306,18 @@ def _larger_than_stated(checks: Sequence[Check], reliability: Reliability | None
     """
     causes, rest = (reliability.findings, reliability.rest) if reliability else ((), None)
     for check in checks:
-        of_targets = check.kind is CheckKind.TARGET_RESIDUALS
-        if not of_targets and check.kind is not CheckKind.STAR_RESIDUALS:
+        left = causes and check.kind is CheckKind.TARGET_RESIDUALS
+        chi2, n = (rest or (0.0, 0)) if left else (check.statistic, check.n)
+        if check.kind not in (CheckKind.STAR_RESIDUALS, CheckKind.TARGET_RESIDUALS) or n <= 0:
             continue
-        if of_targets and causes and rest is None:
-            continue  # it is what was found
-        chi2, n = rest if of_targets and rest else (check.statistic, check.n)
-        ratio = float(np.sqrt(max(chi2, 0.0) / n)) if n > 0 else 0.0
-        p_value = float(chdtrc(n, chi2)) if n > 0 else 1.0
-        is_told = of_targets and causes  # a check that fails by itself is told anyway
-        if (check.holds or is_told) and ratio > LARGER and p_value < PROBABILITY_LARGER:
+        ratio, p_value = float(np.sqrt(max(chi2, 0.0) / n)), float(chdtrc(n, chi2))
+        # A check that fails reports itself.
+        if (check.holds or left) and ratio > LARGER and p_value < PROBABILITY_LARGER:
             yield Finding(
                 cause=check.kind.value,
-                item="left by these causes" if is_told else "all",
+                item="left by these causes" if left else "all",
                 text=f"{ratio:.2f} times the stated errors, χ² {chi2:.0f} for {n}: "
-                f"check {'for a further cause, or ' if is_told else ''}{check.look_at[-1].value}.",
+                f"check {'for a further cause, or ' if left else ''}{check.look_at[-1].value}.",
                 is_fault=False,
                 p_value=p_value,
             )
@@ -389,12 +386,7 @@ def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[C
     """Counts of rejected stars and targets against the tolerated shares."""
     checks = []
     for kind, reason, kept, share in (
-        (
-            CheckKind.STARS_REJECTED,
-            Reason.STAR_RESIDUAL,
-            estimate.n_stars,
-            settings.share_stars_rejected,
-        ),
+        (CheckKind.STARS_REJECTED, Reason.STAR_RESIDUAL, estimate.n_stars, settings.share_stars_rejected),
         (
             CheckKind.TARGETS_REJECTED,
             Reason.TARGET_RESIDUAL,
@@ -522,10 +514,7 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
 
 
 def _orbit_finding(
-    estimate: InstallationEstimate,
-    checks: Sequence[Check],
-    others: Sequence[Hypothesis],
-    target_files: str,
+    estimate: InstallationEstimate, checks: Sequence[Check], others: Sequence[Hypothesis], target_files: str
 ) -> Iterator[Finding]:
     """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas.
     The first of `others`, which explain it too, is listed.

@@ -21,6 +21,7 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.coordinate_slips import off_middle_m
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head
+from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
 from boresight.pipeline.stages.strip import StripTask, compass
 
@@ -54,9 +55,25 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
         *(shifted := list(shifted_chips(dump, omissions))),
         *(() if shifted else outside_chips(omissions)),
         *_smeared(dump, omissions),
+        *_still_stars(dump),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
         *_heights(dump, {name: target for name, target in every.items() if name not in without}),
     ]
+
+
+def _still_stars(dump: Dump) -> Iterator[Finding]:
+    """That no star of the user's catalogue has a proper motion."""
+    if dump.star_catalogue and dump.sky_strips:
+        places = survey_of(dump.star_catalogue).places
+        if not (places.pm_ra_rad_yr.any() or places.pm_dec_rad_yr.any()):
+            yield Finding(
+                cause="catalogue of the stars, proper motions",
+                item="all stars",
+                text=f"all are zero, epoch {places.epoch_jyear:g}: stars move by arc-seconds in decades; "
+                f"take pmra, pmdec into {dump.star_catalogue.file}.",
+                file=dump.star_catalogue.file,
+                field="pmra, pmdec",
+            )
 
 
 def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:

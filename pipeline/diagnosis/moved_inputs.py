@@ -103,6 +103,17 @@ def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> F
     return -np.cross(line_of_sight_s, beta_s)
 
 
+def _turns(
+    strips: Sequence[StripSightings], velocity: Callable[[Floats], Floats], line_of_sight_s: Floats
+) -> dict[str, Floats]:
+    """The same strip by strip, by a velocity at each instant."""
+    return {
+        strip.strip_id: _turned_by_velocity(_attitudes(strip), velocity(_times(strip)), line_of_sight_s)
+        for strip in strips
+        if strip.exposures
+    }
+
+
 def _velocities(dump: Dump) -> Mapping[str, Callable[[Floats], Floats]]:
     """Velocities (K, 3) m/s, GCRS, whose aberration an attitude may contain, by the part's name."""
 
@@ -126,13 +137,7 @@ def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]
             file="dump.toml",
             field=f"aberration_removed of {head.name}",
             most=2.0,
-            turns_s={
-                strip.strip_id: _turned_by_velocity(
-                    _attitudes(strip), velocity(_times(strip)), head.line_of_sight_s
-                )
-                for strip in strips
-                if strip.exposures
-            },
+            turns_s=_turns(strips, velocity, head.line_of_sight_s),
         )
 
 
@@ -148,14 +153,14 @@ def _line_of_sight(
     parts = [_velocities(dump)[name] for name in left[source.aberration_removed]]
     if not parts:  # the line of sight is not used
         return
+
+    def left_in(t_s: Floats) -> Floats:
+        return np.asarray(np.sum([velocity(t_s) for velocity in parts], axis=0))
+
     u_s = head.line_of_sight_s
     first = np.cross(u_s, np.eye(3)[np.argmin(np.abs(u_s))])
     first /= np.linalg.norm(first)
     for d_s in (first, np.cross(u_s, first)):
-        turns = {}
-        for strip in (one for one in strips if one.exposures):
-            v_i = np.sum([velocity(_times(strip)) for velocity in parts], axis=0)
-            turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i, np.radians(1.0) * d_s)
         direction = ", ".join(f"{value:.2f}" for value in d_s + 0.0)
         yield MovedInput(
             cause="line of sight of the attitudes",
@@ -164,7 +169,7 @@ def _line_of_sight(
             words=("too far", "too short"),
             file="dump.toml",
             field=f"line_of_sight of {head.name}",
-            turns_s=turns,
+            turns_s=_turns(strips, left_in, np.radians(1.0) * d_s),
         )
 
 
@@ -175,15 +180,15 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
         not isinstance(source, SolvedAttitudes) or source.aberration_removed != "annual and orbital"
     )
     for axis, (name, words) in enumerate(AXES):
-        directions, turns = {}, {}
+
+        def velocity(t_s: Floats, axis: int = axis) -> Floats:
+            return np.asarray(KM_S * dump.orbit.R_oi(t_s).as_matrix()[:, axis])
+
+        directions = {}
         for strip in strips:
-            u_i = strip.ground.u_i
-            v_i = KM_S * dump.orbit.R_oi(strip.ground.t_s).as_matrix()[:, axis]
+            u_i, v_i = strip.ground.u_i, velocity(strip.ground.t_s)
             along = np.sum(u_i * v_i, axis=1, keepdims=True)
             directions[strip.strip_id] = (v_i - along * u_i) / SPEED_OF_LIGHT
-            if in_attitudes and strip.exposures:
-                v_i = KM_S * dump.orbit.R_oi(_times(strip)).as_matrix()[:, axis]
-                turns[strip.strip_id] = _turned_by_velocity(_attitudes(strip), v_i, head.line_of_sight_s)
         yield MovedInput(
             cause=f"velocity of the orbit, {name}",
             item="all scans",
@@ -193,7 +198,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             field="velocity, date and frame",
             most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
             directions_i=directions,
-            turns_s=turns,
+            turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},
         )
 
 
@@ -238,11 +243,7 @@ def _light(strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]) -> 
             )
             on, off = (
                 apparent_ground_directions(
-                    p_e,
-                    strip.ground.t_s,
-                    task.orbit,
-                    task.orbit.earth,
-                    switched(task.effects, modelled),
+                    p_e, strip.ground.t_s, task.orbit, task.orbit.earth, switched(task.effects, modelled)
                 )[0]
                 for modelled in (True, False)
             )

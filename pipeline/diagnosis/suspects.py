@@ -54,7 +54,8 @@ class MeasuredTargets:
     def slip(self, subject: Subject) -> str:
         """What would have to be read for the coordinates of a measured point, behind a semicolon."""
         task = self.tasks[subject.strip]
-        (point,) = [target for target in task.points.targets if target.target_id == subject.id]
+        every = zip(task.points.targets, task.points.ccd.tolist())
+        point = next(one for one, ccd in every if (one.target_id, ccd) == (subject.id, subject.ccd))
         return fitting_slip(task, point, subject.ccd, np.array(self.xy_px[subject]))
 
     def displaced(self, suspect: Contradiction) -> tuple[float, float, float]:
@@ -87,23 +88,15 @@ def single_targets(
     ledger holds all targets in view.
     """
     rest = [suspect for suspect in suspects if suspect.subject in measured.xy_px]
-    in_strips, in_ccds = defaultdict[str, list[Subject]](list), dict[int, list[Subject]]()
+    found: dict[tuple[str, bool], dict[Subject, list[Subject]]] = defaultdict(dict)
     for group in _groups([suspect.subject for suspect in rest], ledger):
         those = [suspect.subject for suspect in rest if _holds(group, suspect.subject)]
         rest = [suspect for suspect in rest if not _holds(group, suspect.subject)]
-        if is_explained:
-            continue
-        if group.ccd < 0:
-            yield _of_strip(group.strip, those, of_points=measured.is_point(those[0]))
-        elif group.strip:
-            in_strips[group.strip] += those
-        else:
-            in_ccds[group.ccd] = those
-    if in_ccds:
-        first = next(iter(in_ccds.values()))[0]
-        yield _of_ccds(in_ccds, of_points=measured.is_point(first))
-    for strip_id, those in in_strips.items():
-        yield _of_cells(strip_id, those, of_points=measured.is_point(those[0]))
+        found[group.strip, group.ccd >= 0][group] = those
+    if not is_explained:
+        for groups in found.values():
+            first = next(iter(groups.values()))[0]
+            yield _of_groups(groups, of_points=measured.is_point(first))
     of_target: dict[str, list[Contradiction]] = defaultdict(list)
     for suspect in rest:
         of_target[suspect.subject.id].append(suspect)
@@ -170,61 +163,39 @@ def _gain(k: int, n: int) -> float:
     return own - GROUP_PENALTY
 
 
-def _of_ccds(of_ccds: Mapping[int, Sequence[Subject]], *, of_points: bool) -> Finding:
-    """Targets of CCDs that contradict the rest in all strips: of two, perhaps, because they are exchanged."""
-    those = tuple(target for ccd in of_ccds for target in of_ccds[ccd])
-    images = "ccd in points.csv" if of_points else "files in strips.csv"
-    fields = "rotation_mrad, x_offset_mm, y_first_mm"
-    first, second = f"{fields} in remote_camera.toml", f"{images} exchanged"
-    if len(of_ccds) == 2:
-        first, second = second, first
-    subjects = tuple(Subject(Kind.CCD, ccd=ccd) for ccd in sorted(of_ccds))
-    return Finding(
-        cause="look directions of a CCD" if len(of_ccds) == 1 else "images or look directions of CCDs",
-        item=" and ".join(subject.words for subject in subjects),
-        subjects=subjects,
-        text=f"{len(those)} of {'its' if len(of_ccds) == 1 else 'their'} targets contradict the rest: check "
-        f"{first}; or {second}.",
-        file="remote_camera.toml",
-        field=fields,
-        explains=those,
-    )
-
-
-def _of_strip(strip_id: str, those: Sequence[Subject], *, of_points: bool) -> Finding:
-    """Targets of one strip, or of all, that contradict the rest."""
-    file, chips = ("points.csv", "") if of_points else ("targets.csv", " and the chips")
-    if not strip_id:
-        return Finding(
-            cause="look directions or coordinates",
-            item=f"{len(those)} targets of all strips",
-            text="they contradict the rest, and no common cause explains them: check x_offset_mm, y_first_mm "
-            f"in remote_camera.toml, and {file}.",
-            file=f"remote_camera.toml, {file}",
-            explains=tuple(those),
+def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) -> Finding:
+    """Targets that contradict the rest: all, those of a strip, of CCDs in one strip or in all. Two CCDs,
+    or any in one strip, may be exchanged.
+    """
+    those = tuple(target for group in groups for target in groups[group])
+    subjects = tuple(sorted((group for group in groups if group != EVERY), key=lambda group: group.ccd))
+    strip_id, of_ccds, n = next(iter(groups)).strip, next(iter(groups)).ccd >= 0, len(those)
+    file = "points.csv" if of_points else "targets.csv"
+    looks, places = "rotation_mrad, x_offset_mm, y_first_mm", "x_offset_mm, y_first_mm"
+    item = " and ".join(Subject(Kind.CCD, ccd=one.ccd).words for one in subjects)
+    if of_ccds and strip_id:
+        cause, item, field = "images of a CCD", f"{item} in strip {strip_id}", "ccd" if of_points else "file"
+        file = file if of_points else "strips.csv"
+        text = f"{n} targets contradict the rest: check {field} in {file}, CCDs may be exchanged."
+    elif of_ccds:
+        several, field = len(groups) > 1, looks
+        cause = "images or look directions of CCDs" if several else "look directions of a CCD"
+        exchanged = f"{'ccd in points.csv' if of_points else 'files in strips.csv'} exchanged"
+        checks = [f"{looks} in remote_camera.toml", exchanged]
+        first, second = checks[::-1] if len(groups) == 2 else checks
+        text = (
+            f"{n} of {'their' if several else 'its'} targets contradict the rest: check {first}; or {second}."
         )
-    more = " and more" if len(those) > SHOWN else ""
-    shown = f"{', '.join([target.id for target in those][:SHOWN])}{more}"
+        file = "remote_camera.toml"
+    elif strip_id:
+        cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
+        shown = ", ".join([target.id for target in those][:SHOWN]) + " and more" * (n > SHOWN)
+        text = f"{shown} contradict the rest, and no common cause explains them: "
+        text += f"check {file}{'' if of_points else ' and the chips'}."
+    else:
+        cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""
+        text = "they contradict the rest, and no common cause explains them: check "
+        text, file = f"{text}{places} in remote_camera.toml, and {file}.", f"remote_camera.toml, {file}"
     return Finding(
-        cause="coordinates or chips",
-        item=f"{len(those)} targets in strip {strip_id}",
-        subjects=(Subject(Kind.STRIP, strip=strip_id),),
-        text=f"{shown} contradict the rest, and no common cause explains them: check {file}{chips}.",
-        file=file,
-        explains=tuple(those),
-    )
-
-
-def _of_cells(strip_id: str, those: Sequence[Subject], *, of_points: bool) -> Finding:
-    """Targets of CCDs in one strip that contradict the rest."""
-    ccds = sorted({target.ccd for target in those})
-    file, field = ("points.csv", "ccd") if of_points else ("strips.csv", "file")
-    return Finding(
-        cause="images of a CCD",
-        item=f"{' and '.join(f'CCD {ccd}' for ccd in ccds)} in strip {strip_id}",
-        subjects=tuple(Subject(Kind.CCD, strip=strip_id, ccd=ccd) for ccd in ccds),
-        text=f"{len(those)} targets contradict the rest: check {field} in {file}, CCDs may be exchanged.",
-        file=file,
-        field=field,
-        explains=tuple(those),
+        cause=cause, item=item, subjects=subjects, text=text, file=file, field=field, explains=those
     )

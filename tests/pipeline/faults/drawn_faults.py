@@ -36,7 +36,7 @@ __all__ = ["both", "by_kind", "drawn"]
 # Shares of the cases: files and conventions that are mistaken, which have no size; two faults at once.
 CONVENTIONS, TWO_AT_ONCE = 0.25, 0.15
 NO_SIZE = ("", "sign", "pair", "day", "strip", "files", "times", "targets", "a strip", "deg")
-BENT = "curved|row|clock|drift|bends"
+CURVED = "curved|row|clock|drift|bends"
 Q = ("qx", "qy", "qz", "qw")
 Row = dict[str, str]
 # How an error goes with the part of a strip or of a CCD, 0 to 1, that has passed; `at` is where it steps.
@@ -134,7 +134,7 @@ def any_of(names: tuple[str, ...]) -> str:
 
 
 def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
-    """Rows and samples of points: lines lost or twice, bent clocks, longer or bent CCDs, more noise."""
+    """Rows and samples of points: lines lost or twice, curved clocks, longer or curved CCDs, more noise."""
     strip = facts.strips[int(rng.integers(len(facts.strips)))]
     ccd, at = int(rng.integers(facts.ccds)), float(rng.uniform(0.25, 0.75))
     name, camera = f"CCD {ccd}", f"ccd {ccd}\\b"
@@ -144,12 +144,12 @@ def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         # kind, column, profile of it, over which column, smallest px, strips, CCD, words
         ("lines lost", "line", "step", "line", 0.5, of_strip, None, (any_of(of_strip), "lines|row|clock")),
         ("lines lost in a CCD", "line", "step", "line", 1.0, of_strip, ccd, (camera, "lines|image|place")),
-        ("rows bent", "line", "bend", "line", 0.7, of_strip, None, (any_of(of_strip), BENT)),
-        ("rows bent in all strips", "line", "bend", "line", 0.4, in_all, None, (BENT,)),
+        ("rows curved", "line", "bend", "line", 0.7, of_strip, None, (any_of(of_strip), CURVED)),
+        ("rows curved in all strips", "line", "bend", "line", 0.4, in_all, None, (CURVED,)),
         ("image of a CCD", "sample", "constant", "line", 0.7, of_strip, ccd, (camera, "image|place")),
         ("image of a CCD", "line", "constant", "line", 0.7, of_strip, ccd, (camera, "image|place|lines")),
         ("CCD longer", "sample", "drift", "sample", 0.5, in_all, ccd, (camera, "length|place")),
-        ("CCD bent", "line", "bend", "sample", 0.7, in_all, ccd, (camera, "bend|place|rotation")),
+        ("CCD curved", "line", "bend", "sample", 0.7, in_all, ccd, (camera, "bend|place|rotation")),
     )  # fmt: skip
     for kind, column, profile, over, smallest, strips, one, words in rows:
         times, px = sized(smallest, rng, 10.0)
