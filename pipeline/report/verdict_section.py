@@ -10,7 +10,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.saved import Number, number_from
-from boresight.pipeline.results.summary import two_digits
+from boresight.pipeline.results.summary import kind_of, two_digits
 
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 
@@ -60,7 +60,7 @@ class BlindRow:
     @property
     def kind(self) -> str:
         """The cause without its direction."""
-        return self.cause.partition(",")[0]
+        return kind_of(self.cause)
 
 
 @record(kw_only=True)

@@ -34,6 +34,7 @@ __all__ = [
     "check_point_words",
     "finding_lines",
     "joint_summary",
+    "kind_of",
     "omission_lines",
     "two_digits",
     "unit_effect",
@@ -107,6 +108,12 @@ def finding_lines(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{'look at' if n == 0 else '':26s}{text}" for n, text in enumerate(texts)]
 
 
+def kind_of(cause: str) -> str:
+    """Kind of an error that the data cannot show: a datum is not told from the orbit."""
+    kind = cause.partition(",")[0]
+    return "orbit or targets" if kind == "datum of the targets" else kind
+
+
 def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Array) -> list[str]:
     """The kinds of error with most effect that the data cannot show at all, in one line; `sigma_rad` (T,) is
     the 1-sigma of theta.
@@ -114,7 +121,7 @@ def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Array) -> list[st
     kinds: dict[str, Mapping[str, Any]] = {}
     for one in spots:
         if one["is_unseen"] and np.abs(one["effect_rad"]).max() >= LEAST_EFFECT_RAD:
-            kinds.setdefault(one["cause"].partition(",")[0], one)
+            kinds.setdefault(kind_of(one["cause"]), one)
     shown = [f"{kind} ({unit_effect(one, sigma_rad)})" for kind, one in list(kinds.items())[:MOST_BLIND]]
     if len(kinds) > MOST_BLIND:
         shown.append(f"{len(kinds) - MOST_BLIND} more in installation.json")
