@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
@@ -65,9 +65,7 @@ class ShapeEstimate:
 
 def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float32]:
     """The image (H, W) less its background, in units of its noise, without hot pixels."""
-    flat: NDArray[np.float32] = image.astype(np.float32)
-    flat -= background_image(background.level_dn, image.shape)
-    flat /= background_image(background.noise_dn, image.shape)
+    flat = in_noise(image, background)
     around = cv2.medianBlur(flat, 3)
     for band, _ in _bands(len(flat), 0):
         hot = flat[band] - around[band] > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around[band]))
