@@ -32,9 +32,6 @@ __all__ = [
 Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
 
-# Most Newton steps of inverting the distortion (set by hand).
-_NEWTON_STEPS = 20
-
 
 class LineSensor(Protocol):
     """Interface of a pushbroom model to its camera. `ccd` is an index from 0."""
@@ -160,7 +157,7 @@ class Ccd:
         along = offset @ self._axis
         across = offset @ self._normal
         sample = self.principal_sample + along / self.pixel_m
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(20):
             step = (along - self._along(sample)) / self._along_slope(sample)
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:

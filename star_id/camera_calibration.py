@@ -50,8 +50,6 @@ __all__ = [
 # Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
 # structure exceed twice what is stated, and the lens is refused (benchmarks/star_cameras.py).
 LARGEST_UNMODELLED_PX = 0.01
-# Most rounds of fitting the camera and naming more stars with it (set by hand).
-_ROUNDS = 3
 # Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
 # model is chosen by evidence first (set by hand).
 _ROUGHLY = 1.5
@@ -172,7 +170,7 @@ def calibrate_camera(
         stated, and its residuals show where.
     """
     camera, known, before = nominal, False, None
-    for _ in range(_ROUNDS):
+    for _ in range(3):  # fitting the camera, naming more stars with it
         identified, refused = _identify_frames(frames, camera, index, settings, known=known)
         stars = sum(len(solution.hip) for _, solution in identified)
         if stars < 20:

@@ -78,8 +78,6 @@ _STARS_TO_START = 12
 # Where no star gave the PSF: with so many detections, of which a share below so much has twice the
 # threshold's SNR, they are noise: of stars four in ten have it (set by hand).
 _ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1
-# Most rounds of matching stars and fitting the lens in turn (set by hand).
-_MATCHINGS = 30
 # Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
 _LEAST_RELIABLE = 4
 # Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
@@ -436,7 +434,7 @@ def _fitted(
     camera, R_si, index, observer = start, found.R_si, known.index, known.observer
     shown = _expected_stars(start, R_si, len(stars.xy_px), index)
     u_i, moved = star_directions(index, shown, observer), known.covariance(shown, start, R_si)
-    for _ in range(_MATCHINGS):
+    for _ in range(30):  # matching stars and fitting the lens in turn
         reliable = _if_enough(
             select_for_calibration(stars.centroids, detections, rows, start, index, known.settings)
         )

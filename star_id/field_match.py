@@ -16,9 +16,6 @@ from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["FieldMatch", "match_field"]
 
-# Rounds of estimating densities and the probabilities of matches in turn (set by hand; the matches repeat
-# before).
-_ROUNDS = 12
 # Distance of a detection from a predicted star, in standard errors of both, within which they may match:
 # exceeded by chance in 1.5e-8, exp(-36 / 2).
 _REACH_SIGMA = 6.0
@@ -58,7 +55,7 @@ def match_field(
     group = np.arange(len(predicted_px)) // _STARS_PER_GROUP
     size = np.bincount(group)
     detected, clutter = np.full(len(size), 0.5), len(xy_px) / area_px
-    for _ in range(_ROUNDS):
+    for _ in range(12):  # the matches repeat before
         of_star = detected[group[star]] * density
         of_all = clutter + np.bincount(detection, of_star, minlength=len(xy_px))
         probability = of_star / of_all[detection]

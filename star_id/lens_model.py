@@ -64,8 +64,6 @@ _TANGENT_RAD = np.radians(70.0)
 # Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
 _CLEARLY_MORE = 1.1
-# Most rounds of rejecting outliers and fitting again (set by hand).
-_REJECTIONS = 4
 # Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
 # Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
@@ -233,7 +231,7 @@ def _good_stars(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
 def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
     """(N,) which stars agree with their neighbours under the most flexible model."""
     keep = np.ones(len(stars.xy_px), dtype=bool)
-    for _ in range(_REJECTIONS):
+    for _ in range(4):  # rejecting outliers and fitting again
         system = _System.of(stars, plain, PARAMETERS, keep)
         residual = system.residual - system.columns @ system.solved(1.0).mean
         chi2 = 0.5 * (residual**2).sum(axis=1) / (0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))

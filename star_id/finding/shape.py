@@ -41,8 +41,6 @@ _SMOOTHING_REACH = 8
 # Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
 # MB each.
 _BAND = 256
-# Rounds of measuring places of the stars and averaging their images (set by hand).
-_ROUNDS = 4
 # Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
 _SMOOTH_CELLS = 1.2
 # Height of a pixel above its neighbours, sigmas, from which it is hot and replaced by them.
@@ -93,7 +91,7 @@ def estimate_shape(
     windows = replace(star_windows(image, pixels, background, radius, saturation_dn), above_cut=None)
     offset, flux = _moments(windows)
     sky: Floats = np.zeros(len(flux))
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # measuring places, averaging the stars' images
         shape = _stacked(windows, offset, flux, sky)
         offset, flux, sky, good = _fitted(windows, offset, shape)
         if good.sum() < _FEWEST:

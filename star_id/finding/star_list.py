@@ -42,8 +42,6 @@ _FEW_STARS = 8
 _LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
 _STARS_FOR_BLUR, _BRIGHT_SNR = 80, 15.0
-# Most rounds of detection and measuring the width (set by hand; two are usual).
-_ROUNDS = 6
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
 _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
@@ -426,7 +424,7 @@ def _detections(frame: _Frame) -> _Found:
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
     halvings, candidates = -1, np.array([], np.int64)
-    for _ in range(_ROUNDS):
+    for _ in range(6):  # detection and width in turn; two are usual
         needed = int(np.searchsorted(_SIGMA_AT_RESOLUTION, psf.sigma_px))
         if halvings != needed:
             halvings, candidates = needed, find_candidates(image, background, halvings=needed)

@@ -21,8 +21,6 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 __all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
-# Newton steps of place, flux, sky and width of each star.
-_STEPS = 3
 # Radius of the window, widths of the PSF assumed so far (set by hand).
 _WINDOW_SIGMA = 4.0
 # Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
@@ -76,7 +74,7 @@ def fit_widths(
     offset = windows.offsets(pixels + start[use])
     sigma = np.full(len(use), psf.sigma_px)
     state = np.column_stack([offset, np.zeros((len(use), 2))])
-    for k in range(_STEPS):
+    for k in range(3):
         images = psf_images(state[:, :2], sigma, psf.smear_px, radius, widths=True)
         if k == 0:
             state = start_state(windows, offset, images)
