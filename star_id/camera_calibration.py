@@ -196,10 +196,10 @@ def calibrate_camera(
     return replace(result, frames_refused=tuple(refused))
 
 
-def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8) -> ResidualMap:
-    """Weighted mean residuals in a grid of cells over the detector: what the camera model leaves
-    unexplained."""
-    camera = calibration.camera
+def residual_map(calibration: CameraCalibration) -> ResidualMap:
+    """Weighted mean residuals in 6 x 8 cells of the detector: what the camera model leaves unexplained."""
+    camera, grid = calibration.camera, (6, 8)
+    rows, columns = grid
     size = np.array([camera.width_px, camera.height_px])
     cell = np.clip(
         ((calibration.xy_px + 0.5) / size * [columns, rows]).astype(int), 0, [columns - 1, rows - 1]
@@ -213,7 +213,6 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
         sums = [np.bincount(flat, weight * r, minlength=rows * columns) for r in calibration.residual_px.T]
         mean = np.stack(sums, axis=1) / whole[:, None]
         error = np.sqrt(variance_factor / whole)
-    grid = (rows, columns)
     return ResidualMap(mean.reshape(*grid, 2), error.reshape(grid), count.reshape(grid))
 
 

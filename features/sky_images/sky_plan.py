@@ -210,8 +210,8 @@ def _exchange(information: Floats, J: Floats, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _random_sigma(information: Floats, J: Floats, frames: int, draws: int = 100) -> Floats:
+def _random_sigma(information: Floats, J: Floats, frames: int) -> Floats:
     rng = np.random.default_rng(0)
-    sets = [rng.permutation(len(information))[:frames] for _ in range(draws)]
+    sets = [rng.permutation(len(information))[:frames] for _ in range(100)]
     sums = np.eye(information.shape[1]) + np.cumsum(information[sets], axis=1)  # (draws, frames, 7, 7)
     return np.asarray(np.median(_largest_sigma(sums, J), axis=0))

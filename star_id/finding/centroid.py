@@ -251,14 +251,6 @@ def _safe_inverse(normal: Floats) -> Floats:
 
 
 def _no_fits() -> StarFits:
-    none, flags = np.empty(0), np.empty(0, dtype=bool)
-    return StarFits(
-        xy_px=np.empty((0, 2)),
-        cov_px=np.empty((0, 2, 2)),
-        flux_dn=none,
-        flux_sigma_dn=none,
-        chi2=none,
-        dof=none,
-        saturated=flags,
-        converged=flags,
-    )
+    none: dict[str, Any] = dict.fromkeys(_COLUMNS, np.empty(0))
+    none |= dict.fromkeys(("saturated", "converged"), np.empty(0, dtype=bool))
+    return StarFits(**none | {"xy_px": np.empty((0, 2)), "cov_px": np.empty((0, 2, 2))})
