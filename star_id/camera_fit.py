@@ -22,6 +22,7 @@ from boresight.geometry.star_camera import StarCamera
 
 __all__ = [
     "DRIFT",
+    "OUTLIER_CHI2",
     "PARAMETERS",
     "Q3",
     "CameraFit",
@@ -48,7 +49,7 @@ _ALL = (*PARAMETERS, DRIFT, Q3)
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 # Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
 # the others: exceeded by one good star in 3000, exp(-16 / 2).
-_OUTLIER_CHI2 = 16.0
+OUTLIER_CHI2 = 16.0
 # Change of the logarithm of the focal length at which a fit has diverged: 20 times (set by hand).
 _LARGEST_LOG_SCALE = 3.0
 # Step, in standard errors of the parameters, at which a fit has converged.
@@ -117,7 +118,7 @@ def fit_camera(
         chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance
         if k < 2:  # from a nominal camera all stars look like outliers
             continue
-        inlier = chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
+        inlier = chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
         if np.array_equal(inlier, keep) and step.in_sigmas < _SMALL_STEP:

@@ -24,8 +24,6 @@ _LARGEST_REACH_PX = 40.0
 # Predicted stars of like brightness that share one probability of detection: it is then known to 0.1, 0.5 /
 # sqrt(24).
 _STARS_PER_GROUP = 24
-# Probability from which a pair of detection and star counts as a match: likelier than not.
-_LEAST_PROBABILITY = 0.5
 
 
 @record(kw_only=True)
@@ -61,7 +59,7 @@ def match_field(
         probability = of_star / of_all[detection]
         detected = (np.bincount(group[star], probability, minlength=len(size)) + 0.5) / (size + 1.0)
         clutter = max(len(xy_px) - float(probability.sum()), 1.0) / area_px
-    probable = np.flatnonzero(probability > _LEAST_PROBABILITY)
+    probable = np.flatnonzero(probability > 0.5)  # likelier a match than not
     best_last = probable[np.argsort(probability[probable], kind="stable")]
     row = np.full(len(predicted_px), -1)
     row[star[best_last]] = best_last

@@ -30,6 +30,7 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
+    OUTLIER_CHI2,
     PARAMETERS,
     Q3,
     CameraFit,
@@ -52,9 +53,6 @@ _SIZES_PX = np.geomspace(1e-3, 30.0, 24)
 _FINER_RATIOS, _LEAST_BEND, _MOST_STEPS = (1.2, 1.05), 1e-6, 3.0
 # Gain of log evidence by a smooth distortion for it to be taken: e^4, 55 to 1.
 _SEEN = 4.0
-# Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
-# all: exceeded by one good star in 3000, exp(-16 / 2).
-_OUTLIER_CHI2 = 16.0
 # Angle of a star from the axis, rad, beyond which a lens may be stereographic: to there q1 to q3 follow
 # tan(t/2) to 1e-7 of the radius.
 _STEREOGRAPHIC_RAD = np.radians(45.0)
@@ -235,7 +233,7 @@ def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
         system = _System.of(stars, plain, PARAMETERS, keep)
         residual = system.residual - system.columns @ system.solved(1.0).mean
         chi2 = 0.5 * (residual**2).sum(axis=1) / (0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))
-        before, keep = keep, chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
+        before, keep = keep, chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
         if np.array_equal(before, keep):
             break
     return keep

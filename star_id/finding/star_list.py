@@ -68,8 +68,6 @@ _TRIED = 3
 # Share of hot or of dead pixels from which they are looked for before stars are: one star in twenty has one
 # within 3 px.
 _MANY_BAD = 1e-3
-# Distance, px, within which the places by two PSFs are those of one star.
-_SAME_PX = 2.0
 # Cells along each side of the image over which the stars that are kept are spread.
 _CELLS = 8
 # Residual over a star's energy (squared SNR) above which it is a cosmic ray, a trail, or the arm of a bloom
@@ -325,7 +323,7 @@ def _by_better_psf(frame: _Frame, stars: StarList, others: StarList) -> StarList
     if explains_better(*of_frame, others.psf, stars.psf, saturation_dn=frame.saturation_dn):
         return others
     distance_px, _ = cKDTree(others.xy_px).query(stars.xy_px)
-    return stars.take(distance_px < _SAME_PX)
+    return stars.take(distance_px < 2.0)  # the places by two PSFs are those of one star
 
 
 def _with_blur(

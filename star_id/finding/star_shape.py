@@ -27,8 +27,6 @@ _WINDOW_SIGMA = 4.0
 _PSF_MISFIT = 0.15
 # Fewest stars that give the gain.
 _STARS_FOR_GAIN = 5
-# Rings a px in which residuals are averaged about the star.
-_RINGS_PER_PX = 2.0
 # Largest change of the squared width in a round, as a share of it; the next round finds the rest.
 _LARGEST_STRETCH = 0.6
 # Squared deviation of a star's 1 / gain from the median over half its variance, above which it is left out:
@@ -152,7 +150,7 @@ def _without_common_misfit(fits: WidthFits) -> NDArray[np.float32]:
     side = np.arange(-fits.windows.radius, fits.windows.radius + 1.0)
     x, y = side - state[:, :1], side - state[:, 1:2]
     ring = np.sqrt(y[:, :, None] ** 2 + x[:, None, :] ** 2).reshape(residual.shape)
-    ring = (_RINGS_PER_PX * ring).astype(np.int64).ravel()
+    ring = (2.0 * ring).astype(np.int64).ravel()  # two a px
     flux = state[:, 2:3]
     weight = flux / fits.windows.noise2[fits.good, None]
     total = np.bincount(ring, (weight * flux).repeat(residual.shape[1])) + 1e-30
