@@ -32,9 +32,6 @@ __all__ = [
 Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
 
-# Most Newton steps of inverting the distortion (set by hand).
-_NEWTON_STEPS = 20
-
 
 class LineSensor(Protocol):
     """Interface of a pushbroom model to its camera. `ccd` is an index from 0."""
@@ -160,7 +157,7 @@ class Ccd:
         along = offset @ self._axis
         across = offset @ self._normal
         sample = self.principal_sample + along / self.pixel_m
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(20):
             step = (along - self._along(sample)) / self._along_slope(sample)
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
@@ -364,13 +361,13 @@ class LookAngleCamera:
         """Zero: time labels are those of the middle of the exposure."""
         return 0.0
 
-    def with_focal_plane(self, pixel_m: float = 1e-5) -> LineCamera:
-        """A camera with a focal plane and these look directions, whose first pixels are `pixel_m` wide.
+    def with_focal_plane(self) -> LineCamera:
+        """A camera with a focal plane and these look directions, whose first pixels are 10 um wide.
 
         Each detector is the chord of its table, and the table's difference from it the distortion. Exact at
         all samples, because both are cubic splines through the same ones.
         """
-        return self._with_focal_length(pixel_m / self.pixel_rad)
+        return self._with_focal_length(1e-5 / self.pixel_rad)
 
     def _with_focal_length(self, focal_m: float) -> LineCamera:
         return LineCamera(focal_m, tuple(_ccd_of(table, focal_m) for table in self.ccds))

@@ -58,8 +58,6 @@ _MANY = 1_500  # number of points from which a table over the rows saves time
 _MARGIN_ROWS = 256.0  # error of a predicted line that the table still covers
 _FEW = 16  # points found by a scan, from which the lines of the others are predicted
 _SCAN = 65  # lines of the scan
-# Most secant steps for the line in which a ground point is seen (set by hand).
-_SECANT_STEPS = 12
 _MIN_STEP_PX = 1e-2  # a slope from a shorter step would be noise
 # Step, px, at which that line has converged: far below any measurement.
 _CONVERGED_PX = 1e-7
@@ -357,7 +355,7 @@ class Pushbroom:
         _, across_old, _ = self._pixels_at(ccd, p_e, old)
         row = np.clip(old + np.where(old < 0.5 * (first + last), 1.0, -1.0), first, last)
         slope = np.full(len(p_e), np.nan)  # d(across) / d(row), about one pixel per row
-        for _ in range(_SECANT_STEPS):
+        for _ in range(12):
             sample, across, seen = self._pixels_at(ccd, p_e, row)
             moved = np.abs(row - old) > _MIN_STEP_PX
             slope[moved] = (across[moved] - across_old[moved]) / (row[moved] - old[moved])

@@ -16,8 +16,6 @@ from boresight.geometry.record import Floats, array, record, scalar
 __all__ = ["SmoothDistortion", "legendre_terms", "term_orders"]
 
 _BEYOND = 1.2  # times half the longer side: farther out the displacement stays what it is there
-# Most steps of inverting the distortion (set by hand).
-_STEPS = 30
 # Step, px, at which the inverse has converged: the rounding of doubles at 1e5 px.
 _EXACT_PX = 1e-11
 
@@ -49,7 +47,7 @@ class SmoothDistortion:
         """The points (N, 2), px, that are displaced to points (N, 2); NaN where the distortion is too steep
         to be inverted by repetition."""
         before = xy_px
-        for _ in range(_STEPS):
+        for _ in range(30):
             found = xy_px - self.shift_px(before)
             step, before = np.abs(found - before), found
             if not (step >= _EXACT_PX).any():

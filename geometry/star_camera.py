@@ -32,8 +32,6 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
-# Most Newton steps of inverting the distortion (set by hand).
-_NEWTON_STEPS = 25
 # Error of the inverse, mm, that counts as exact: the rounding of doubles at 1 m, 2e-16 of it.
 _EXACT_MM = 2e-13
 # Cosine of the angle from the axis, 89 degrees, up to which pixels and stars of a fisheye are used: at 90 a
@@ -340,7 +338,7 @@ class StarCamera:
             return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            for _ in range(_NEWTON_STEPS):
+            for _ in range(25):
                 distorted, own, other = self._distorted(z)
                 residual = goal - distorted
                 step = (own * residual - other * residual.conj()) / (own * own - np.abs(other) ** 2)

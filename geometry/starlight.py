@@ -37,6 +37,23 @@ class StarPlaces:
     b_v: Floats = array("N", "colour index B - V")
     epoch_jyear: float = scalar("Julian epoch of the positions, 1991.25 for Hipparcos")
 
+    @classmethod
+    def uncatalogued(cls, ra_rad: Floats, dec_rad: Floats, v_mag: Floats, epoch_jyear: float) -> StarPlaces:
+        """Stars at places (N,) without number, motion and parallax, of the usual colour."""
+        none, hip, b_v = 0.0 * ra_rad, np.zeros(len(ra_rad), np.int64), np.full(len(ra_rad), 0.6)
+        return cls(
+            hip=hip,
+            ra_rad=ra_rad,
+            dec_rad=dec_rad,
+            pm_ra_rad_yr=none,
+            pm_dec_rad_yr=none,
+            parallax_arcsec=none,
+            radial_velocity_km_s=none,
+            v_mag=v_mag,
+            b_v=b_v,
+            epoch_jyear=epoch_jyear,
+        )
+
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
         """The stars selected by indices (M,) or a mask (N,)."""
         arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}

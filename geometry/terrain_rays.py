@@ -38,8 +38,6 @@ _BAND = 64 * _TILE  # rows per block in `bounds_of_heights`
 _MARGIN_M = 1e-4  # added to the bounds of tiles
 # Step along a ray, m, at which its point on the ground has converged.
 _CONVERGED_M = 1e-7
-# Most steps of enclosing the crossing, which halve the interval at worst (set by hand).
-_REFINEMENTS = 60
 _FEWER = 0.9  # of the rays: to take the others out costs less than to refine them once more
 # Most steps of Newton's method before the rays left are enclosed instead (set by hand).
 _NEWTON_STEPS = 8
@@ -357,7 +355,7 @@ def _refined(clearance: Clearance, left: Array, right: Array, above: Array, belo
     active: NDArray[np.int64] = np.flatnonzero(known & (below < -_CONVERGED_M))
     a, b, fa, fb = left[active], right[active], above[active], below[active]
     here = clearance.of(active) if len(active) < len(left) else clearance
-    for iteration in range(_REFINEMENTS):
+    for iteration in range(60):  # which halve the interval at worst
         if len(active) == 0:
             break
         c = b - fb * (b - a) / (fb - fa) if iteration % 8 != 7 else 0.5 * (a + b)

@@ -22,8 +22,6 @@ __all__ = ["Placed", "draw_check_points", "place_targets"]
 
 Array = NDArray[np.float64]
 
-_TRIES = 40  # places looked at for a target before a bland one is taken
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
@@ -52,7 +50,7 @@ def place_targets(
     chip_m = pixel_m * settings.chip_pixel
     found = []
     for n in range(settings.per_strip):
-        for _ in range(_TRIES):
+        for _ in range(40):  # places looked at before a bland one is taken
             ccd, sample, line = _somewhere(n, scene, lines, settings, rng)
             point_e = scene.model.ground_points(ccd, np.array([sample]), np.array([line]), scene.surface)
             east, north = _on_chip_lattice(point_e, scene.epsg, chip_m)

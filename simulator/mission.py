@@ -393,7 +393,9 @@ def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int)
     sky = scenario.sky
     shining = with_invented_stars(stars, sky, _rng(seed, "invented stars"))
     hot = hot_pixels(camera.width_px, camera.height_px, sky, _rng(seed, "hot pixels"))
-    return StarField.of(camera, sky, shining, world.orbit, world.attitude, hot)
+    return StarField(
+        camera=camera, sky=sky, stars=shining, orbit=world.orbit, attitude=world.attitude, hot=hot
+    )
 
 
 def _seen_during(sky: StarField, scans: list[SkyScene], scan: int) -> StarField:

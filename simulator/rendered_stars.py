@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.spherical import unit_vectors
@@ -35,42 +35,18 @@ class StarField:
     camera: StarCamera = scalar("star camera")
     sky: SkySettings = scalar("settings of the sky and the detector")
     stars: StarPlaces = scalar("catalogue stars and invented ones")
-    epoch: Epoch = scalar("zero of instants")
     orbit: Orbit = scalar("true orbit")
     attitude: TrueAttitude | ScanAttitude = scalar("true attitude")
     hot: Array = array("M, 3", "from `simulator.sky.hot_pixels`")
-    catalogue_i: Array = array("N, 3", "catalogue positions as unit vectors, for a coarse selection")
-
-    @staticmethod
-    def of(
-        camera: StarCamera,
-        sky: SkySettings,
-        stars: StarPlaces,
-        orbit: Orbit,
-        attitude: TrueAttitude | ScanAttitude,
-        hot: Array,
-    ) -> StarField:
-        """The stars seen along an orbit; `hot` (M, 3) from `simulator.sky.hot_pixels`."""
-        unit = unit_vectors(stars.ra_rad, stars.dec_rad)
-        return StarField(
-            camera=camera,
-            sky=sky,
-            stars=stars,
-            epoch=orbit.epoch,
-            orbit=orbit,
-            attitude=attitude,
-            hot=hot,
-            catalogue_i=unit,
-        )
 
     def paths(self, t_s: float, exposure_s: float) -> tuple[StarPlaces, Array]:
         """The stars that reach the detector, and where they stand at evenly shared instants: (N, K, 2) px."""
         boresight_i = self.attitude.R_si([t_s]).inv().apply([0.0, 0.0, 1.0])[0]
         # aberration and space motion move stars by less
         radius = self.camera.field_radius_rad + np.radians(0.5)
-        stars = self.stars.take(self.catalogue_i @ boresight_i > np.cos(radius))
+        stars = self.stars.take(_catalogue_i(self.stars) @ boresight_i > np.cos(radius))
         p_i, v_i = self.orbit.states_i([t_s])
-        u_i = apparent_star_directions(stars, self.epoch, t_s, p_i[0], v_i[0])
+        u_i = apparent_star_directions(stars, self.orbit.epoch, t_s, p_i[0], v_i[0])
         rough = self._pixels(u_i, t_s + exposure_s * np.array([-0.5, 0.5]))
         smear_px = float(np.nanmax(np.abs(rough[:, 1] - rough[:, 0]), initial=0.0))
         steps = max(2, int(np.ceil(smear_px * self.sky.sub_exposures_per_px)))
@@ -107,6 +83,12 @@ class StarField:
         return np.stack([self.camera.pixels_from_directions(turn.apply(u_i)) for turn in turns], axis=1)
 
 
+@lru_cache(maxsize=1)  # every exposure asks
+def _catalogue_i(stars: StarPlaces) -> Array:
+    """Catalogue positions (N, 3) as unit vectors, for a coarse selection."""
+    return unit_vectors(stars.ra_rad, stars.dec_rad)
+
+
 def with_invented_stars(stars: StarPlaces, sky: SkySettings, rng: np.random.Generator) -> StarPlaces:
     """The catalogue and faint stars that no catalogue lists (`hip` 0), evenly over the sky.
 
@@ -114,16 +96,10 @@ def with_invented_stars(stars: StarPlaces, sky: SkySettings, rng: np.random.Gene
     """
     count = rng.poisson(sky.faint_stars_per_deg2 * _SPHERE_DEG2)
     low, high = (10.0 ** (0.45 * v) for v in sky.faint_v_range)
-    invented = StarPlaces(
-        hip=np.zeros(count, np.int64),
+    invented = StarPlaces.uncatalogued(
         ra_rad=rng.uniform(0.0, 2.0 * np.pi, count),
         dec_rad=np.arcsin(rng.uniform(-1.0, 1.0, count)),
-        pm_ra_rad_yr=np.zeros(count),
-        pm_dec_rad_yr=np.zeros(count),
-        parallax_arcsec=np.zeros(count),
-        radial_velocity_km_s=np.zeros(count),
         v_mag=np.log10(rng.uniform(low, high, count)) / 0.45,
-        b_v=np.full(count, 0.6),
         epoch_jyear=stars.epoch_jyear,
     )
     return joined_stars(stars, invented)

@@ -14,6 +14,7 @@ import types
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, ClassVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -480,37 +481,26 @@ def _shown(value: Any) -> str:
         return f"a {type(value).__name__} too long to be shown"
 
 
+# Settings that are positive.
+_POSITIVE = (
+    *("orbit.altitude_km", "orbit.oem_step_s", "star_camera.focal_mm", "star_camera.width_px"),
+    *("star_camera.height_px", "star_camera.exposure_s", "sky.psf_sigma_px", "sky.e_per_dn"),
+    *("line_camera.focal_m", "line_camera.ccds", "line_camera.samples", "sky_strips.lines"),
+    *("sky_strips.row_period_s", "sky_strips.psf_sigma_px", "strips.lines", "strips.row_period_s"),
+    *("ground.texels_per_pixel", "ground.parcel_m", "ground.e_per_dn", "targets.chip_size_px"),
+    "targets.chip_pixel",
+)
+
+
 def _check(scenario: Scenario) -> None:
     """Values that no mission can have; the message names the setting."""
     camera, sky, line, strips = scenario.star_camera, scenario.sky, scenario.line_camera, scenario.strips
     ground, targets = scenario.ground, scenario.targets
-    positive: dict[str, float] = {
-        "orbit.altitude_km": scenario.orbit.altitude_km,
-        "orbit.oem_step_s": scenario.orbit.oem_step_s,
-        "star_camera.focal_mm": camera.focal_mm,
-        "star_camera.width_px": camera.width_px,
-        "star_camera.height_px": camera.height_px,
-        "star_camera.exposure_s": camera.exposure_s,
-        "sky.psf_sigma_px": sky.psf_sigma_px,
-        "sky.e_per_dn": sky.e_per_dn,
-        "line_camera.focal_m": line.focal_m,
-        "line_camera.ccds": line.ccds,
-        "line_camera.samples": line.samples,
-        "strips.count": strips.count + len(scenario.sky_strips.scans),
-        "sky_strips.lines": scenario.sky_strips.lines,
-        "sky_strips.row_period_s": scenario.sky_strips.row_period_s,
-        "sky_strips.psf_sigma_px": scenario.sky_strips.psf_sigma_px,
-        "strips.lines": strips.lines,
-        "strips.row_period_s": strips.row_period_s,
-        "ground.texels_per_pixel": ground.texels_per_pixel,
-        "ground.parcel_m": ground.parcel_m,
-        "ground.e_per_dn": ground.e_per_dn,
-        "targets.chip_size_px": targets.chip_size_px,
-        "targets.chip_pixel": targets.chip_pixel,
-    }
-    for name, value in positive.items():
-        if not value > 0:
+    for name in _POSITIVE:
+        if not (value := attrgetter(name)(scenario)) > 0:
             raise ScenarioError(f"{name}: expected a positive number, found {_shown(value)}")
+    if not strips.count + len(scenario.sky_strips.scans) > 0:
+        raise ScenarioError(f"strips.count: expected a positive number, found {strips.count}")
     for name, bits in (("sky.bits", sky.bits), ("ground.bits", ground.bits)):
         if not 8 <= bits <= 16:
             raise ScenarioError(f"{name}: expected 8 to 16, found {bits}")

@@ -178,17 +178,10 @@ def _uncatalogued(
         + np.outer(sine * np.sin(angle), east)
     )
     low, high = (3.0**v for v in settings.uncatalogued_v_range)
-    zero = np.zeros(count)
-    return StarPlaces(
-        hip=np.zeros(count, np.int64),
+    return StarPlaces.uncatalogued(
         ra_rad=np.arctan2(u[:, 1], u[:, 0]) % (2.0 * np.pi),
         dec_rad=np.arcsin(u[:, 2]),
-        pm_ra_rad_yr=zero,
-        pm_dec_rad_yr=zero,
-        parallax_arcsec=zero,
-        radial_velocity_km_s=zero,
         v_mag=np.log(rng.uniform(low, high, count)) / np.log(3.0),
-        b_v=np.full(count, 0.6),
         epoch_jyear=epoch_jyear,
     )
 

@@ -50,8 +50,6 @@ __all__ = [
 # Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
 # structure exceed twice what is stated, and the lens is refused (benchmarks/star_cameras.py).
 LARGEST_UNMODELLED_PX = 0.01
-# Most rounds of fitting the camera and naming more stars with it (set by hand).
-_ROUNDS = 3
 # Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
 # model is chosen by evidence first (set by hand).
 _ROUGHLY = 1.5
@@ -172,7 +170,7 @@ def calibrate_camera(
         stated, and its residuals show where.
     """
     camera, known, before = nominal, False, None
-    for _ in range(_ROUNDS):
+    for _ in range(3):  # fitting the camera, naming more stars with it
         identified, refused = _identify_frames(frames, camera, index, settings, known=known)
         stars = sum(len(solution.hip) for _, solution in identified)
         if stars < 20:
@@ -198,10 +196,10 @@ def calibrate_camera(
     return replace(result, frames_refused=tuple(refused))
 
 
-def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8) -> ResidualMap:
-    """Weighted mean residuals in a grid of cells over the detector: what the camera model leaves
-    unexplained."""
-    camera = calibration.camera
+def residual_map(calibration: CameraCalibration) -> ResidualMap:
+    """Weighted mean residuals in 6 x 8 cells of the detector: what the camera model leaves unexplained."""
+    camera, grid = calibration.camera, (6, 8)
+    rows, columns = grid
     size = np.array([camera.width_px, camera.height_px])
     cell = np.clip(
         ((calibration.xy_px + 0.5) / size * [columns, rows]).astype(int), 0, [columns - 1, rows - 1]
@@ -215,7 +213,6 @@ def residual_map(calibration: CameraCalibration, rows: int = 6, columns: int = 8
         sums = [np.bincount(flat, weight * r, minlength=rows * columns) for r in calibration.residual_px.T]
         mean = np.stack(sums, axis=1) / whole[:, None]
         error = np.sqrt(variance_factor / whole)
-    grid = (rows, columns)
     return ResidualMap(mean.reshape(*grid, 2), error.reshape(grid), count.reshape(grid))
 
 

@@ -22,6 +22,7 @@ from boresight.geometry.star_camera import StarCamera
 
 __all__ = [
     "DRIFT",
+    "OUTLIER_CHI2",
     "PARAMETERS",
     "Q3",
     "CameraFit",
@@ -48,13 +49,9 @@ _ALL = (*PARAMETERS, DRIFT, Q3)
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 # Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
 # the others: exceeded by one good star in 3000, exp(-16 / 2).
-_OUTLIER_CHI2 = 16.0
-# Most Gauss-Newton steps of a fit (set by hand).
-_STEPS = 12
+OUTLIER_CHI2 = 16.0
 # Change of the logarithm of the focal length at which a fit has diverged: 20 times (set by hand).
 _LARGEST_LOG_SCALE = 3.0
-# Steps before outliers are rejected: from a nominal camera all stars look like outliers.
-_FIRST_STEPS = 2
 # Step, in standard errors of the parameters, at which a fit has converged.
 _SMALL_STEP = 1e-3
 
@@ -109,7 +106,7 @@ def fit_camera(
     theta, R = _vector(camera), rotations
     keep = np.ones(len(stars.xy_px), dtype=bool)
     variance, weight = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), np.linalg.inv(stars.cov_px)
-    for k in range(_STEPS):
+    for k in range(12):
         pull = prior_weight * (first - theta[columns])
         with np.errstate(over="ignore", invalid="ignore"):  # of a fit that diverges
             step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
@@ -119,9 +116,9 @@ def fit_camera(
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.d_rotation) * R
         chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance
-        if k < _FIRST_STEPS:
+        if k < 2:  # from a nominal camera all stars look like outliers
             continue
-        inlier = chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
+        inlier = chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
         if np.array_equal(inlier, keep) and step.in_sigmas < _SMALL_STEP:

@@ -18,7 +18,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Texts, array, record, scalar
 from boresight.geometry.starlight import StarPlaces
 
-__all__ = ["DISAGREEMENT_LIMIT_MAS", "CatalogueStars", "hipparcos_stars"]
+__all__ = ["DISAGREEMENT_LIMIT_MAS", "EPOCH_JYEAR", "CatalogueStars", "hipparcos_stars"]
 
 # Stars of Hipparcos to V 8, written by scripts/build_star_catalogue.py.
 _FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
@@ -27,7 +27,7 @@ _FILE = files("boresight.star_id") / "data" / "hipparcos_v8.npz"
 # beyond it neither is used for calibration (set by hand; such stars are mostly double).
 DISAGREEMENT_LIMIT_MAS = 200.0
 # Epoch of the places in the Hipparcos catalogue, Julian year (ESA SP-1200, 1997).
-_EPOCH_JYEAR = 1991.25
+EPOCH_JYEAR = 1991.25
 
 
 @record
@@ -70,7 +70,7 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
         radial_velocity_km_s=np.zeros(len(dec)),
         v_mag=c["v_mag"].astype(float),
         b_v=c["b_v"].astype(float),
-        epoch_jyear=_EPOCH_JYEAR,
+        epoch_jyear=EPOCH_JYEAR,
     )
     return CatalogueStars(
         places, c["solved"], c["disagreement_mas"].astype(float), c["multiplicity"], _photocentre_shift(c)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -77,8 +78,6 @@ _STARS_TO_START = 12
 # Where no star gave the PSF: with so many detections, of which a share below so much has twice the
 # threshold's SNR, they are noise: of stars four in ten have it (set by hand).
 _ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1
-# Most rounds of matching stars and fitting the lens in turn (set by hand).
-_MATCHINGS = 30
 # Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
 _LEAST_RELIABLE = 4
 # Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
@@ -193,6 +192,23 @@ class FieldSolution:
         return np.asarray(axes.T @ self.cov_s @ axes)
 
 
+@record(kw_only=True)
+class _Known:
+    """What is known of an image beside its detections."""
+
+    size: tuple[int, int] = scalar("width and height, px")
+    index: StarIndex = scalar("stars and triangles")
+    settings: StarSettings = scalar("of identification")
+    camera: StarCamera | None = scalar("calibrated camera; None: fitted")
+    fov_x_rad: float | None = scalar("field of view along the columns' direction; None: unknown")
+    observer: Observer | None = scalar("place and time; None: unknown")
+
+    def covariance(self, rows: Ints, camera: StarCamera, R_si: Rotation) -> Floats:
+        """Covariances (N, 2, 2), px^2, of the places of catalogue stars (N,) in an image without time."""
+        years = self.settings.epoch_error_years if self.observer is None else 0.0
+        return proper_motion_covariance(self.index, rows, camera, R_si, years)
+
+
 def ra_dec_roll(camera: StarCamera, R_si: Rotation) -> tuple[float, float, float]:
     """Right ascension and declination of an image's centre, and the position angle, east of north, of its up
     direction (towards row 0) there; rad, GCRS axes."""
@@ -264,48 +280,41 @@ def solve_list(
     observer: Observer | None = None,
 ) -> FieldSolution | NotIdentified:
     """Solution as in `solve_field`, from the stars found in an image of `size` (width, height), px."""
+    known = _Known(
+        size=size, index=index, settings=settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer
+    )
     if _are_no_stars(stars):
         reason = f"{len(stars.snr)} detections without a star's shape, nearly all at the threshold"
         return NotIdentified(f"{reason}: no stars; expose longer, or state the PSF", len(stars.snr))
-    reversed_stars = None
+    if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
+        return _of_fisheye(stars, known, fov_x_rad)
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
     if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
         attempts = (*attempts, (False, _PASSES, "equidistant"))
-    if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
-        return _of_fisheye(stars, size, index, settings, fov_x_rad, observer)
+    view = cache(lambda mirrored: stars.mirrored(size[0]) if mirrored else stars)
     tried, reasons, best = 0, [], None
     likeliest_first = _likeliest_first(stars)
     for mirrored, passes, projection in attempts:
         if best is not None and projection == "tangent":
             continue
-        if mirrored and reversed_stars is None:
-            reversed_stars = stars.mirrored(size[0])
-        seen = reversed_stars if mirrored and reversed_stars is not None else stars
-        answer = _identified(
-            seen.xy_px[likeliest_first],
-            size,
-            index,
-            settings,
-            camera,
-            fov_x_rad,
-            passes=passes,
-            tried=tried,
-            projection=projection,
-        )
+        seen = view(mirrored)
+        answer = _identified(seen.xy_px[likeliest_first], known, passes, tried, projection)
         if isinstance(answer, NotIdentified):
             tried = answer.proposals
             reasons.append(answer)
             continue
         found = replace(answer[0], detections=likeliest_first[answer[0].detections])
-        if (solution := _weighted(seen, found, answer[1], index, settings, camera, observer)) is None:
+        solution = (
+            _of_known_camera(seen, found, known, camera) if camera else _fitted(seen, found, answer[1], known)
+        )
+        if solution is None:
             reasons.append(_without_lens(found))
         elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
             best, named = replace(solution, mirrored=True) if mirrored else solution, found
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
     if camera is None and best.fov_x_rad > _WIDE_RAD:
-        seen = stars.mirrored(size[0]) if best.mirrored else stars
-        return _of_likelier_projection(best, named, seen, index, settings, observer)
+        return _of_likelier_projection(best, named, view(best.mirrored), known)
     return best
 
 
@@ -318,19 +327,14 @@ def _likeliest_first(stars: StarList) -> Ints:
 
 
 def _of_likelier_projection(
-    best: FieldSolution,
-    named: Identification,
-    stars: StarList,
-    index: StarIndex,
-    settings: StarSettings,
-    observer: Observer | None,
+    best: FieldSolution, named: Identification, stars: StarList, known: _Known
 ) -> FieldSolution:
     """The solution, or that of the other projection from the same stars if it leaves smaller residuals: the
     projection by which the stars were named need not be the lens's own."""
     other: Projection = "tangent" if best.camera.projection == "equidistant" else "equidistant"
-    start = nominal_camera((best.camera.width_px, best.camera.height_px), best.fov_x_rad, other)
+    start = nominal_camera(known.size, best.fov_x_rad, other)
     found = replace(named, detections=best.detections, stars=best.rows, R_si=best.R_si)
-    solution = _fitted(stars, found, start, index, settings, observer)
+    solution = _fitted(stars, found, start, known)
     if solution is None:
         return best
     return _likeliest([best, replace(solution, mirrored=best.mirrored)], best, stars)
@@ -349,14 +353,7 @@ def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: Star
     return min(lenses, key=lambda lens: misfit(lens) - (_BEYOND_CHANCE if lens is lenses[0] else 0.0))
 
 
-def _of_fisheye(
-    stars: StarList,
-    size: tuple[int, int],
-    index: StarIndex,
-    settings: StarSettings,
-    fov_x_rad: float,
-    observer: Observer | None,
-) -> FieldSolution | NotIdentified:
+def _of_fisheye(stars: StarList, known: _Known, fov_x_rad: float) -> FieldSolution | NotIdentified:
     """Solution by the middle of the image, and from there outwards with each kind of lens (`fisheye`)."""
     if fov_x_rad > (1.0 + 1e-9) * WIDEST_RAD:  # that of a nominal camera is rounded
         widest = f"fields of view are at most {np.degrees(WIDEST_RAD):.0f} deg along columns"
@@ -364,33 +361,21 @@ def _of_fisheye(
             f"{widest}: a camera here has no directions 90 deg from its axis; state that, or crop the image"
         )
         return NotIdentified(reason, len(stars.snr))
-    wide, tried, reasons = replace(settings, fov_tolerance=MIDDLE_TOLERANCE), 0, []
+    wide, tried, reasons = replace(known.settings, fov_tolerance=MIDDLE_TOLERANCE), 0, []
     for mirrored in (False, True):
-        seen = stars.mirrored(size[0]) if mirrored else stars
-        middle = middle_of(seen.xy_px, size, fov_x_rad)
-        answer = _identified(
-            middle.xy_px,
-            middle.size,
-            index,
-            wide,
-            None,
-            middle.fov_rad,
-            passes=_PASSES,
-            tried=tried,
-            projection="equidistant",
-        )
+        seen = stars.mirrored(known.size[0]) if mirrored else stars
+        middle = middle_of(seen.xy_px, known.size, fov_x_rad)
+        of_middle = replace(known, size=middle.size, settings=wide, fov_x_rad=middle.fov_rad)
+        answer = _identified(middle.xy_px, of_middle, _PASSES, tried, "equidistant")
         if isinstance(answer, NotIdentified):
             tried = answer.proposals
             reasons.append(replace(answer, reason=f"in the middle of the image {answer.reason}"))
             continue
         named = replace(answer[0], detections=middle.rows[answer[0].detections])
-        whole = nominal_camera(size, fov_x_rad, "equidistant")
+        whole = nominal_camera(known.size, fov_x_rad, "equidistant")
         kinds = wide_lenses(replace(whole, focal_m=answer[1].focal_m, pixel_m=answer[1].pixel_m))
         for first in (_STARS_TO_START, len(named.detections)):  # a false one among few may be in the way
-            fits = (
-                _fitted(seen, named, kind, index, settings, observer, expected=kind, first=first)
-                for kind in kinds
-            )
+            fits = (_fitted(seen, named, kind, known, expected=kind, first=first) for kind in kinds)
             lenses = [
                 replace(fit, mirrored=mirrored)
                 for fit in fits
@@ -418,36 +403,14 @@ def _are_no_stars(stars: StarList) -> bool:
     return bool(np.mean(stars.snr > 2.0 * stars.threshold) < _LEAST_BRIGHT_SHARE)
 
 
-def _weighted(
-    stars: StarList,
-    found: Identification,
-    start: StarCamera,
-    index: StarIndex,
-    settings: StarSettings,
-    camera: StarCamera | None,
-    observer: Observer | None,
-) -> FieldSolution | None:
-    """Solution with each star weighted by its own covariance; None where no lens fits them."""
-    if camera is None:
-        return _fitted(stars, found, start, index, settings, observer)
-    return _of_known_camera(stars, found, camera, index, settings, observer)
-
-
 def _of_known_camera(
-    stars: StarList,
-    found: Identification,
-    camera: StarCamera,
-    index: StarIndex,
-    settings: StarSettings,
-    observer: Observer | None,
+    stars: StarList, found: Identification, known: _Known, camera: StarCamera
 ) -> FieldSolution:
-    rows = found.detections
-    years = settings.epoch_error_years if observer is None else 0.0
-    cov = stars.cov_px.take(rows, axis=0)
-    if years:
-        cov = cov + proper_motion_covariance(index, found.stars, camera, found.R_si, years)
-    xy, u_i = stars.xy_px.take(rows, axis=0), star_directions(index, found.stars, observer)
-    used = select_for_calibration(stars.centroids, rows, found.stars, camera, index, settings)
+    """Solution of a calibrated camera, each star weighted by its own covariance."""
+    rows, index = found.detections, known.index
+    cov = stars.cov_px.take(rows, axis=0) + known.covariance(found.stars, camera, found.R_si)
+    xy, u_i = stars.xy_px.take(rows, axis=0), star_directions(index, found.stars, known.observer)
+    used = select_for_calibration(stars.centroids, rows, found.stars, camera, index, known.settings)
     fitted = xy, cov, u_i
     if _LEAST_RELIABLE <= np.count_nonzero(used) < len(used):
         fitted = xy[used], cov[used], u_i[used]
@@ -460,26 +423,23 @@ def _fitted(
     stars: StarList,
     found: Identification,
     start: StarCamera,
-    index: StarIndex,
-    settings: StarSettings,
-    observer: Observer | None,
+    known: _Known,
     expected: StarCamera | None = None,
     first: int = _STARS_TO_START,
 ) -> FieldSolution | None:
-    """Solution with attitude, lens and matches in turn: the brightest stars fit the lens, the lens tells
-    which detections are further stars, until they no longer change; None where they become too few."""
+    """Solution with attitude, lens and matches in turn, each star weighted by its own covariance: the
+    brightest stars fit the lens, the lens tells which detections are further stars, until they no longer
+    change; None where they become too few, or no lens fits them."""
     detections, rows = found.detections[:first], found.stars[:first]
-    camera, R_si = start, found.R_si
+    camera, R_si, index, observer = start, found.R_si, known.index, known.observer
     shown = _expected_stars(start, R_si, len(stars.xy_px), index)
-    u_i, years = star_directions(index, shown, observer), settings.epoch_error_years * (observer is None)
-    moved = proper_motion_covariance(index, shown, start, R_si, years)
-    for _ in range(_MATCHINGS):
+    u_i, moved = star_directions(index, shown, observer), known.covariance(shown, start, R_si)
+    for _ in range(30):  # matching stars and fitting the lens in turn
         reliable = _if_enough(
-            select_for_calibration(stars.centroids, detections, rows, start, index, settings)
+            select_for_calibration(stars.centroids, detections, rows, start, index, known.settings)
         )
         xy, cov = stars.xy_px[detections[reliable]], stars.cov_px[detections[reliable]]
-        if years:
-            cov = cov + proper_motion_covariance(index, rows[reliable], start, R_si, years)
+        cov = cov + known.covariance(rows[reliable], start, R_si)
         try:
             fit = fit_attitude_and_lens(
                 camera, R_si, xy, cov, star_directions(index, rows[reliable], observer), expected
@@ -496,10 +456,13 @@ def _fitted(
         before, rows, detections = rows, shown[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break
-    unknown_scale = np.hypot(ABERRATION_SCALE if years else 0.0, stars.psf.scale_sigma)
-    return replace(
-        _solution(replace(found, detections=detections, stars=rows), stars.xy_px, camera, index),
-        R_si=R_si,
+    timeless = known.settings.epoch_error_years > 0.0 and observer is None
+    unknown_scale = np.hypot(ABERRATION_SCALE if timeless else 0.0, stars.psf.scale_sigma)
+    return _solution(
+        replace(found, detections=detections, stars=rows, R_si=R_si),
+        stars.xy_px,
+        camera,
+        index,
         cov_s=fit.field.cov_s,
         fov_x_sigma_rad=float(np.hypot(fit.field.fov_x_sigma_rad, unknown_scale * camera.fov_x_rad)),
         misfit_px=fit.field.misfit_px,
@@ -536,23 +499,22 @@ def solve_stars(
 
     All stars have equal weights and the solution no covariance; other arguments as in `solve_field`.
     """
-    answer = _identified(xy_px, size, index, settings, camera, fov_x_rad)
+    known = _Known(
+        size=size, index=index, settings=settings, camera=camera, fov_x_rad=fov_x_rad, observer=None
+    )
+    answer = _identified(xy_px, known)
     return answer if isinstance(answer, NotIdentified) else _solution(answer[0], xy_px, answer[1], index)
 
 
 def _identified(
     xy_px: Floats,
-    size: tuple[int, int],
-    index: StarIndex,
-    settings: StarSettings,
-    camera: StarCamera | None,
-    fov_x_rad: float | None,
-    *,
+    known: _Known,
     passes: tuple[tuple[tuple[int, int, int], ...], ...] = _PASSES,
     tried: int = 0,
     projection: Projection = "tangent",
 ) -> tuple[Identification, StarCamera] | NotIdentified:
     """The identification, and the camera, given or fitted, that it holds for."""
+    camera, index, settings = known.camera, known.index, known.settings
     if camera is not None:
         plane, field = tangent_coordinates(camera, xy_px), field_of_camera(camera, settings)
         seen = None
@@ -568,10 +530,10 @@ def _identified(
         found = found if seen is None else replace(found, detections=seen[found.detections])
         return (_extended(found, xy_px, camera, index, settings) if is_wide else found), camera
     best, likeliest = -np.inf, None
-    fields = _fields_to_try(fov_x_rad, settings)
+    fields = _fields_to_try(known.fov_x_rad, settings)
     for stages in passes:
         for (fov, error), (below, _) in pairwise([*fields, (0.0, 0.0)]):
-            nominal = nominal_camera(size, fov, projection)
+            nominal = nominal_camera(known.size, fov, projection)
             plane, field = tangent_coordinates(nominal, xy_px), _nominal_field(nominal, error, fov, settings)
             found = identify_stars(plane, field, index, settings, stages=stages, tried=tried)
             tried = max(found.proposals, tried)

@@ -28,8 +28,6 @@ __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
 # Most rounds of fitting the camera and the common variance in turn (set by hand; two are usual), and the
 # relative change of the variance that ends them.
 _ROUNDS, _SMALL_CHANGE = 8, 1e-4
-# Further fits of the camera, each to places without the stretch that was seen before.
-_STRETCH_ROUNDS = 2
 
 
 @record
@@ -78,7 +76,7 @@ def fit_attitude_and_lens(
     """
     fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
     stretch_px = stretch_size(equations, common)
-    for _ in range(_STRETCH_ROUNDS if stretch_px else 0):
+    for _ in range(2 if stretch_px else 0):  # each to places without the stretch seen before
         moved_px = equations.stretched(stretch_px).displaced_px(xy_px, common)
         fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
     errors = lens_errors(equations, common, stretch_px)

@@ -16,9 +16,6 @@ from boresight.geometry.record import Floats, Ints, array, record
 
 __all__ = ["FieldMatch", "match_field"]
 
-# Rounds of estimating densities and the probabilities of matches in turn (set by hand; the matches repeat
-# before).
-_ROUNDS = 12
 # Distance of a detection from a predicted star, in standard errors of both, within which they may match:
 # exceeded by chance in 1.5e-8, exp(-36 / 2).
 _REACH_SIGMA = 6.0
@@ -27,8 +24,6 @@ _LARGEST_REACH_PX = 40.0
 # Predicted stars of like brightness that share one probability of detection: it is then known to 0.1, 0.5 /
 # sqrt(24).
 _STARS_PER_GROUP = 24
-# Probability from which a pair of detection and star counts as a match: likelier than not.
-_LEAST_PROBABILITY = 0.5
 
 
 @record(kw_only=True)
@@ -58,13 +53,13 @@ def match_field(
     group = np.arange(len(predicted_px)) // _STARS_PER_GROUP
     size = np.bincount(group)
     detected, clutter = np.full(len(size), 0.5), len(xy_px) / area_px
-    for _ in range(_ROUNDS):
+    for _ in range(12):  # the matches repeat before
         of_star = detected[group[star]] * density
         of_all = clutter + np.bincount(detection, of_star, minlength=len(xy_px))
         probability = of_star / of_all[detection]
         detected = (np.bincount(group[star], probability, minlength=len(size)) + 0.5) / (size + 1.0)
         clutter = max(len(xy_px) - float(probability.sum()), 1.0) / area_px
-    probable = np.flatnonzero(probability > _LEAST_PROBABILITY)
+    probable = np.flatnonzero(probability > 0.5)  # likelier a match than not
     best_last = probable[np.argsort(probability[probable], kind="stable")]
     row = np.full(len(predicted_px), -1)
     row[star[best_last]] = best_last

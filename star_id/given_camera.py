@@ -45,8 +45,6 @@ _EXCESS_SEEN = 4.0
 _FEWEST = 8
 # Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
 _ANY_STRETCH_PX = 100.0
-# Most rounds of rejecting outliers and fitting again.
-_ROUNDS = 4
 # Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
 _EXPECTED_SCALE = 2e-4
 
@@ -157,7 +155,7 @@ def _departing(
 ) -> FieldFit | None:
     """Attitude of the image's centre with what displaces the stars fitted, too; None where it cannot be."""
     R_si, kept = attitude.R_si, attitude.kept
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # rejecting outliers and fitting again
         if kept.sum() < _FEWEST:
             return None
         u_s = R_si.apply(u_i)

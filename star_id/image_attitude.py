@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS
 from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.star_id.finding.background import median_of
 
 __all__ = ["ImageAttitude", "fit_image_attitude"]
 
@@ -97,7 +98,7 @@ def fit_image_attitude(
     stars, kept, start = _Whitened.of(slopes, cov_px, u_i, by_scale), np.ones(n) > 0.0, R_si.as_matrix()
     R, scale, z, F = stars.refined(start)
     square = (z * z).sum(axis=0)
-    scatter = max(1.0, _median(square) / _MEDIAN) if n else 1.0
+    scatter = max(1.0, median_of(square) / _MEDIAN) if n else 1.0
     limit = scatter * float(chdtri(2, false_alarm))
     if square.max(initial=0.0) > limit:
         gross = (square > GROSS * scatter).any()
@@ -213,12 +214,6 @@ def _turned(start: Rotation, R: Floats) -> Rotation:
     sine = math.hypot(x, y, z)
     scale = math.asin(sine) / sine if sine > 0.0 else 1.0
     return Rotation.from_rotvec([scale * x, scale * y, scale * z]) * start
-
-
-def _median(values: Floats) -> float:
-    """The median; numpy's takes ten times as long for a hundred numbers."""
-    ordered, n = np.sort(values), len(values)
-    return float(0.5 * (ordered[(n - 1) // 2] + ordered[n // 2]))
 
 
 def _normal(z: Floats, D: Floats, weight: Floats | Bools | None = None) -> tuple[Floats, Floats]:

@@ -68,8 +68,6 @@ _STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
 _PER_PARAMETER = 1.0
 # Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
 _LARGEST_VARIANCE = 1e12
-# Halvings of an interval: to the last digits. `scipy.optimize.brentq` takes 0.1 s to load.
-_HALVINGS = 50
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
 # hand).
 _ROUNDS, _SMALL_CHANGE = 40, 1e-4
@@ -315,7 +313,7 @@ def _common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, bef
 
 def _zero(falling: Callable[[float], float], least: float, most: float) -> float:
     """Where a function that is positive at `least` and negative at `most` is zero, to the last digits."""
-    for _ in range(_HALVINGS):
+    for _ in range(50):  # to the last digits; `scipy.optimize.brentq` takes 0.1 s to load
         middle = 0.5 * (least + most)
         least, most = (middle, most) if falling(middle) > 0.0 else (least, middle)
     return 0.5 * (least + most)

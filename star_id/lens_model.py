@@ -30,6 +30,7 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import (
+    OUTLIER_CHI2,
     PARAMETERS,
     Q3,
     CameraFit,
@@ -52,9 +53,6 @@ _SIZES_PX = np.geomspace(1e-3, 30.0, 24)
 _FINER_RATIOS, _LEAST_BEND, _MOST_STEPS = (1.2, 1.05), 1e-6, 3.0
 # Gain of log evidence by a smooth distortion for it to be taken: e^4, 55 to 1.
 _SEEN = 4.0
-# Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
-# all: exceeded by one good star in 3000, exp(-16 / 2).
-_OUTLIER_CHI2 = 16.0
 # Angle of a star from the axis, rad, beyond which a lens may be stereographic: to there q1 to q3 follow
 # tan(t/2) to 1e-7 of the radius.
 _STEREOGRAPHIC_RAD = np.radians(45.0)
@@ -64,8 +62,6 @@ _TANGENT_RAD = np.radians(70.0)
 # Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
 _CLEARLY_MORE = 1.1
-# Most rounds of rejecting outliers and fitting again (set by hand).
-_REJECTIONS = 4
 # Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
 # Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
@@ -233,11 +229,11 @@ def _good_stars(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
 def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
     """(N,) which stars agree with their neighbours under the most flexible model."""
     keep = np.ones(len(stars.xy_px), dtype=bool)
-    for _ in range(_REJECTIONS):
+    for _ in range(4):  # rejecting outliers and fitting again
         system = _System.of(stars, plain, PARAMETERS, keep)
         residual = system.residual - system.columns @ system.solved(1.0).mean
         chi2 = 0.5 * (residual**2).sum(axis=1) / (0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))
-        before, keep = keep, chi2 < _OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
+        before, keep = keep, chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
         if np.array_equal(before, keep):
             break
     return keep

@@ -17,13 +17,12 @@ from numpy.typing import NDArray
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
+from boresight.star_id.catalogue import EPOCH_JYEAR
 
 __all__ = ["all_hipparcos"]
 
 # All of Hipparcos, packed by scripts/build_star_catalogue.py.
 _FILE = files("boresight.star_id") / "data" / "hipparcos_all.npz"
-# Epoch of the places in the Hipparcos catalogue, Julian year (ESA SP-1200, 1997).
-_EPOCH_JYEAR = 1991.25
 # One milliarc-second, rad.
 _MAS = 1e-3 * ARCSEC
 
@@ -44,7 +43,7 @@ def all_hipparcos() -> SurveyedStars:
         radial_velocity_km_s=np.zeros(len(dec)),
         v_mag=c["v_mag"] * 0.01,
         b_v=c["b_v"] * 0.01,
-        epoch_jyear=_EPOCH_JYEAR,
+        epoch_jyear=EPOCH_JYEAR,
     )
     return SurveyedStars(
         name="HIP",

@@ -16,9 +16,6 @@ from boresight.pipeline.results.reading import read_installation
 
 __all__ = ["export_files"]
 
-# NAIF number of the spacecraft in SPICE files if none is given: negative, and of no mission.
-SPACECRAFT = -999
-
 
 def export_files(
     result: PathLike,
@@ -47,14 +44,7 @@ def export_files(
         camera=instance_of(camera, str, "camera"),
         dump=None if dump is None else path_of(dump, "dump"),
         strips=tuple(str(one) for one in listed(strips, "strips", "ids of strips")),
-        frames=SpiceFrames(
-            spacecraft_id=SPACECRAFT,
-            star_camera_id=SPACECRAFT * 1000 - 1,
-            star_camera_name="BORESIGHT_STAR_CAMERA",
-            remote_camera_id=SPACECRAFT * 1000 - 2,
-            remote_camera_name="BORESIGHT_REMOTE_CAMERA",
-            define_star_camera=True,
-        ),
+        frames=SpiceFrames(),
         creation_utc=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S"),
     )
     written = []

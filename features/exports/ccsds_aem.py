@@ -30,9 +30,7 @@ class AemHeader:
     creation_utc: str = scalar("date of the message, ISO 8601")
     object_name: str = scalar("OBJECT_NAME: the mission")
     object_id: str = scalar("OBJECT_ID: international designator; empty: the object's name", default="")
-    originator: str = scalar("ORIGINATOR", default="BORESIGHT")
     instrument: str = scalar("REF_FRAME_B: the remote-sensing camera", default="INSTRUMENT_0")
-    interpolation_degree: int = scalar("INTERPOLATION_DEGREE, at most the number of states - 1", default=7)
 
 
 def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[str], R_ci: Rotation) -> str:
@@ -57,7 +55,7 @@ def attitude_message(header: AemHeader, comments: Sequence[str], utc: Sequence[s
         "ATTITUDE_TYPE = QUATERNION",
         "QUATERNION_TYPE = LAST",
         "INTERPOLATION_METHOD = LAGRANGE",
-        f"INTERPOLATION_DEGREE = {min(header.interpolation_degree, len(utc) - 1)}",
+        f"INTERPOLATION_DEGREE = {min(7, len(utc) - 1)}",
         "META_STOP",
         "",
         "DATA_START",
@@ -116,7 +114,7 @@ def _preamble(header: AemHeader, comments: Sequence[str]) -> list[str]:
     """The lines of either message after its version, up to the object's name."""
     return [
         f"CREATION_DATE = {header.creation_utc.rstrip('Z')}",
-        f"ORIGINATOR = {one_line(header.originator)}",
+        "ORIGINATOR = BORESIGHT",
         "",
         "META_START",
         *(f"COMMENT {one_line(comment)}" for comment in comments),

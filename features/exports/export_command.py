@@ -71,7 +71,15 @@ def export_command(
     names = [name.strip() for several in formats for name in several.split(",")]
     if unknown := [name for name in names if name not in FORMATS]:
         raise typer.BadParameter(f"there is no format {unknown[0]!r}, only {', '.join(FORMATS)}")
-    frames = _frames(spice_spacecraft, spice_star_camera, spice_remote_camera, spice_known_star_camera)
+    try:
+        frames = SpiceFrames(
+            spacecraft_id=spice_spacecraft,
+            star_camera_name=spice_star_camera,
+            remote_camera_name=spice_remote_camera,
+            define_star_camera=not spice_known_star_camera,
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S")
     request = ExportRequest(
         result=result,
@@ -100,21 +108,6 @@ def _date(text: str) -> str:
         return datetime.datetime.fromisoformat(text).strftime("%Y-%m-%dT%H:%M:%S.0Z") if text else ""
     except ValueError as error:
         raise typer.BadParameter(f"{text!r} is no date, ISO 8601: {error}") from error
-
-
-def _frames(spacecraft: int, star_camera: str, remote_camera: str, is_known: bool) -> SpiceFrames:
-    """The frames of SPICE, ids by that of the spacecraft; `is_known`: other kernels define the first."""
-    try:
-        return SpiceFrames(
-            spacecraft_id=spacecraft,
-            star_camera_id=spacecraft * 1000 - 1,
-            star_camera_name=star_camera,
-            remote_camera_id=spacecraft * 1000 - 2,
-            remote_camera_name=remote_camera,
-            define_star_camera=not is_known,
-        )
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
 
 
 def _written(name: str, request: ExportRequest, folder: Path) -> int:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
@@ -424,6 +423,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
     table = file.read_row_group(group)
     if not len(table):
         return None
+    has_snr = "snr" in table.column_names and table.column("snr").null_count < len(table)
     return StarSightings(
         exposure_id=str(table.column("exposure_id")[0]),
         t_s=float(table.column("t_s")[0].as_py()),
@@ -432,14 +432,8 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
         u_s=list_values(table, "u_s", 3),
         u_i=list_values(table, "u_i", 3),
         cov_s=list_values(table, "cov_s", 3, 3),
-        snr=_optional(table, "snr"),
+        snr=column(table, "snr") if has_snr else None,
     )
-
-
-def _optional(table: pa.Table, name: str) -> Floats | None:
-    """A column, or None where it is missing or empty."""
-    known = name in table.column_names and table.column(name).null_count < len(table)
-    return column(table, name) if known else None
 
 
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:

@@ -19,9 +19,6 @@ from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["LineOfSightCorrection", "fit_correction"]
 
-# Most Gauss-Newton steps (set by hand).
-_STEPS = 5
-
 
 @record(kw_only=True)
 class LineOfSightCorrection:
@@ -88,7 +85,7 @@ def fit_correction(
         raise ValueError(f"{n} parameters need {n // 2 + 1} points or more, got {len(v_s)}")
     w0 = R_cs0.inv().apply(u_c)
     angles, h = np.zeros((degree + 1, 3)), 0.0
-    for _ in range(_STEPS):
+    for _ in range(5):  # Gauss-Newton
         w = _corrected(w0, angles, h, t_s - t0_s)
         residuals = v_s - w
         tangent = np.eye(3) - w[:, :, None] * w[:, None, :]

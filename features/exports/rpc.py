@@ -24,8 +24,6 @@ __all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_heights", "rpc_metadata", "rpc_tex
 GRID = (25, 25, 7)  # samples, lines, heights of the fit
 CUTS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # of the largest singular value
 LEAST_DENOMINATOR = 0.3  # of 1 in the middle: below, a zero may lie between the points of the fit
-# Rounds of the fit, each weighted by the denominators of the one before.
-PASSES = 4
 # Points, and heights among them, at which the fitted RPC is compared with the rigorous model.
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
 MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
@@ -166,7 +164,7 @@ def _ratio(terms: Floats, target: Floats, cut: float) -> tuple[Floats, Floats]:
     A = np.hstack([terms, -target[:, None] * terms[:, 1:]])
     weight = np.ones(len(target))
     solution: Floats = np.zeros(39)
-    for _ in range(PASSES):
+    for _ in range(4):  # each weighted by the denominators of the one before
         solution = np.asarray(
             np.linalg.lstsq(A * weight[:, None], target * weight, rcond=cut)[0], dtype=float
         )

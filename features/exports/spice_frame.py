@@ -19,13 +19,12 @@ __all__ = ["SpiceFrames", "frame_kernel", "heading"]
 class SpiceFrames:
     """SPICE names and ids of the two cameras. The defaults belong to no real mission.
 
-    Construction raises `ValueError` for an invalid frame name or equal ids.
+    Ids of the cameras follow from that of the spacecraft. Construction raises `ValueError` for an invalid
+    frame name.
     """
 
     spacecraft_id: int = scalar("NAIF id of the spacecraft", default=-999)
-    star_camera_id: int = scalar("NAIF id of the star camera's frame", default=-999001)
     star_camera_name: str = scalar("name of that frame", default="BORESIGHT_STAR_CAMERA")
-    remote_camera_id: int = scalar("NAIF id of the remote-sensing camera's frame", default=-999002)
     remote_camera_name: str = scalar("name of that frame", default="BORESIGHT_REMOTE_CAMERA")
     define_star_camera: bool = scalar("False: another kernel defines the star camera's frame", default=True)
 
@@ -33,8 +32,16 @@ class SpiceFrames:
         for name in (self.star_camera_name, self.remote_camera_name):
             if not 0 < len(name) <= 32 or name != name.upper() or any(c.isspace() or c == "'" for c in name):
                 raise ValueError(f"a SPICE frame name has 1 to 32 upper-case characters, got {name!r}")
-        if self.star_camera_id == self.remote_camera_id:
-            raise ValueError(f"two frames need two ids, got {self.star_camera_id} twice")
+
+    @property
+    def star_camera_id(self) -> int:
+        """NAIF id of the star camera's frame."""
+        return 1000 * self.spacecraft_id - 1
+
+    @property
+    def remote_camera_id(self) -> int:
+        """NAIF id of the remote-sensing camera's frame."""
+        return 1000 * self.spacecraft_id - 2
 
 
 def frame_kernel(R_cs: Rotation, comment: str, frames: SpiceFrames) -> str:

@@ -50,8 +50,6 @@ ALIAS = 0.95
 LEAST_SPREAD = 0.05
 MOST_KNOTS = 48  # of the random walk: a knot in three weeks of three years
 MOST_GAPS = 1000  # gaps between results that are tried for a step at first; then those about the best
-MOST_STEPS = 20  # that are looked for
-ROUNDS = 4  # of terms given steps, steps given terms
 
 
 @record(kw_only=True)
@@ -283,7 +281,7 @@ def _accepted(
     """Terms and rows of steps with evidence, terms first, each again given the others until none changes."""
     terms: tuple[str, ...] = ()
     steps = known
-    for _ in range(ROUNDS):
+    for _ in range(4):  # terms given steps, steps given terms
         before = terms, steps
         terms = _accepted_terms(series, terms, steps, density, settings)
         steps = _accepted_steps(series, terms, known, density, settings)
@@ -334,7 +332,7 @@ def _accepted_steps(
     """
     steps, count = known, len(series.t_s)
     limit = min(0.5, settings.false_steps_per_year * max(series.years, 0.1)) / max(count - 1, 1)
-    for _ in range(MOST_STEPS):
+    for _ in range(20):  # steps that are looked for
         row, gain = _best_step(series, terms, steps, density)
         if chdtrc(3, gain) >= limit:
             break

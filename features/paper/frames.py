@@ -98,23 +98,21 @@ def calibrate_frames(
     frames: VectorSets,
     R_cs0: Rotation,
     *,
-    sigma_observable_rad: float = 1e-3,
-    tolerance_rad: float = 1e-12,
     most_iterations: int = 10,
 ) -> FrameCalibration:
-    """The installation matrix from frames, iterated until the correction vanishes to `tolerance_rad`.
+    """The installation matrix from frames, iterated until the correction vanishes.
 
-    Raises `ValueError` when it is not after `most_iterations`.
+    Raises `ValueError` when it is above 1e-12 rad after `most_iterations`.
     """
     prepared = prepare_frames(frames)
     R_cs, steps = R_cs0, list[Array]()
     for _ in range(most_iterations):
         F, F_theta = frame_pairs(prepared, R_cs)
         total = exact_sum(F, F_theta)
-        solution = solve_total(total.F, total.F_theta, sigma_observable_rad=sigma_observable_rad)
+        solution = solve_total(total.F, total.F_theta, sigma_observable_rad=1e-3)
         steps.append(solution.theta)
         reference, R_cs = R_cs, deviation_from_theta(solution.theta) * R_cs
-        if np.linalg.norm(solution.theta) < tolerance_rad:
+        if np.linalg.norm(solution.theta) < 1e-12:
             names = np.char.mod("%07d", np.arange(len(F)))
             pairs = InformationPairs(names, F, F_theta, reference)
             return FrameCalibration(R_cs, solution, tuple(steps), pairs)

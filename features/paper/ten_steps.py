@@ -65,14 +65,13 @@ def calibrate_literally(
     frames: list[tuple[Array, Array, Array, Array, Array, Array]],
     R_cs0: Rotation,
     *,
-    tolerance_rad: float = 1e-12,
     most_iterations: int = 10,
 ) -> tuple[Rotation, Array, int]:
     """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), iterated until M is the
     identity.
 
     Returns R_cs, its covariance P_theta_theta (3, 3) rad² in frame c, and the number of iterations. Raises
-    `ValueError` when M has not come to within `tolerance_rad` of the identity.
+    `ValueError` when M has not come to within 1e-12 rad of the identity.
     """
     R_cs = R_cs0
     for iteration in range(1, most_iterations + 1):
@@ -80,7 +79,7 @@ def calibrate_literally(
         F = np.sum([pair[0] for pair in pairs], axis=0)
         theta = np.linalg.solve(F, np.sum([pair[1] for pair in pairs], axis=0))
         R_cs = deviation_from_theta(theta) * R_cs  # step 10, (11)
-        if np.linalg.norm(theta) < tolerance_rad:
+        if np.linalg.norm(theta) < 1e-12:
             return R_cs, np.linalg.inv(F), iteration
     raise ValueError(
         f"M is still {np.linalg.norm(theta):.2g} rad from the identity after {most_iterations} iterations"

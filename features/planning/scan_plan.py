@@ -43,8 +43,6 @@ TRIES = 200  # pointings drawn for one candidate
 APART_S = 1e4  # between candidates where they are compared: longer than any scan
 COMPARED = 5  # pointings clear of the bodies whose stars are counted: that with most is the candidate
 FIELD_RAD = 0.012  # half-angle of the cone in which they are counted
-# Steps of finding when a star crosses the detector (set by hand).
-NEWTON_STEPS = 5
 Z = np.array([0.0, 0.0, 1.0])  # line of sight, in frames s and c
 
 
@@ -359,7 +357,7 @@ def _crossings(
     """Stars (M,) that a CCD sees during the scan: row of `u_i`, CCD, sample, instant."""
     n, T = line.n_px(c), settings.duration_s
     t: Floats = np.full(len(u_i), 0.5 * T)
-    for _ in range(NEWTON_STEPS):  # a positive rate moves stars towards -x
+    for _ in range(5):  # a positive rate moves stars towards -x
         sample, ahead_px = line.samples_from_directions(c, _attitude(R_ci, rate, t).apply(u_i))
         later = t + np.nan_to_num(ahead_px, nan=1e9) * line.pixel_rad / rate
         t = np.asarray(np.clip(later, -T, 2.0 * T), dtype=np.float64)

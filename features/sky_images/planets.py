@@ -26,8 +26,6 @@ _AU_M = erfa.DAU
 # Error of a predicted planet, rad (`plan94` errs by up to 86″), and that of the lens, px: a detection
 # within the larger one is the planet.
 _ERROR_RAD, _ERROR_PX = 120.0 * ARCSEC, 3.0
-# Steps of the light time; the second changes Jupiter's position by 0.01″.
-_LIGHT_TIMES = 3
 
 
 @record(kw_only=True)
@@ -50,7 +48,7 @@ def planet_directions(observer: Observer) -> tuple[tuple[str, ...], Floats]:
     directions = []
     for number in PLANETS:
         days = 0.0
-        for _ in range(_LIGHT_TIMES):
+        for _ in range(3):  # the second changes Jupiter's position by 0.01″
             away = erfa.plan94(day, part - days, number)["p"] - seen_from
             days = float(np.linalg.norm(away)) * _AU_M / SPEED_OF_LIGHT / DAY_S
         directions.append(away / np.linalg.norm(away))

@@ -17,6 +17,8 @@ from boresight.geometry.star_camera import StarCamera
 
 __all__ = ["TanSip", "tan_sip"]
 
+_ORDER = 7  # of the polynomials
+
 
 @record(kw_only=True)
 class TanSip:
@@ -45,12 +47,11 @@ class TanSip:
 def tan_sip(
     camera: StarCamera,
     R_si: Rotation,
-    order: int = 7,
     *,
     sky_of: Callable[[Floats], Floats] = lambda u_i: u_i,
     mirrored: bool = False,
 ) -> TanSip:
-    """TAN-SIP header, polynomials of `order`, of an image taken by `camera` with attitude `R_si`.
+    """TAN-SIP header, polynomials of order 7, of an image taken by `camera` with attitude `R_si`.
 
     `sky_of` takes observed directions (N, 3) to those of the catalogue; `mirrored`: camera and attitude are
     those of the image with its columns reversed. Where a part of the detector has no direction (corners
@@ -68,13 +69,13 @@ def tan_sip(
     flip = np.array([-1.0 if mirrored else 1.0, 1.0])
     offset = flip * (xy - np.asarray(camera.principal_px))
     ideal = flip * (-u_s[:, :2] / u_s[:, 2:] * focal_px)
-    powers = [(p, q) for p in range(order + 1) for q in range(order + 1 - p) if p + q >= 1]
+    powers = [(p, q) for p in range(_ORDER + 1) for q in range(_ORDER + 1 - p) if p + q >= 1]
     unit = float(np.abs(offset).max())
     scaled = offset / unit
     A = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q for p, q in powers], axis=1)
     fit = np.linalg.lstsq(A, ideal - offset, rcond=None)[0]
     misfit = float(np.abs(A @ fit - (ideal - offset)).max()) if len(xy) == len(every) else np.inf
-    a, b = np.zeros((order + 1, order + 1)), np.zeros((order + 1, order + 1))
+    a, b = np.zeros((2, _ORDER + 1, _ORDER + 1))
     for (p, q), (dx, dy) in zip(powers, fit):
         a[p, q], b[p, q] = dx / unit ** (p + q), dy / unit ** (p + q)
     axes_i = R_si.inv().apply(np.eye(3))

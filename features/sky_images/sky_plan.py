@@ -35,8 +35,6 @@ __all__ = ["Pointing", "SkyPlan", "StarImageModel", "plan_pointings"]
 # Distance from the edge, px, within which a star is not measured (set by hand; about the radius of its
 # window).
 _MARGIN_PX = 4.0
-# Rounds of exchanging each pointing for a better one (set by hand).
-_EXCHANGES = 3
 
 
 @record(kw_only=True)
@@ -201,7 +199,7 @@ def _best(information: Floats, J: Floats, total: Floats, taken: list[int]) -> in
 
 def _exchange(information: Floats, J: Floats, chosen: list[int]) -> list[int]:
     chosen = list(chosen)
-    for _ in range(_EXCHANGES):
+    for _ in range(3):  # exchanging each pointing for a better one
         before = list(chosen)
         for n in range(len(chosen)):
             others = chosen[:n] + chosen[n + 1 :]
@@ -212,8 +210,8 @@ def _exchange(information: Floats, J: Floats, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _random_sigma(information: Floats, J: Floats, frames: int, draws: int = 100) -> Floats:
+def _random_sigma(information: Floats, J: Floats, frames: int) -> Floats:
     rng = np.random.default_rng(0)
-    sets = [rng.permutation(len(information))[:frames] for _ in range(draws)]
+    sets = [rng.permutation(len(information))[:frames] for _ in range(100)]
     sums = np.eye(information.shape[1]) + np.cumsum(information[sets], axis=1)  # (draws, frames, 7, 7)
     return np.asarray(np.median(_largest_sigma(sums, J), axis=0))

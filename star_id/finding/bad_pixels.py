@@ -28,8 +28,6 @@ _SPARSE_ROWS, _SPARSE_COLUMNS = 32, 16
 # Factor on the height that a star in the middle of a pixel has beside its neighbours: pixels differ in
 # response (set by hand).
 _UNEVEN = 1.4
-# Variance of a pixel's own width, px^2, that adds to a star's.
-_PIXEL_VARIANCE = 1.0 / 12.0
 
 
 def has_many_dead_pixels(image: NDArray[Any], background: Background, share: float) -> bool:
@@ -50,7 +48,7 @@ def without_bad_pixels(
     rows, columns = (height[:-2, 1:-1], height[2:, 1:-1]), (height[1:-1, :-2], height[1:-1, 2:])
     lower = np.maximum(np.minimum(*rows), np.minimum(*columns))  # the second and third of four
     middle = 0.5 * (lower + np.minimum(np.maximum(*rows), np.maximum(*columns)))
-    steepest = _UNEVEN * float(np.exp(0.5 / (sigma_px**2 + _PIXEL_VARIANCE)))
+    steepest = _UNEVEN * float(np.exp(0.5 / (sigma_px**2 + 1.0 / 12.0)))  # with the pixel's own width
     above = np.zeros(image.shape, dtype=np.float32)  # what a star beside such neighbours leaves
     above[1:-1, 1:-1] = height[1:-1, 1:-1] - steepest * np.maximum(middle, 0.0)
     hot = above > _HEIGHT_SIGMA * noise

@@ -54,10 +54,6 @@ _STEP = 0.02
 _FEWEST = 12
 # Longest fan that is fitted, px (set by hand).
 _LONGEST_PX = 24.0
-# Newton steps of each star's place, flux and sky with a given PSF (set by hand).
-_STEPS = 3
-# Rounds of estimating the gain and leaving out stars that stand out (set by hand).
-_GAIN_ROUNDS = 8
 # Share of a pixel's light by which real stars differ from a fan of Gaussians; added to the noise of fits of
 # coma (set by hand).
 _UNLIKE = 0.1
@@ -249,7 +245,7 @@ def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
         unlike2 += psf.sigma_px**2 * (columns[:, :2] ** 2).sum(axis=1)
     terms, size = np.stack([signal * freedom, unlike2]), np.zeros(2)
     usual = np.ones(len(start), dtype=bool)
-    for _ in range(_GAIN_ROUNDS):
+    for _ in range(8):  # estimating the gain, leaving out stars that stand out
         variance = noise2 + np.tensordot(size, terms, 1)
         used = (square < _NEIGHBOUR**2 * variance) & (weight > 0.0) & usual[:, None]
         target = (square - noise2) / variance
@@ -268,7 +264,7 @@ def _fitted(
     sigma, offset = psf.sigma_at(pixels.astype(float)), start
     state: Floats = np.empty((len(start), 4))
     weighted = windows
-    for k in range(_STEPS):
+    for k in range(3):
         images = images_at(psf, pixels, offset, sigma, windows.radius)
         if k == 0:
             state = start_state(windows, offset, images)

@@ -41,8 +41,6 @@ _DARK_LEVELS = 128.0
 # Noise of the sky, DN, from which the mean of four pixels may be rounded to whole numbers: that adds 1/12
 # DN^2 to 0.36.
 _COARSE_NOISE_DN = 1.2
-# Variation of the threshold over the image, sigmas, up to which it is taken as constant (set by hand).
-_EVEN_SIGMA = 1.0
 # Steps of an uneven threshold within a block of the background (set by hand).
 _TILES_PER_BLOCK = 32
 # Most candidates that are tested, the highest: an image with more shows no sky. Bounds time and memory.
@@ -131,7 +129,7 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     level = np.zeros(1) if uneven else gain * extended(background.level_dn)
     threshold = 4.0 * (level + offset) + 0.5 + limits * sigma  # 0.5: halves are rounded up
     shape = image.shape[0] // scale, image.shape[1] // scale
-    limit = _threshold_levels(threshold, _EVEN_SIGMA * float(sigma.mean()), shape)
+    limit = _threshold_levels(threshold, float(sigma.mean()), shape)  # varies by less: taken as constant
     sky = _enlarged(extended(background.level_dn), shape) if uneven else None
     return _GreyScale(gain, offset, halvings, converted_after, sky, limit)
 

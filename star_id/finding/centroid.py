@@ -28,8 +28,6 @@ __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 _SMALL_STEP = 0.1
 # Step, px, of a fit that has converged, if it is a faint star's.
 _SMALL_STEP_PX = 0.1
-# Newton steps of all stars at once.
-_STEPS = 2
 # Further steps of those that have not converged (set by hand; twice as many with a flat PSF).
 _MORE_STEPS = 5
 # Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
@@ -153,7 +151,7 @@ def _fit(
     offset = windows.offsets(pixels + start)
     images = images_at(psf, windows.middles, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
-    fit = _iterate(windows, state, images, sigma, psf, gain, steps=1 if one_step else _STEPS)
+    fit = _iterate(windows, state, images, sigma, psf, gain, steps=1 if one_step else 2)
     good = _without_outliers(fit, windows.saturated)
     slow = np.flatnonzero(((fit.last > _SMALL_STEP) & (not one_step)) | (good != fit.good).any(axis=1))
     if len(slow):
@@ -253,14 +251,6 @@ def _safe_inverse(normal: Floats) -> Floats:
 
 
 def _no_fits() -> StarFits:
-    none, flags = np.empty(0), np.empty(0, dtype=bool)
-    return StarFits(
-        xy_px=np.empty((0, 2)),
-        cov_px=np.empty((0, 2, 2)),
-        flux_dn=none,
-        flux_sigma_dn=none,
-        chi2=none,
-        dof=none,
-        saturated=flags,
-        converged=flags,
-    )
+    none: dict[str, Any] = dict.fromkeys(_COLUMNS, np.empty(0))
+    none |= dict.fromkeys(("saturated", "converged"), np.empty(0, dtype=bool))
+    return StarFits(**none | {"xy_px": np.empty((0, 2)), "cov_px": np.empty((0, 2, 2))})

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.cut_sky import UNCUT
 
 __all__ = ["as_independent_noise", "without_block_levels"]
@@ -74,12 +74,9 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     few_levels = background.above_cut is not None and np.median(background.above_cut) >= UNCUT
     if few_levels or not _is_correlated(image, background):
         return background
-    flat: NDArray[np.float32] = image.astype(np.float32)
-    flat -= background_image(background.level_dn, image.shape)
-    flat /= background_image(background.noise_dn, image.shape)
     taps = np.asarray(cv2.getGaussianKernel(_KERNEL_PX, _WIDTH_PX), dtype=np.float64)
     taps = taps / np.linalg.norm(taps)
-    height = np.asarray(cv2.sepFilter2D(flat, cv2.CV_32F, taps, taps), np.float32)
+    height = np.asarray(cv2.sepFilter2D(in_noise(image, background), cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
     middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _ABOVE if is_cut else _BELOW]) for tile in tiles]).T
     reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / _BELOW_SIGMA

@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
@@ -41,8 +41,6 @@ _SMOOTHING_REACH = 8
 # Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
 # MB each.
 _BAND = 256
-# Rounds of measuring places of the stars and averaging their images (set by hand).
-_ROUNDS = 4
 # Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
 _SMOOTH_CELLS = 1.2
 # Height of a pixel above its neighbours, sigmas, from which it is hot and replaced by them.
@@ -65,9 +63,7 @@ class ShapeEstimate:
 
 def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float32]:
     """The image (H, W) less its background, in units of its noise, without hot pixels."""
-    flat: NDArray[np.float32] = image.astype(np.float32)
-    flat -= background_image(background.level_dn, image.shape)
-    flat /= background_image(background.noise_dn, image.shape)
+    flat = in_noise(image, background)
     around = cv2.medianBlur(flat, 3)
     for band, _ in _bands(len(flat), 0):
         hot = flat[band] - around[band] > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around[band]))
@@ -95,7 +91,7 @@ def estimate_shape(
     windows = replace(star_windows(image, pixels, background, radius, saturation_dn), above_cut=None)
     offset, flux = _moments(windows)
     sky: Floats = np.zeros(len(flux))
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # measuring places, averaging the stars' images
         shape = _stacked(windows, offset, flux, sky)
         offset, flux, sky, good = _fitted(windows, offset, shape)
         if good.sum() < _FEWEST:

@@ -42,8 +42,6 @@ _FEW_STARS = 8
 _LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
 _STARS_FOR_BLUR, _BRIGHT_SNR = 80, 15.0
-# Most rounds of detection and measuring the width (set by hand; two are usual).
-_ROUNDS = 6
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
 _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
@@ -70,13 +68,15 @@ _TRIED = 3
 # Share of hot or of dead pixels from which they are looked for before stars are: one star in twenty has one
 # within 3 px.
 _MANY_BAD = 1e-3
-# Distance, px, within which the places by two PSFs are those of one star.
-_SAME_PX = 2.0
 # Cells along each side of the image over which the stars that are kept are spread.
 _CELLS = 8
 # Residual over a star's energy (squared SNR) above which it is a cosmic ray, a trail, or the arm of a bloom
 # (set by hand; PSFs of real lenses leave up to 0.15).
 _MISFIT_LIMIT = 0.3
+# Fields of `StarList` that have a row a star, and those that detection gives.
+_COLUMNS = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
+_GRIDS = ("level_dn", "noise_dn", "above_cut", "unusable")  # of `Background`
+_OF_IMAGE = ("psf", "psf_stars", "gain_e_per_dn", "threshold", "hot_pixels")
 
 
 @record(kw_only=True)
@@ -138,13 +138,11 @@ class StarList:
 
     def take(self, index: NDArray[Any]) -> StarList:
         """List of the stars at indices (M,) or of a mask (N,), everything else unchanged."""
-        names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        return replace(self, **{name: getattr(self, name)[index] for name in _COLUMNS})
 
     def joined(self, other: StarList) -> StarList:
         """List of the stars of both, of the same image, brightest first; everything else as here."""
-        names = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
-        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
+        both = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in _COLUMNS}
         return replace(self, **both).take(np.argsort(-both["flux_dn"], kind="stable"))
 
     def in_units(self, unit: float, zero: float) -> StarList:
@@ -166,14 +164,9 @@ class StarList:
             places[:, 0] = width_px - 1.0 - places[:, 0]
         cov[:, [0, 1], [1, 0]] *= -1.0
         smear, fields = ((-x, y) for x, y in (self.psf.smear_px, self.psf.fields_px))
-        unusable = self.background.unusable
-        sky = replace(
-            self.background,
-            level_dn=self.background.level_dn[:, ::-1],
-            noise_dn=self.background.noise_dn[:, ::-1],
-            above_cut=None if self.background.above_cut is None else self.background.above_cut[:, ::-1],
-            unusable=None if unusable is None else unusable[:, ::-1],
-        )
+        old = {name: getattr(self.background, name) for name in _GRIDS}
+        grids: dict[str, Any] = {name: None if one is None else one[:, ::-1] for name, one in old.items()}
+        sky = replace(self.background, **grids)
         psf = replace(self.psf, smear_px=smear, fields_px=fields)
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
@@ -231,156 +224,24 @@ def _stars_of_counts(
     if not has_mosaic(image):
         image, no_stars = without_lines(without_block_levels(image), saturation)
         background = estimate_background(image).without(no_stars).without(unusable)
-        return _list_stars(image, background, settings, saturation)
+        return _list_stars(_Frame(image, background, settings, saturation))
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     even, background, even_saturation = even_image(image, response, saturation)
     return replace(
-        _list_stars(even, background.without(unusable), settings, even_saturation), saturation_dn=saturation
-    )
-
-
-def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float) -> Ints:
-    """Pixels (N, 2) of bright unsaturated stars in an image of merged 2 x 2 cells."""
-    sigma, smear = settings.psf_sigma_px, settings.smear_px
-    of_cells = replace(
-        settings,
-        psf_sigma_px=None if sigma is None else 0.5 * sigma,
-        smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
-    )
-    xy: Ints = _detections(cells, estimate_background(cells), of_cells, saturation).xy_px
-    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
-
-
-def _list_stars(
-    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float
-) -> StarList:
-    """Stars of an image (H, W) of one colour, its dark frame subtracted: by a Gaussian PSF, or where it does
-    not fit by one with coma, a trail or an empirical one.
-    """
-    background = as_independent_noise(image, background)
-    found = _detections(image, background, settings, saturation)
-    if found.hot_pixels > _MANY_BAD * image.size or has_many_dead_pixels(image, background, _MANY_BAD):
-        image, background, hot = without_bad_pixels(image, background, found.psf.sigma_px)
-        found = _detections(image, background, settings, saturation)
-        found = replace(found, hot_pixels=found.hot_pixels + hot)
-    stars = _measured(image, found, background, settings, saturation)
-    if settings.psf_sigma_px is None and settings.smear_px is None:
-        comatic = _with_blur(find_coma, image, found, stars, settings)
-        return comatic or _trailed_or_shaped(image, found, stars, settings)
-    return stars
-
-
-def _trailed_or_shaped(
-    image: NDArray[Any], found: _Found, stars: StarList, settings: StarSettings
-) -> StarList:
-    """The stars by a trail, or by an empirical PSF where many detections are misshapen; as they are where
-    neither explains them better.
-    """
-    background, saturation = stars.background, stars.saturation_dn
-    trailed = _with_blur(find_trail, image, found, stars, settings)
-    if not trailed and not _may_be_no_gaussian(stars):
-        return stars
-    shaped = _detections_by_shape(image, background, settings, saturation, stars)
-    if shaped is None:
-        return trailed or stars
-    others = _measured(image, shaped, background, settings, saturation)
-    by_image = _with_blur(find_trail, image, shaped, others, settings)
-    if trails := [one for one in (trailed, by_image) if one]:
-        return max(trails, key=lambda one: len(one.xy_px))  # where more are found
-    return _by_better_psf(image, stars, others)
-
-
-def _may_be_no_gaussian(stars: StarList) -> bool:
-    """Whether more detections are misshapen than a Gaussian PSF explains. The arms of saturated stars are so
-    whatever the PSF.
-    """
-    n = len(stars.xy_px)
-    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * n
-    return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
-
-
-def _by_better_psf(image: NDArray[Any], stars: StarList, others: StarList) -> StarList:
-    """Of the stars by a Gaussian and the others by an empirical PSF those by the better one; where that is
-    not plain, the former that both find.
-    """
-    fewer_misshapen = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
-    if not fewer_misshapen or len(others.xy_px) <= _LEAST_KEPT * len(stars.xy_px):
-        return stars
-    bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
-    saturation = stars.saturation_dn
-    if explains_better(image, bright, stars.background, others.psf, stars.psf, saturation_dn=saturation):
-        return others
-    distance_px, _ = cKDTree(others.xy_px).query(stars.xy_px)
-    return stars.take(distance_px < _SAME_PX)
-
-
-def _with_blur(
-    find_blur: Callable[..., tuple[Psf, float] | None],
-    image: NDArray[Any],
-    found: _Found,
-    stars: StarList,
-    settings: StarSettings,
-) -> StarList | None:
-    """The stars measured again with the PSF and gain that `find_blur` finds from the bright ones, if any."""
-    bright = ~stars.saturated & ~stars.blended & (stars.snr > _BRIGHT_SNR)
-    xy, top = stars.xy_px[bright][:_STARS_FOR_BLUR], stars.saturation_dn
-    answer = find_blur(image, xy, stars.background, stars.psf, saturation_dn=top)
-    if answer is None:
-        return None
-    psf, gain = answer
-    found = replace(found, psf=psf, gain_e_per_dn=settings.gain_e_per_dn or gain)
-    return _measured(image, found, stars.background, settings, top)
-
-
-def _measured(
-    image: NDArray[Any], found: _Found, background: Background, settings: StarSettings, saturation: float
-) -> StarList:
-    """List of the detections that are stars, with centroids."""
-    first = np.arange(min(len(found.xy_px), settings.max_stars))
-    fits, good = _fits_of(image, found, first, background, settings, saturation)
-    if len(found.xy_px) > len(first) and np.mean(good) < _WELL_SHAPED:
-        more = _spread_over_image(found.xy_px, _TRIED * settings.max_stars, image.shape)
-        fits, good = _fits_of(image, found, more, background, settings, saturation)
-    psf = found.psf
-    rows = _distinct(fits, np.flatnonzero(good), psf)
-    if len(fits.snr) > settings.max_stars:
-        rows = rows[_spread_over_image(fits.xy_px[rows], settings.max_stars, image.shape)]
-    misshapen, fits = fits.xy_px[~good], fits.take(rows)
-    return StarList(
-        xy_px=fits.xy_px,
-        cov_px=fits.cov_px,
-        flux_dn=fits.flux_dn,
-        snr=fits.snr,
-        saturated=fits.saturated,
-        blended=_blended(fits, psf),
-        psf=psf,
-        psf_stars=found.psf_stars,
-        background=background,
-        gain_e_per_dn=found.gain_e_per_dn,
-        threshold=found.threshold,
-        hot_pixels=found.hot_pixels,
-        misshapen_px=misshapen,
+        _list_stars(_Frame(even, background.without(unusable), settings, even_saturation)),
         saturation_dn=saturation,
     )
 
 
-def _fits_of(
-    image: NDArray[Any],
-    found: _Found,
-    rows: Ints,
-    background: Background,
-    settings: StarSettings,
-    saturation: float,
-) -> tuple[StarFits, Bools]:
-    """Fits of the detections `rows`, those on one plateau of saturated pixels merged, and which are stars."""
-    pixels, offset = found.xy_px[rows], found.offset_px[rows]
-    pixels, offset = _merge_saturated_peaks(image, pixels, offset, saturation)
-    psf, counts = found.psf, Counts(found.gain_e_per_dn, saturation)
-    fits = fit_stars(image, pixels, offset, background, psf, counts)
-    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
-    least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
-    return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
+@record
+class _Frame:
+    """An image of one colour, its dark frame subtracted, and what stars are looked for with."""
+
+    image: NDArray[Any] = array("H, W", "DN")
+    background: Background = scalar("level and noise of the sky")
+    settings: StarSettings = scalar("detection limit, and what is not to be estimated")
+    saturation_dn: float = scalar("value from which a pixel is saturated; infinite if none is")
 
 
 @record(kw_only=True)
@@ -396,12 +257,130 @@ class _Found:
     hot_pixels: int = scalar("detections rejected as hot pixels")
 
 
-def _detections_by_shape(
-    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float, before: StarList
-) -> _Found | None:
+def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float) -> Ints:
+    """Pixels (N, 2) of bright unsaturated stars in an image of merged 2 x 2 cells."""
+    sigma, smear = settings.psf_sigma_px, settings.smear_px
+    of_cells = replace(
+        settings,
+        psf_sigma_px=None if sigma is None else 0.5 * sigma,
+        smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
+    )
+    xy: Ints = _detections(_Frame(cells, estimate_background(cells), of_cells, saturation)).xy_px
+    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
+
+
+def _list_stars(frame: _Frame) -> StarList:
+    """Stars by a Gaussian PSF, or where it does not fit by one with coma, a trail or an empirical one."""
+    frame = replace(frame, background=as_independent_noise(frame.image, frame.background))
+    found = _detections(frame)
+    many = _MANY_BAD * frame.image.size
+    if found.hot_pixels > many or has_many_dead_pixels(frame.image, frame.background, _MANY_BAD):
+        image, background, hot = without_bad_pixels(frame.image, frame.background, found.psf.sigma_px)
+        frame = replace(frame, image=image, background=background)
+        found = _detections(frame)
+        found = replace(found, hot_pixels=found.hot_pixels + hot)
+    stars = _measured(frame, found)
+    if frame.settings.psf_sigma_px is None and frame.settings.smear_px is None:
+        return _with_blur(find_coma, frame, found, stars) or _trailed_or_shaped(frame, found, stars)
+    return stars
+
+
+def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarList:
+    """The stars by a trail, or by an empirical PSF where many detections are misshapen; as they are where
+    neither explains them better.
+    """
+    trailed = _with_blur(find_trail, frame, found, stars)
+    if not trailed and not _may_be_no_gaussian(stars):
+        return stars
+    shaped = _detections_by_shape(frame, found.hot_pixels)
+    if shaped is None:
+        return trailed or stars
+    others = _measured(frame, shaped)
+    by_image = _with_blur(find_trail, frame, shaped, others)
+    if trails := [one for one in (trailed, by_image) if one]:
+        return max(trails, key=lambda one: len(one.xy_px))  # where more are found
+    return _by_better_psf(frame, stars, others)
+
+
+def _may_be_no_gaussian(stars: StarList) -> bool:
+    """Whether more detections are misshapen than a Gaussian PSF explains. The arms of saturated stars are so
+    whatever the PSF.
+    """
+    n = len(stars.xy_px)
+    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * n
+    return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
+
+
+def _by_better_psf(frame: _Frame, stars: StarList, others: StarList) -> StarList:
+    """Of the stars by a Gaussian and the others by an empirical PSF those by the better one; where that is
+    not plain, the former that both find.
+    """
+    fewer_misshapen = others.misshapen < _FEWER_MISSHAPEN * stars.misshapen
+    if not fewer_misshapen or len(others.xy_px) <= _LEAST_KEPT * len(stars.xy_px):
+        return stars
+    bright = others.xy_px[~others.saturated & ~others.blended][:_STARS_FOR_BLUR]
+    of_frame = frame.image, bright, frame.background
+    if explains_better(*of_frame, others.psf, stars.psf, saturation_dn=frame.saturation_dn):
+        return others
+    distance_px, _ = cKDTree(others.xy_px).query(stars.xy_px)
+    return stars.take(distance_px < 2.0)  # the places by two PSFs are those of one star
+
+
+def _with_blur(
+    find_blur: Callable[..., tuple[Psf, float] | None], frame: _Frame, found: _Found, stars: StarList
+) -> StarList | None:
+    """The stars measured again with the PSF and gain that `find_blur` finds from the bright ones, if any."""
+    bright = ~stars.saturated & ~stars.blended & (stars.snr > _BRIGHT_SNR)
+    xy, top = stars.xy_px[bright][:_STARS_FOR_BLUR], frame.saturation_dn
+    answer = find_blur(frame.image, xy, frame.background, stars.psf, saturation_dn=top)
+    if answer is None:
+        return None
+    psf, gain = answer
+    return _measured(frame, replace(found, psf=psf, gain_e_per_dn=frame.settings.gain_e_per_dn or gain))
+
+
+def _measured(frame: _Frame, found: _Found) -> StarList:
+    """List of the detections that are stars, with centroids."""
+    shape, most = frame.image.shape, frame.settings.max_stars
+    first = np.arange(min(len(found.xy_px), most))
+    fits, good = _fits_of(frame, found, first)
+    if len(found.xy_px) > len(first) and np.mean(good) < _WELL_SHAPED:
+        fits, good = _fits_of(frame, found, _spread_over_image(found.xy_px, _TRIED * most, shape))
+    psf = found.psf
+    rows = _distinct(fits, np.flatnonzero(good), psf)
+    if len(fits.snr) > most:
+        rows = rows[_spread_over_image(fits.xy_px[rows], most, shape)]
+    misshapen, fits = fits.xy_px[~good], fits.take(rows)
+    of_stars = {name: getattr(fits, name) for name in _COLUMNS if name != "blended"}
+    of_image = {name: getattr(found, name) for name in _OF_IMAGE}
+    return StarList(
+        **of_stars,
+        **of_image,
+        blended=_blended(fits, psf),
+        background=frame.background,
+        misshapen_px=misshapen,
+        saturation_dn=frame.saturation_dn,
+    )
+
+
+def _fits_of(frame: _Frame, found: _Found, rows: Ints) -> tuple[StarFits, Bools]:
+    """Fits of the detections `rows`, those on one plateau of saturated pixels merged, and which are stars."""
+    image, background, psf = frame.image, frame.background, found.psf
+    pixels, offset = _merge_saturated_peaks(
+        image, found.xy_px[rows], found.offset_px[rows], frame.saturation_dn
+    )
+    counts = Counts(found.gain_e_per_dn, frame.saturation_dn)
+    fits = fit_stars(image, pixels, offset, background, psf, counts)
+    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
+    return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
+
+
+def _detections_by_shape(frame: _Frame, hot_pixels: int) -> _Found | None:
     """Detections by an empirical PSF; None where the image shows none."""
-    flat = flat_image(image, background)
-    estimate = estimate_shape(image, flat, background, saturation)
+    image, settings = frame.image, frame.settings
+    flat = flat_image(image, frame.background)
+    estimate = estimate_shape(image, flat, frame.background, frame.saturation_dn)
     if estimate is None:
         return None
     size = (image.shape[1], image.shape[0])
@@ -416,7 +395,7 @@ def _detections_by_shape(
         psf_stars=estimate.stars,
         gain_e_per_dn=settings.gain_e_per_dn or estimate.gain_e_per_dn,
         threshold=threshold,
-        hot_pixels=before.hot_pixels,
+        hot_pixels=hot_pixels,
     )
 
 
@@ -433,31 +412,26 @@ def _spread_over_image(xy_px: NDArray[Any], most: int, shape: tuple[int, ...]) -
     return np.sort(np.argsort(rank, kind="stable")[:most])
 
 
-def _detections(
-    image: NDArray[Any], background: Background, settings: StarSettings, saturation: float
-) -> _Found:
+def _detections(frame: _Frame) -> _Found:
     """Detections by a Gaussian PSF, smeared or not.
 
     Detection and PSF are repeated until the filter is as wide as the stars.
     """
+    image, background, settings = frame.image, frame.background, frame.settings
     height, width = image.shape
     sigma = settings.psf_sigma_px or _START_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
     halvings, candidates = -1, np.array([], np.int64)
-    for _ in range(_ROUNDS):
+    for _ in range(6):  # detection and width in turn; two are usual
         needed = int(np.searchsorted(_SIGMA_AT_RESOLUTION, psf.sigma_px))
         if halvings != needed:
             halvings, candidates = needed, find_candidates(image, background, halvings=needed)
         threshold = detection_threshold(image.size, psf.sigma_px, settings.false_alarms_per_frame)
+        reach = 2**halvings - 1
         found = detect(
-            image,
-            background,
-            candidates,
-            psf_sigma_px=psf.sigma_px,
-            threshold=threshold,
-            reach_px=2**halvings - 1,
+            image, background, candidates, psf_sigma_px=psf.sigma_px, threshold=threshold, reach_px=reach
         )
-        shapes = _shapes(image, found, background, psf, saturation)
+        shapes = _shapes(frame, found, psf)
         if settings.psf_sigma_px is not None or shapes.stars < _LEAST_STARS:
             break
         before, psf_stars = psf, shapes.stars
@@ -479,16 +453,14 @@ def _detections(
     )
 
 
-def _shapes(
-    image: NDArray[Any], found: Detections, background: Background, psf: Psf, saturation: float
-) -> WidthFits:
+def _shapes(frame: _Frame, found: Detections, psf: Psf) -> WidthFits:
     """Width fits of the 40 brightest unsaturated detections; if fewer than 8 are point-like, of the next
     200."""
-    column, row = found.xy_px.T
-    below = np.flatnonzero(image[row, column] < saturation)[: 6 * _STARS_FOR_PSF]
+    (column, row), top = found.xy_px.T, frame.saturation_dn
+    below = np.flatnonzero(frame.image[row, column] < top)[: 6 * _STARS_FOR_PSF]
     for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
         pixels, offset = found.xy_px[some], found.offset_px[some]
-        shapes = fit_widths(image, pixels, offset, background, psf, saturation_dn=saturation)
+        shapes = fit_widths(frame.image, pixels, offset, frame.background, psf, saturation_dn=top)
         if shapes.stars >= _FEW_STARS:
             break
     return shapes

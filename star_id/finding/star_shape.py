@@ -21,16 +21,12 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 __all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
-# Newton steps of place, flux, sky and width of each star.
-_STEPS = 3
 # Radius of the window, widths of the PSF assumed so far (set by hand).
 _WINDOW_SIGMA = 4.0
 # Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
 _PSF_MISFIT = 0.15
 # Fewest stars that give the gain.
 _STARS_FOR_GAIN = 5
-# Rings a px in which residuals are averaged about the star.
-_RINGS_PER_PX = 2.0
 # Largest change of the squared width in a round, as a share of it; the next round finds the rest.
 _LARGEST_STRETCH = 0.6
 # Squared deviation of a star's 1 / gain from the median over half its variance, above which it is left out:
@@ -76,7 +72,7 @@ def fit_widths(
     offset = windows.offsets(pixels + start[use])
     sigma = np.full(len(use), psf.sigma_px)
     state = np.column_stack([offset, np.zeros((len(use), 2))])
-    for k in range(_STEPS):
+    for k in range(3):
         images = psf_images(state[:, :2], sigma, psf.smear_px, radius, widths=True)
         if k == 0:
             state = start_state(windows, offset, images)
@@ -154,7 +150,7 @@ def _without_common_misfit(fits: WidthFits) -> NDArray[np.float32]:
     side = np.arange(-fits.windows.radius, fits.windows.radius + 1.0)
     x, y = side - state[:, :1], side - state[:, 1:2]
     ring = np.sqrt(y[:, :, None] ** 2 + x[:, None, :] ** 2).reshape(residual.shape)
-    ring = (_RINGS_PER_PX * ring).astype(np.int64).ravel()
+    ring = (2.0 * ring).astype(np.int64).ravel()  # two a px
     flux = state[:, 2:3]
     weight = flux / fits.windows.noise2[fits.good, None]
     total = np.bincount(ring, (weight * flux).repeat(residual.shape[1])) + 1e-30

@@ -48,8 +48,6 @@ STAGES = (
 # Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
 # neighbours that proposals are judged by (set by hand).
 _OF_MISSING = 8
-# Most rounds of matching and fitting again the stars of a calibrated camera (set by hand).
-_ROUNDS = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
 _STARS_FOR_SHIFT = 30
 # Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
@@ -276,7 +274,7 @@ def _settled(image: PlaneDetections, index: StarIndex, trial: _Trial) -> _Trial:
     if not image.field.is_calibrated or error < pixel:
         return trial
     hypothesis = predict_field(image, index, trial.R_si.as_matrix(), trial.distortion)
-    for _ in range(_ROUNDS):
+    for _ in range(8):  # matching and fitting again
         R_si, distortion, _ = refine(image, index, hypothesis, trial.match)
         hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
         sigma = np.full(len(hypothesis.rows), error)

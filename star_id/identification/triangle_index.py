@@ -52,8 +52,6 @@ SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4
 # Cells along each of the two ratios of sides by which triangles are looked up.
 _CELLS = 100
-# Solid angle of the sky, sr.
-_FULL_SKY_SR = 4.0 * np.pi
 # The vertices after and before each of three, cyclically.
 _NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Order of three numbers, ascending, by 1 if the first exceeds the second, plus 2 if it exceeds the third,
@@ -307,7 +305,7 @@ def _brightest_of_neighbourhood(u_i: Floats, fov_rad: float) -> Ints:
     """Rows of the stars with fewer than STARS_PER_FIELD brighter ones in the field of view around them."""
     area = 0.75 * fov_rad**2
     radius = np.sqrt(area / np.pi)
-    enough = min(len(u_i), int(4 * STARS_PER_FIELD * _FULL_SKY_SR / area))
+    enough = min(len(u_i), int(4 * STARS_PER_FIELD * (4.0 * np.pi) / area))
     pairs = cKDTree(u_i[:enough]).query_pairs(2.0 * np.sin(0.5 * radius), output_type="ndarray")
     brighter = np.bincount(pairs[:, 1], minlength=enough)  # the larger row of a pair comes second
     return np.flatnonzero(brighter < STARS_PER_FIELD)

@@ -28,8 +28,6 @@ __all__ = ["StripMotion", "StripStars", "find_strip_stars"]
 
 # Rows read at a time, which bounds memory; rows with one level and noise of each column.
 _ROWS_READ, _ROWS_ALIKE = 1024, 256
-# Width of the optics, px, until the stars have given it.
-_USUAL_SIGMA_PX = 0.6
 # Most stars that the width and the gain are estimated from.
 _STARS_FOR_WIDTH, _STARS_FOR_GAIN = 40, 300
 # SNR of stars that give width and gain: of the first limit that three stars reach.
@@ -130,7 +128,7 @@ def find_strip_stars(
     StripStars
         Brightest first.
     """
-    sigma = settings.psf_sigma_px or _USUAL_SIGMA_PX
+    sigma = settings.psf_sigma_px or 0.6  # until the stars have given it
     limit = _snr_limit(images, motion, settings, sigma)
     found = _candidates(images, motion, sigma, limit, saturation_dn)
     if not len(found.ccd):

@@ -21,8 +21,6 @@ from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_
 
 __all__ = ["LEAST_GAIN", "TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
-# Most Newton steps of a star's place, flux and sky (set by hand).
-_STEPS = 12
 # Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
 _LARGEST_STEP_PX = 0.6
 # Step, in standard errors, at which a fit has converged.
@@ -65,7 +63,7 @@ def fit_traces(
     """Fits of the stars in N windows, from places near `offset` (N, 2). `gain_e_per_dn` may be infinite."""
     images = trace_images(offset, motion, sigma_px, windows.radius)
     state = start_state(windows, offset, images)
-    for _ in range(_STEPS):
+    for _ in range(12):  # Newton
         step, normal, residual, weight = newton_step(windows, images, state, gain_e_per_dn)
         in_sigmas = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2]))
         if in_sigmas.max(initial=0.0) < _CONVERGED:

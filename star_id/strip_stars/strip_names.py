@@ -30,8 +30,6 @@ __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", 
 
 # Distance of two look vectors on two CCDs, rad, below which they may be one star seen twice.
 _TWICE_RAD = 1e-4
-# Steps of the rotation from matched stars; its square, left out in each, is some pixels at first.
-_REFINEMENTS = 3
 # Fewest stars that must agree on a rotation: two always do.
 _LEAST = 3
 # Chi-square of two degrees of freedom up to which a star agrees: one in 100 000 exceeds it, exp(-23 / 2).
@@ -157,7 +155,7 @@ def vote_for_rotation(
     if score < _LEAST or chance > np.log10(max_chance):
         return NoRotation(score, chance, len(few.u_c))
     whiten = np.linalg.inv(np.linalg.cholesky(field.spread + field.slack_rad**2 / 4.0 * np.eye(2)))
-    for _ in range(_REFINEMENTS):
+    for _ in range(3):  # the square of the rotation, left out in each, is some pixels at first
         R_ci = Rotation.from_rotvec(best).as_matrix() @ few.R_ci[detection[agreeing]]
         v = np.einsum("nab,nb->na", R_ci, field.u_i[stars[star[agreeing]]])
         step, root = _refined(xy[agreeing], xy[agreeing] - _tangents(v), whiten, field.limit_rad)

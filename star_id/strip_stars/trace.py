@@ -31,10 +31,9 @@ __all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
 _NODES_IN_ROW = 5
 # Radius of a star's image, widths of the optics, that is computed: 99 % of its light.
 _REACH_SIGMA = 3.0
-# Nodes that stand for the stages where their images lie at one place, and the widths of the optics between
-# those images for each further one: exact to 1e-4 of the peak.
+# Nodes that stand for the stages where their images lie at one place, and with one more for each width of the
+# optics between those images: exact to 1e-4 of the peak.
 _STAGE_NODES = 3
-_STEP_SIGMA = 1.0
 # Widths of the optics from a row within which its light counts: the rest is 1e-6.
 _LIT_SIGMA = 5.0
 # Terms of the series of columns for each width of the optics that the drift moves the light to either side:
@@ -140,7 +139,7 @@ def _integrals(z: Floats, order: int) -> list[Floats]:
 def _nodes(motion: Motion, sigma_px: float) -> tuple[Floats, Floats, Floats]:
     """Stages, instants within a row and weights (J,) whose sum stands for all of a row's exposure."""
     apart = float(np.hypot(1.0 - motion.rate, motion.drift).max(initial=0.0))
-    wanted = _STAGE_NODES + int(np.ceil(motion.stages * apart / (_STEP_SIGMA * sigma_px)))
+    wanted = _STAGE_NODES + int(np.ceil(motion.stages * apart / sigma_px))
     stage, share = _gauss_sum(motion.stages, min(motion.stages, wanted))
     node, weight = np.polynomial.legendre.leggauss(_NODES_IN_ROW)
     weights = np.asarray(np.outer(share, 0.5 * weight), dtype=float)
