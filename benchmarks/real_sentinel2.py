@@ -210,15 +210,12 @@ def trackers(root: Path) -> None:
 
 
 def points_of(strips: dict[str, Sentinel2], grids: dict[str, np.ndarray]) -> str:
-    """The points of all bands, each with the band in its id."""
-    rows = [points_csv(strip, grids[band])[len(HEADER) :] for band, strip in strips.items()]
-    named = (re.sub("(?m)^", f"{band}.", of.rstrip("\n")) + "\n" for band, of in zip(strips, rows))
-    return HEADER + "".join(named)
+    rows = {band: points_csv(strip, grids[band])[len(HEADER) :].rstrip() for band, strip in strips.items()}
+    return HEADER + "".join(re.sub("(?m)^", f"{band}.", of) + "\n" for band, of in rows.items())
 
 
 def between_bands(alone: Path, both: Path) -> None:
-    """The rotation between two bands of one pass against the operator's, which is none: frame c is the
-    instrument's. Their errors by the trackers are the same ones and cancel."""
+    """The rotation between two bands of one pass; the operator's is none: frame c is the instrument's."""
     settings = Settings()
     named = named_cameras(open_cameras(both))
     joint = calibrate_jointly([(one, calibrate_dump(one.dump, settings)) for one in named], [], settings)
@@ -226,14 +223,10 @@ def between_bands(alone: Path, both: Path) -> None:
     of_one = np.sqrt(np.diag(calibrate_dump(open_dump(alone), settings).estimate.cov_theta))
     (between,) = joint.estimate.between(joint.sigma_installation_rad)
     turn, own = between.theta, np.sqrt(np.diag(between.covariance))
-    print(
-        f'rotation between the bands {np.round(turn / ARCSEC, 3)}", 1 sigma {np.round(own / ARCSEC, 3)}"; '
-        f'of the bands {np.round(sigma / ARCSEC, 2).tolist()}", of B04 alone {np.round(of_one / ARCSEC, 2)}"'
-    )
+    print(f'between the bands {np.round(turn / ARCSEC, 3)}", 1 sigma {np.round(own / ARCSEC, 3)}"')
     judge_largest("rotation between the bands:", float(np.abs(turn / own).max()), 2.0, "sigma", 3)
     judge_largest("its sigma, of that of a band", float((own / sigma[1]).max()), 0.3, "", 3)
-    off = float(np.abs(sigma[1] / of_one - 1.0).max())
-    judge_largest("sigma of B04 beside B02, from that alone", off, 0.02)
+    judge_largest("sigma of B04, from that alone", float(np.abs(sigma[1] / of_one - 1.0).max()), 0.02)
 
 
 def constant_part(signal: Signal, fit: NoiseFit) -> np.ndarray:
@@ -325,9 +318,8 @@ def main() -> int:
         noise = noise_of_heads(open_dump(raw), Settings())
         state_noise(raw, dict(zip(noise.names, noise.fit.heads)))
         trackers(raw)
-        print("\n   both bands as the cameras of one dump, with the noise that was stated")
-        points = points_of(strips, grids)
-        both = imported(work / "both", list(strips.values()), "raw", points, table, exact=False)
+        of_both, points = list(strips.values()), points_of(strips, grids)
+        both = imported(work / "both", of_both, "raw", points, table, exact=False)
         state_noise(both, dict(zip(noise.names, noise.fit.heads)))
         between_bands(raw, both)
         print("\n4. the trackers against each other, without any ground")

@@ -69,7 +69,7 @@ def attitude_of(
     strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion | Floats
 ) -> PassAttitude:
     """The attitude at the targets of a strip with fitted attitudes; `motion` is what the satellite does
-    between the exposures.
+    between the exposures: a model, or the density (3,) of the random walk of its rates.
     """
     if isinstance(motion, SlowMotion):
         return _interpolated(strip, settings, motion)

@@ -228,8 +228,7 @@ def prepare_strip(
     `motion` is what the satellite does between the exposures (`attitude_of`; None: nothing, or what the rows
     of the strip itself show). The rows of each of `cameras` have a clock.
 
-    Attitudes of exposures are fitted where the strip has none.
-    """
+    Attitudes of exposures are fitted where the strip has none. `motion` (3,) as `attitude_of` takes it."""
     strip = with_attitudes([strip], settings.attitudes)[0]
     if motion is None:
         motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST

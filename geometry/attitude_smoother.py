@@ -268,13 +268,13 @@ class SmoothedAttitude:
     back: Floats  # (N - 1, D, D) by which a state follows from the next one
     full: Floats  # (N, D, D) covariance of the states, the constants given
     q: Floats  # (3,) density of the rates' random walks, rad²/s³
-    constants: Floats  # (m, 1 + 3 H) rows r, T of unit variance: r = T b + noise is told of the constants
+    constants: Floats  # (m, 1 + 3 H) rows r, T of unit variance: r = T b + noise, of the constants b
     chi2: float  # weighted sum of squares that the best states and constants leave
     dof: int  # its degrees of freedom
 
     @classmethod
     def of(cls, heads: Sequence[HeadRows], q: Floats) -> SmoothedAttitude:
-        """The attitude by the rows of all heads, the first with at least one."""
+        """The attitude by the rows of H heads, the first with at least one; `q` (3,) as above."""
         middle = heads[0].R_so[len(heads[0].t_s) // 2]
         nodes = _Nodes.of(heads, middle)
         factor, states, left, _ = _solved(nodes, q)

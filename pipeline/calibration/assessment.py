@@ -89,11 +89,7 @@ def assessed(
         verdict = replace(verdict, findings=())
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     findings = [
-        *(
-            ()
-            if any(one.refutes for one in of_attitudes)
-            else _explanations(basis, last, found, verdict, reliability, (targets, stars))
-        ),
+        *(() if of_attitudes else _explanations(basis, last, found, verdict, reliability, (targets, stars))),
         *of_inputs,
         *assumed_motion(last.strips, basis.errors),
         *earth_findings(earth, dump.earth_file),

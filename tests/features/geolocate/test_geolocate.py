@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -185,6 +186,8 @@ def test_a_dump_that_has_moved_is_asked_for(finished, tmp_path):
     moved = tmp_path / "result"
     shutil.copytree(finished[1], moved, ignore=shutil.ignore_patterns("work", "evidence", "report.html"))
     (moved / "run.json").write_text('{"dump": "/nowhere/at/all"}')
+    owner = (moved / "boresight-result.json").read_text()
+    (moved / "boresight-result.json").write_text(re.sub(r"\[[^]]*\]", '["/nowhere"]', owner))
     with pytest.raises(RawDataError, match="--dump"):
         open_calibrated(moved, None)
 
@@ -198,6 +201,7 @@ def test_the_attitude_s_covariance_is_rotated_into_the_axes_of_c():
         cov_s=np.stack([np.diag(one**2) for one in sigma_s]),
         points=2,
         interpolation="lagrange",
+        is_smoothed=False,
         interpolation_sigma_rad=lambda t_s: np.full((len(t_s), 3), np.nan),
     )
     model = SimpleNamespace(track=track, pushbroom=SimpleNamespace(R_cs=R_cs))

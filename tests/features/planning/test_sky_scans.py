@@ -109,7 +109,8 @@ def test_scans_keep_both_cameras_away_and_beat_chance():
 def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
     worse = replace(CAMERAS, star=np.diag([5e-6, 5e-6, 5e-5]) ** 2)  # rad: 1 and 10 arcsec an attitude
     asked = ScanSettings(candidates=30, count=2)
-    a, b = (choose_scans(one, all_hipparcos(), 0.0, CalibrationSettings(), asked) for one in (CAMERAS, worse))
+    better = replace(CAMERAS, star=np.diag([2e-6, 2e-6, 2e-5]) ** 2)
+    a, b = (choose_scans(one, all_hipparcos(), 0.0, CalibrationSettings(), asked) for one in (better, worse))
     assert all(scan.head_stars == 0 and scan.stars > 1 for scan in b.scans)
     assert np.all(b.sigma_rad[-1] > a.sigma_rad[-1])
     shaken = replace(worse, noise=replace(NO_NOISE, constant_rad=np.full(3, 2e-5)))

@@ -56,6 +56,8 @@ FREE = {
     ("export", "--spice-remote-camera"): "a name that the user gives",
     ("export", "--spice-star-camera"): "a name that the user gives",
     ("export", "--camera"): "an id that the user gives",
+    ("compare", "--camera"): "an id that the user gives",
+    ("what-if", "--camera"): "an id that the user gives",
     ("geolocate", "--camera"): "an id that the user gives",
     ("import dimap", "--object-id"): "a designator that others have given",
     ("import sentinel2", "--object-id"): "a designator that others have given",
