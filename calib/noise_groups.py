@@ -44,7 +44,7 @@ def noisiest(
     best: NoiseGroup | None = None
     squared = statistic / tolerated**2
     for item, subjects, own in _groups(strip, ccd, is_star):
-        t = squared[own & inside & ~is_star]  # scans show by stars they lost what their noise is
+        t = squared[own & inside]
         if len(t) < FEWEST:
             continue
         scaled = np.minimum(t / FACTORS[:, None] ** 2, limit).sum(axis=1)

@@ -160,6 +160,7 @@ class Reliability:
         "chi-square that the causes leave, and its degrees of freedom; None: no cause, or one of noise",
         default=None,
     )
+    scatter: Finding | None = scalar("the last cause, where it is larger errors of a group", default=None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,7 +270,8 @@ def examine(
     findings, chosen, last, noise = _causes(one, tests, limits)
     suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
     rest = last.rest(one.limit, int(one.problem.inside.sum())) if chosen and noise is None else None
-    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest)
+    scatter = findings[-1] if noise is not None else None
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
 
 
 def _adjustment(

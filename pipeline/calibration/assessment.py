@@ -88,8 +88,14 @@ def assessed(
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
+    explanations: list[Finding] = []
+    if not of_attitudes:
+        explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
+    lost = {subject.strip for one in explanations for subject in one.subjects}
+    if (noise := reliability.scatter) and {one.strip for one in noise.subjects} & lost - {""}:
+        verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))
     findings = [
-        *(() if of_attitudes else _explanations(basis, last, found, verdict, reliability, (targets, stars))),
+        *explanations,
         *of_inputs,
         *assumed_motion(last.strips, basis.errors),
         *earth_findings(earth, dump.earth_file),
@@ -157,7 +163,8 @@ def _target_findings(
     `told` explains.
     """
     targets, stars = ledgers
-    explained = [subject for finding in told for subject in finding.subjects]
+    noise = reliability.scatter  # larger errors lose no observation
+    explained = [subject for finding in told if finding is not noise for subject in finding.subjects]
     strips_told = {subject.strip for finding in told for subject in finding.explains}
     strips = [*(task.strip for task in last.tasks), *(task.strip for task in last.sky.tasks)]
     images = {strip.strip_id: strip.images for strip in strips}
