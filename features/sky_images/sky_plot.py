@@ -48,11 +48,11 @@ def draw_sky(
     for name, towards in zip("EN", east_north):
         (x1, y1), (x2, y2) = (foot + length * towards).tolist(), (foot + 1.25 * length * towards).tolist()
         ax.annotate("", (x1, y1), (foot[0], foot[1]), arrowprops={"arrowstyle": "->", "color": INK})
-        ax.text(x2, y2, name, color=INK, ha="center", va="center")
+        ax.text(x2, y2, name, color=INK, ha="center", va="center", clip_on=True)
     bar_deg = float(STEPS_DEG[STEPS_DEG * 3600.0 / arcsec_px < 0.25 * width][-1])
     at = 0.04 * width + np.array([0.0, bar_deg * 3600.0 / arcsec_px])
     ax.plot(at, np.full(2, 0.92 * height), color=INK, linewidth=2.0, solid_capstyle="butt")
-    ax.text(at[0], 0.91 * height, f"{bar_deg:g}°", color=INK, va="bottom")
+    ax.text(at[0], 0.91 * height, f"{bar_deg:g}°", color=INK, va="bottom", clip_on=True)
     ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="column, px", ylabel="row, px")
     ax.set_title(f"RA {ra0:.3f}°, Dec {dec0:+.3f}°")
     return ax
