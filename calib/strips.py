@@ -200,6 +200,11 @@ class LinearStrips:
         out.reshape(S, -1, 2, n)[:, part.targets] = values.reshape(S, -1, 2, n)
 
 
+# What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.
+OF_GROUND = ("target_id", "ccd", "t_s", "u_c", "cov_c", "is_star")
+OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "heads", "n_phi")
+
+
 def prepare_strips(
     strips: Sequence[StripSightings], settings: CalibrationSettings, cameras: Sequence[str] = ("",)
 ) -> list[PreparedStrip]:
@@ -224,11 +229,12 @@ def prepare_strip(
     motion: SlowMotion | Floats | None = None,
     cameras: Sequence[str] = ("",),
 ) -> PreparedStrip:
-    """The strip with every target in frame s at its own instant, and the unknowns common to its targets;
-    `motion` is what the satellite does between the exposures (`attitude_of`; None: nothing, or what the rows
-    of the strip itself show). The rows of each of `cameras` have a clock.
+    """The strip with every target in frame s at its own instant, and the unknowns common to its targets.
 
-    Attitudes of exposures are fitted where the strip has none. `motion` (3,) as `attitude_of` takes it."""
+    `motion`, or (3,), is what the satellite does between the exposures, as `attitude_of` takes it; None:
+    nothing, or what the rows of the strip itself show. The rows of each of `cameras` have a clock. Attitudes
+    of exposures are fitted where the strip has none.
+    """
     strip = with_attitudes([strip], settings.attitudes)[0]
     if motion is None:
         motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST
@@ -253,21 +259,13 @@ def prepare_strip(
         strip=strip.strip_of_target,
         attitudes=attitudes,
         used=attitudes.usable,
-        inside=attitude.inside,
-        target_id=ground.target_id,
         camera=camera,
-        ccd=ground.ccd,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
-        t_s=ground.t_s,
-        weights=attitude.weights,
         curve=curve,
         place=place,
         distortion_rad=distortion_rad,
         modes_rad=modes_rad,
-        u_c=ground.u_c,
-        cov_c=ground.cov_c,
-        R_si=attitude.R_si,
         v_s=v_s,
         shared_s=np.concatenate([by_rotation @ attitude.root_s, position, clocks], axis=2),
         unknowns=(*attitude.names, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
@@ -282,12 +280,10 @@ def prepare_strip(
         earth=strip.earth,
         late_s=late[:, :, 0],
         move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
-        ties=attitude.ties,
-        heads=attitude.heads,
         by_alignments_s=by_rotation @ attitude.by_alignments,
-        is_star=ground.is_star,
         carrier=strip.carrier,
-        n_phi=attitude.n_phi,
+        **{name: getattr(ground, name) for name in OF_GROUND},
+        **{name: getattr(attitude, name) for name in OF_ATTITUDE},
     )
 
 
