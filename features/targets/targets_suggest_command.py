@@ -10,7 +10,7 @@ import typer
 from pydantic import ValidationError
 from rasterio.errors import RasterioError
 
-from boresight.features.targets.ortho_files import HeightModel, band_count, read_heights, read_ortho
+from boresight.features.targets.ortho_files import HeightModel, band_count, open_raster, read_heights
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.completion import first_argument
@@ -78,13 +78,16 @@ def targets_suggest_command(
     model = read_heights(dem, heights) if dem else flat
     opened = None if dump is None else open_dump(dump)
     request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
-    images = [read_ortho(path, band) for path in orthos]
+    images = [open_raster(path, band) for path in orthos]
     found = suggest_in(images, model, request, opened, read_settings(settings))
-    shared = None if offset_m is None else _reference(reference, offset_m, offset_up_m)
-    table = write_targets(found.targets, out, size_px, shared)
+    references = found.references(reference, offset_up_m)
+    if offset_m is not None:
+        shared = _reference(reference, offset_m, offset_up_m)
+        references = {one.ortho.label: shared for one in found.targets}
+    table = write_targets(found.targets, out, size_px, references)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
-    if shared is not None:
-        lines.append(f"reference {reference} -> {out / 'ground_references.toml'}: add it to dump.toml")
+    if references:
+        lines.append(f"references -> {out / 'ground_references.toml'}: add them to dump.toml")
     return Answer(text="\n".join(lines), files=(table,))
 
 
