@@ -1,7 +1,7 @@
 """Images of a STAC catalogue: of each item its image, its day and its mask of clouds.
 
-A static catalogue is a file or a folder, on a disk or in a store; an API is searched. A catalogue in a store may
-name files of stores only.
+A static catalogue is a file or a folder, on a disk or in a store; an API is searched. A catalogue in a store
+may name files of stores only.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class StacQuery:
 
 
 def stac_images(query: StacQuery) -> tuple[list[RasterFile], list[str]]:
-    """Images by day, the newest first, and what was not used, a line each. `RawDataError` if there is none."""
+    """Images, the newest first, and what was not used, a line each. `RawDataError` if there are none."""
     images, unused = [], []
     for item in _items(query):
         try:

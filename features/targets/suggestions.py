@@ -128,14 +128,25 @@ class Suggestion:
     )
     unused: tuple[str, ...] = scalar("images of which no height model covers any ground")
 
-    def references(self, name: str, sigma_up_m: float) -> dict[str, GroundReferenceFile]:
-        """By an image's label the reference of its targets: as far off as the dates scatter."""
-        found = {}
-        for label in {own for own, _ in self.offsets}:
+    def references(
+        self, name: str, offset_m: float | None, offset_up_m: float
+    ) -> dict[str, GroundReferenceFile]:
+        """By an image's label the reference of its targets: `name`, of the offset that is stated; without one
+        a reference an image, as far off as the dates scatter.
+        """
+        found: dict[str, tuple[str, float]] = {}
+        if offset_m is not None:
+            found = {one.ortho.label: (name, offset_m) for one in self.targets}
+        for label in {own for own, _ in self.offsets} if offset_m is None else ():
             of_dates = np.array([np.zeros(2), *(o for (own, _), o in self.offsets.items() if own == label)])
-            sigma_m = float(np.sqrt(np.mean(of_dates.var(axis=0, ddof=1))))
-            found[label] = shared_reference(f"{name}-{label}", sigma_m, sigma_up_m)
-        return found
+            scatter_m = float(np.sqrt(np.mean(of_dates.var(axis=0, ddof=1))))
+            found[label] = f"{name}-{re.sub(r'[^A-Za-z0-9_.-]', '-', label)}"[:64], scatter_m
+        return {
+            label: GroundReferenceFile(
+                id=id, sigma_east_m=sigma, sigma_north_m=sigma, sigma_up_m=offset_up_m, correlation_km=0.0
+            )
+            for label, (id, sigma) in found.items()
+        }
 
 
 def suggest_in(
@@ -220,17 +231,6 @@ def write_targets(
         write_toml(out / "ground_references.toml", {"ground_references": list(named.values())})
     write_csv(out / "targets.csv", [*TARGET_COLUMNS, "reference"] if references else TARGET_COLUMNS, rows)
     return out / "targets.csv"
-
-
-def shared_reference(name: str, sigma_m: float, sigma_up_m: float) -> GroundReferenceFile:
-    """The reference of an offset that is the same everywhere; its id has letters, digits, _ - and . only."""
-    return GroundReferenceFile(
-        id=re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:64],
-        sigma_east_m=sigma_m,
-        sigma_north_m=sigma_m,
-        sigma_up_m=sigma_up_m,
-        correlation_km=0.0,
-    )
 
 
 def _without_heights(ortho: RasterFile, heights: HeightModel) -> RawDataError | None:

@@ -22,7 +22,6 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.dump_schema import GroundReferenceFile
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
 
@@ -107,24 +106,15 @@ def targets_suggest_command(
         for line in unused:
             say(f"not used: {line}")
     found = suggest_in(images, model, request, opened, read_settings(settings))
-    references = found.references(reference, offset_up_m)
-    if offset_m is not None:
-        shared = _reference(reference, offset_m, offset_up_m)
-        references = {one.ortho.label: shared for one in found.targets}
+    try:
+        references = found.references(reference, offset_m, offset_up_m)
+    except ValidationError as error:
+        raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
     table = write_targets(found.targets, out, size_px, references)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
     if references:
         lines.append(f"references -> {out / 'ground_references.toml'}: add them to dump.toml")
     return Answer(text="\n".join(lines), files=(table,))
-
-
-def _reference(name: str, offset_m: float, offset_up_m: float) -> GroundReferenceFile:
-    try:
-        return GroundReferenceFile(
-            id=name, sigma_east_m=offset_m, sigma_north_m=offset_m, sigma_up_m=offset_up_m, correlation_km=0.0
-        )
-    except ValidationError as error:
-        raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
 
 
 def _bands_of(context: typer.Context, incomplete: str) -> list[str]:
