@@ -233,9 +233,7 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any], Callable[[Path], Any]]] = {
     ),
     "height model": (
         "a.tif",
-        lambda path: tiff(
-            path, 20_001, 20_001, crs="EPSG:32633", transform=rasterio.Affine(9, 0, 4e5, 0, -9, 5e6)
-        ),
+        lambda path: tiff(path, 20_001, 20_001),
         lambda p: read_heights([p], "ellipsoidal"),
     ),
     "location grid": (
