@@ -10,17 +10,18 @@ import typer
 from pydantic import ValidationError
 from rasterio.errors import RasterioError
 
-from boresight.features.targets.ortho_files import HeightModel, band_count, read_heights, read_ortho
+from boresight.features.targets.ortho_files import HeightModel, band_count, open_raster, read_heights
+from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.completion import first_argument
 from boresight.pipeline.console.messages import (
     Answer,
+    say,
     wrong_usage,
 )
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.dump_schema import GroundReferenceFile
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
 
@@ -28,12 +29,30 @@ __all__ = ["targets_suggest_command"]
 
 
 def targets_suggest_command(
-    orthos: Annotated[
-        list[Path],
-        typer.Argument(metavar="ORTHO", help="GeoTIFF, COG or VRT with a map; where two overlap: two dates."),
-    ],
     out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
-    dem: Annotated[list[Path] | None, typer.Option(help="Height model. May be repeated.")] = None,
+    orthos: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="ORTHO",
+            parser=dump_folder,
+            help="GeoTIFF, COG or VRT with a map, or an address; where two overlap: two dates.",
+        ),
+    ] = None,
+    stac: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", parser=dump_folder, help="A STAC catalogue or API, for its images."),
+    ] = None,
+    asset: Annotated[
+        str | None, typer.Option(help="Asset of the catalogue's items; default: visual.")
+    ] = None,
+    bbox: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(metavar="W S E N", help="Only items of the catalogue within these degrees."),
+    ] = None,
+    days: Annotated[str, typer.Option(help="Only items from first to last day: 2019-04-01/2020-09-30.")] = "",
+    dem: Annotated[
+        list[Path] | None, typer.Option(parser=dump_folder, help="Height model. May be repeated.")
+    ] = None,
     heights: Annotated[
         Literal["ellipsoidal", "egm96", "egm2008"], typer.Option(help="What the heights of --dem refer to.")
     ] = "egm96",
@@ -76,25 +95,26 @@ def targets_suggest_command(
         raise wrong_usage("give the heights by --dem or by --height-m, one of them")
     flat = HeightModel((ConstantHeight(height_m or 0.0),), "ellipsoidal")
     model = read_heights(dem, heights) if dem else flat
+    if bool(orthos) == (stac is not None):
+        raise wrong_usage("give ortho-images or a catalogue by --stac, one of them")
     opened = None if dump is None else open_dump(dump)
     request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
-    images = [read_ortho(path, band) for path in orthos]
+    if stac is None:
+        images = [open_raster(path, band) for path in orthos or ()]
+    else:
+        images, unused = stac_images(StacQuery(source=stac, asset=asset, bbox=bbox, days=days, band=band))
+        for line in unused:
+            say(f"not used: {line}")
     found = suggest_in(images, model, request, opened, read_settings(settings))
-    shared = None if offset_m is None else _reference(reference, offset_m, offset_up_m)
-    table = write_targets(found.targets, out, size_px, shared)
-    lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
-    if shared is not None:
-        lines.append(f"reference {reference} -> {out / 'ground_references.toml'}: add it to dump.toml")
-    return Answer(text="\n".join(lines), files=(table,))
-
-
-def _reference(name: str, offset_m: float, offset_up_m: float) -> GroundReferenceFile:
     try:
-        return GroundReferenceFile(
-            id=name, sigma_east_m=offset_m, sigma_north_m=offset_m, sigma_up_m=offset_up_m, correlation_km=0.0
-        )
+        references = found.references(reference, offset_m, offset_up_m)
     except ValidationError as error:
         raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
+    table = write_targets(found.targets, out, size_px, references)
+    lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
+    if references:
+        lines.append(f"references -> {out / 'ground_references.toml'}: add them to dump.toml")
+    return Answer(text="\n".join(lines), files=(table,))
 
 
 def _bands_of(context: typer.Context, incomplete: str) -> list[str]:

@@ -17,12 +17,18 @@ from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
 from typer.testing import CliRunner
 
-from boresight.features.targets.ortho_files import read_heights, read_ortho
+from boresight.features.targets.ortho_files import RasterWindow, open_raster, read_heights
 from boresight.geometry.geoid import egm96
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 
 EPSG, PIXEL_M = 32633, 2.0
+
+
+def read_ortho(path: Path, band: int | None = None) -> RasterWindow:
+    """All pixels of a raster."""
+    file = open_raster(path, band)
+    return file.window(0, 0, file.shape[1], file.shape[0])
 
 
 def texture(seed: int, shape: tuple[int, int] = (400, 500)) -> np.ndarray:

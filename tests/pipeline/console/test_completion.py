@@ -63,6 +63,8 @@ FREE = {
     ("import sentinel2", "--object-id"): "a designator that others have given",
     ("sky-strip-plan", "--utc"): "a time",
     ("star-camera-plan", "--utc"): "a time",
+    ("targets suggest", "--asset"): "a name in a catalogue that is not read yet",
+    ("targets suggest", "--days"): "a time",
     ("targets suggest", "--reference"): "a name that the user gives",
     ("export", "--valid-from"): "a time",
     ("export", "--valid-to"): "a time",

@@ -26,7 +26,7 @@ from readers import DOCUMENTED, READERS, Reader, write_sound_files
 
 from boresight.features.operators import gipp_files
 from boresight.features.operators.dimap_grid import dimap_grid_differences
-from boresight.features.targets.ortho_files import _read
+from boresight.features.targets.ortho_files import read_heights
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.rasters import read_grid
@@ -231,7 +231,11 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any], Callable[[Path], Any]]] = {
         lambda path: tiff(path, 512, 512, blockxsize=65536, blockysize=65536),
         lambda p: read_grid(p, "f", max_pixels=2**24),
     ),
-    "ortho image": ("a.tif", lambda path: tiff(path, 19_999, 19_999, 3), lambda p: _read(p, None, 3)),
+    "height model": (
+        "a.tif",
+        lambda path: tiff(path, 20_001, 20_001),
+        lambda p: read_heights([p], "ellipsoidal"),
+    ),
     "location grid": (
         "a.tif",
         lambda path: tiff(path, 20_000, 20_000, 2),

@@ -20,7 +20,7 @@ from astropy.io.votable import from_table
 from astropy.table import Table
 from rasterio.transform import from_origin
 
-from boresight.features.targets.ortho_files import read_ortho
+from boresight.features.targets.ortho_files import RasterWindow, open_raster
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import content_of, open_regular
 from boresight.pipeline.files.dump import open_dump
@@ -207,6 +207,12 @@ def test_vrt_in_the_place_of_a_chip_is_no_tiff(tmp_path: Path, server: tuple[str
     with pytest.raises(RawDataError, match="byte 0"):
         read_grid(tmp_path / "0.tif", "0.tif", max_pixels=10**6)
     assert server[1] == []
+
+
+def read_ortho(path: Path, band: int | None = None) -> RasterWindow:
+    """All pixels of a raster."""
+    file = open_raster(path, band)
+    return file.window(0, 0, file.shape[1], file.shape[0])
 
 
 def test_ortho_image_as_vrt_is_read_from_files_of_this_machine_only(
