@@ -667,7 +667,11 @@ def read_result(folder: PathLike) -> Calibration:
 
 def _of_vectors(folder: Path, table: str) -> pd.DataFrame:
     """A table of a result of vectors. `RawDataError` where it is damaged."""
-    return read_parquet(folder / "sightings" / f"{table}.parquet").to_pandas()
+    path = folder / "sightings" / f"{table}.parquet"
+    rows = read_parquet(path)
+    if missing := set(UNUSED) - set(rows.column_names) if table == "ledger" else set():
+        raise RawDataError(str(path), "columns", f"none of {', '.join(sorted(missing))}", ", ".join(UNUSED))
+    return rows.to_pandas()
 
 
 def _target_residuals(folder: Path) -> pd.DataFrame:

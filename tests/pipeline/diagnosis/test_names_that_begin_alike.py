@@ -95,8 +95,7 @@ ALLOWED = {
     "pipeline/results/limits.py": ("min-",),
     "pipeline/results/ownership.py": ("re.compile",),
     "pipeline/results/reading.py": ("ALIGNMENT", "DISTORTION", "target/"),
-    "pipeline/results/summary.py": ('"cause"].partition(",")',),
-    "pipeline/report/verdict_section.py": ('self.cause.partition(",")',),
+    "pipeline/results/summary.py": ('cause.partition(",")',),
     "pipeline/report/drawing.py": ("svg", "href", "id="),
     "pipeline/report/saved.py": ('table.rpartition("/")',),
 }
