@@ -8,7 +8,7 @@ Strips of the ground, of the sky and both, with every error of the paper's Table
 that is one curve over the field, or a shift, slope and bend of each CCD, where a dump states its size alone;
 the same mission as stars and as the attitudes that its star camera would solve from them; two and three heads
 with the coloured noise of Sentinel-2A's trackers; an orbit that is 5 m off though 2 m are stated. A row is
-judged by its NEES unless it shows what is not modelled (docs/limits.md), and by its error over the bound.
+judged by its NEES unless it shows what is not modelled (docs/notes/limits.md), and by its error over bound.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 Equations are those of `tests/features/paper/equations.py`, each against its literal form or an authority.
 The tables are those of `boresight experiment table4` and `grid`: 30 stars and 10 targets a frame.
-The records that docs/paper.md quotes (`table4.txt`, `figure8.txt` and others) are written by
+The records that docs/notes/paper.md quotes (`table4.txt`, `figure8.txt` and others) are written by
 `boresight experiment all --out benchmarks/results`.
 """
 

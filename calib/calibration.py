@@ -1,4 +1,4 @@
-"""The calibration: strips of sightings to the installation matrix (docs/estimation.md, section 3).
+"""The calibration: strips of sightings to the installation matrix (docs/notes/estimation.md, section 3).
 
 Gauss-Newton on theta about the matrix of the last step until the correction vanishes (paper, end of section
 2.3), all other unknowns being eliminated pass by pass (`simultaneous_strips`). Targets with gross errors are

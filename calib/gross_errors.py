@@ -59,7 +59,7 @@ __all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_tes
 
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
-LEAST_PROBABILITY = 0.7  # that the target rejected is the wrong one (docs/estimation.md says why)
+LEAST_PROBABILITY = 0.7  # that the target rejected is the wrong one (docs/notes/estimation.md says why)
 MOST_REJECTED = 1.0 / 3.0  # share of targets up to which each rejected one is searched for
 FEW_REJECTED = 10  # that are searched for whatever their share
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding

@@ -2,7 +2,7 @@
 
 Each target of a line scanner has its own instant t_j. The star camera's attitude there is interpolated
 between the exposures' attitudes (relative to the nominal motion, Lagrange weights w_jk), and the exposures'
-errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (docs/estimation.md; phi
+errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (notes/estimation.md; phi
 right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands
 beside the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion,
 coordinates of a target seen twice. A star in a strip that scans the sky is a target without position error,

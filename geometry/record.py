@@ -15,6 +15,7 @@ From this one declaration come the shape check at construction, the "Attributes"
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import numbers
 import re
 from collections.abc import Callable
@@ -218,7 +219,7 @@ def _shown(dimension: Dimension, lengths: dict[str, int]) -> str:
 
 def _documented(cls: type) -> str:
     """The class's docstring with a NumPy "Attributes" section made from its fields."""
-    lines = [(cls.__doc__ or "").strip(), "", "Attributes", "----------"]
+    lines = [inspect.cleandoc(cls.__doc__ or ""), "", "Attributes", "----------"]
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         if field.name.startswith("_"):
             continue

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 
@@ -54,11 +55,17 @@ PACKAGES = {
 
 
 def on_config(config: Any) -> Any:
-    """Pages that `nav` does not name stand under "Notes", so that a new page needs no second place."""
+    """Pages that `nav` does not name stand under "More", so that a new page needs no second place; the foot of
+    each page has version, licence and addresses of the installed package."""
     named = set(re.findall(r"[\w/-]+\.md", str(config.nav)))
     others = sorted(path.name for path in Path(config.docs_dir).glob("*.md") if path.name not in named)
     if others:
-        config.nav.insert(-1, {"Notes": others})
+        config.nav.insert(-2, {"More": others})
+    project = metadata("boresight")
+    links = dict(one.split(", ", 1) for one in project.get_all("Project-URL", []))
+    shown = [f'<a href="{address}">{name}</a>' for name, address in links.items()]
+    config.copyright = " · ".join([f"boresight {project['Version']}", project["License-Expression"], *shown])
+    config.repo_url = links.get("Source")
     return config
 
 
@@ -84,9 +91,10 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     """Put table and records of the benchmarks where their marks stand, and link the method's names to the
     API pages.
     """
-    if page.file.src_uri == "method.md":
+    if page.file.src_uri == "notes/method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
-    markdown = PLOT.sub(r"![\2](results/\1.png)", markdown)
+    above = "../" * page.file.src_uri.count("/")
+    markdown = PLOT.sub(rf"![\2]({above}results/\1.png)", markdown)
     if "<!-- table 4 -->" in markdown:
         markdown = markdown.replace("<!-- table 4 -->", table4_markdown())
     markdown = markdown.replace("<!-- benchmark table -->", _table())

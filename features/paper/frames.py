@@ -1,7 +1,7 @@
 """The information form, all frames at once: vectors of many frames to their pairs (F, F theta), no SVD of B.
 
 A frame is the paper's: one attitude, stars and targets at one instant. With the attitude eliminated, the
-information on theta is the parallel sum of what the two cameras know of the attitude (docs/estimation.md):
+information on theta is the parallel sum of what both cameras know of the attitude (docs/notes/estimation.md):
 
     F = F_s - F_s (F_s + F_c)⁻¹ F_s,    F_s = R_cs sum (I - u uᵀ)/σ² R_csᵀ,    F_c = sum (I - w wᵀ)/σ²
 

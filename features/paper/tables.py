@@ -53,7 +53,7 @@ __all__ = [
 
 Progress = Callable[[int, int], None]
 
-FAINTEST_V = 6.5  # about 55 stars in the field (docs/paper.md)
+FAINTEST_V = 6.5  # about 55 stars in the field (docs/notes/paper.md)
 
 # In the order in which the command runs them; the paper's figures and tables by name.
 EXPERIMENTS = (

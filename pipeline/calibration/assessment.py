@@ -98,7 +98,7 @@ def assessed(
         *explanations,
         *of_inputs,
         *assumed_motion(last.strips, basis.errors),
-        *earth_findings(earth, dump.earth_file),
+        *earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
     ]
     return Assessment(verdict.with_findings(findings), earth, sighted, inputs)
 

@@ -4,11 +4,12 @@ with that of the IERS?"""
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
 from boresight.calib.finding import Finding
+from boresight.gct_match.records import Target
 from boresight.geometry.constants import EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, EarthOrientationWarning
 from boresight.geometry.earth_rotation import EarthRotation
@@ -60,17 +61,24 @@ def check_earth_table(
     )
 
 
-def earth_findings(check: EarthTableCheck, file: str) -> Iterator[Finding]:
-    """Findings of that check; `file` is the mission's own table, empty for the bundled one."""
+def earth_findings(check: EarthTableCheck, file: str, places: Collection[Target]) -> Iterator[Finding]:
+    """Findings of that check; `file` is the mission's own table, empty for the bundled one.
+
+    A survey has errors. `places` whose 1-sigma are all 0 were computed by the mission's own model, to which its
+    table belongs: its difference from the IERS series is then no fault.
+    """
     if check.difference_m > max(LARGEST_DIFFERENCE_M, 3.0 * check.sigma_m):
+        is_model = len(places) > 0 and not any(place.sigma_m.any() for place in places)
+        belongs = "it belongs to exact places, computed with it"
         yield Finding(
             cause="Earth orientation",
             item="own table",
-            text=f"{check.difference_m:.0f} m on the equator from the IERS series "
-            f"(UT1 {check.difference_ut1_s:+.4f} s); take the values of the dump's dates.",
+            text=f"{check.difference_m:.0f} m on the equator from the IERS series (UT1 "
+            f"{check.difference_ut1_s:+.4f} s); {belongs if is_model else 'take the values of the dates'}.",
             value=check.difference_m,
             sigma=check.sigma_m,
             unit="m",
+            is_fault=not is_model,
             file=file,
             field="ut1_utc_s",
         )

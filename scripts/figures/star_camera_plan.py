@@ -1,4 +1,4 @@
-"""The picture of docs/star-half.md of planned fields, by the command that the page shows:
+"""The picture of docs/notes/star-half.md of planned fields, by the command that the page shows:
 `python scripts/figures/star_camera_plan.py [FOLDER]`.
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 from style import IMAGES
 
-PAGE = Path(__file__).parents[2] / "docs" / "star-half.md"
+PAGE = Path(__file__).parents[2] / "docs" / "notes" / "star-half.md"
 
 
 def main() -> None:

@@ -48,7 +48,7 @@ def test_numbers_of_the_demo_are_those_that_it_prints(demo: Path, tmp_path: Path
     printed = lines_of((demo / "printed").read_text() + told.output)
     true = {label: next(found for one in printed if (found := numbers_after(label, one))) for label in LABELS}
     counts = next(found.groups() for one in printed if (found := COUNTS.search(one)))
-    pages = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/images/terminal-*.svg")]
+    pages = [ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/images/terminal-*.svg")]
     seen = dict.fromkeys(LABELS, 0)
     for page in pages:
         demo_shown = False

@@ -1,4 +1,4 @@
-"""docs/paper.md: every row names a committed record and takes its figures from it."""
+"""docs/notes/paper.md: every row names a committed record and takes its figures from it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FIGURE = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]\d+)?(?![\w.]*\d)")
 def tables() -> Iterator[tuple[list[str], list[str]]]:
     """Head and cells of each row of the page's tables."""
     head: list[str] = []
-    for line in (ROOT / "docs" / "paper.md").read_text(encoding="utf-8").splitlines():
+    for line in (ROOT / "docs" / "notes" / "paper.md").read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("| ") else []
         if not cells:
             head = []

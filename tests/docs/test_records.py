@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "benchmarks")]
 RECORDS = ROOT / "benchmarks" / "results"
-PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "features").rglob("*.py")]
+PAGES = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "features").rglob("*.py")]
 HELPERS = {"hard_peers", "processes", "record", "rugged_peer", "run"}
 COMMAND = re.compile(r"python (?:benchmarks|scripts)/\w+\.py|boresight (?:experiment|calibrate)")
 

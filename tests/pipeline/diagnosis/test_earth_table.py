@@ -12,6 +12,7 @@ from astropy.utils import iers
 from handmade import write_handmade_dump
 
 from boresight.calib.finding import MOST_WORDS
+from boresight.gct_match.records import Target
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.diagnosis.earth_table import check_earth_table, earth_findings
 from boresight.pipeline.errors import RawDataError
@@ -20,6 +21,8 @@ from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of, re
 from boresight.pipeline.files.orbit_file import read_oem
 
 DAY = 60634  # 2024-11-20, of the dump
+EXACT = Target(target_id="p1", p_e=np.array([6_378_137.0, 0.0, 0.0]), sigma_m=np.zeros(3))
+SURVEYED = [EXACT, replace(EXACT, target_id="p2", sigma_m=np.array([0.0, 0.0, 0.3]))]
 
 
 def orbit_with(root: Path, table) -> Orbit:  # type: ignore[no-untyped-def]
@@ -44,7 +47,7 @@ def test_measured_values_of_the_bundled_table_are_no_finding(tmp_path: Path) -> 
     found = check_earth_table(orbit_with(root, bundled_table()), bundled_table(), bundled_table())
     assert found.sigma_m == 0.0 and found.difference_m == 0.0
     assert found.first_day <= DAY <= found.last_measured_day <= found.last_day
-    assert not list(earth_findings(found, ""))
+    assert not list(earth_findings(found, "", SURVEYED))
 
 
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
@@ -58,7 +61,7 @@ def test_predicted_values_are_told_with_metres_on_the_equator(days_ahead: int, t
     ut1_m = 0.00025 * ahead**0.75 * 2.0 * np.pi * 6_378_137.0 / 86_164.1
     pole_m = np.radians(0.00068 / 3600.0) * ahead**0.80 * 6_371_000.0
     assert found.sigma_m == pytest.approx(np.hypot(ut1_m, pole_m), rel=0.01)
-    (told,) = earth_findings(found, "")
+    (told,) = earth_findings(found, "", SURVEYED)
     assert not told.is_fault and told.unit == "m" and f"{found.sigma_m:.1f} m" in told.text
     assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
 
@@ -76,8 +79,13 @@ def test_table_of_another_year_is_told_with_its_ut1(tmp_path: Path) -> None:
     assert found.difference_ut1_s == pytest.approx(expected_s, abs=1e-3) and abs(expected_s) > 0.1
     rate = 2.0 * np.pi * 6_378_137.0 / 86_164.1
     assert found.difference_m == pytest.approx(abs(expected_s) * rate, rel=0.05)  # the pole adds some metres
-    (told,) = earth_findings(found, "own.csv")
+    (told,) = earth_findings(found, "own.csv", SURVEYED)
     assert told.is_fault and told.file == "own.csv" and f"{found.difference_ut1_s:+.4f} s" in told.text
+    assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
+    # exact places are the mission's own model, computed with that table: told, and no fault
+    assert [one.is_fault for one in earth_findings(found, "own.csv", [])] == [True]  # strips of the sky alone
+    (told,) = earth_findings(found, "own.csv", [EXACT])
+    assert not told.is_fault and told.value == found.difference_m
     assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
 
 
@@ -87,7 +95,7 @@ def test_one_value_for_several_days_is_the_missions_own_business(tmp_path: Path)
     table = read_earth_orientation(own, "own.csv")
     found = check_earth_table(orbit_with(root, table), table, bundled_table())
     assert 0.0 < found.difference_m < 1.6  # m: the value of the day before, a day longer by at most 3 ms
-    assert not list(earth_findings(found, "own.csv"))
+    assert not list(earth_findings(found, "own.csv", SURVEYED))
 
 
 def test_dates_outside_the_missions_table_are_refused(tmp_path: Path) -> None:
