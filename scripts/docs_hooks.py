@@ -55,8 +55,9 @@ PACKAGES = {
 
 
 def on_config(config: Any) -> Any:
-    """Pages that `nav` does not name stand under "More", so that a new page needs no second place; the foot of
-    each page has version, licence and addresses of the installed package."""
+    """Pages that `nav` does not name stand under "More", so that a new page needs no second place. The foot
+    of each page has version, licence and addresses of the installed package.
+    """
     named = set(re.findall(r"[\w/-]+\.md", str(config.nav)))
     others = sorted(path.name for path in Path(config.docs_dir).glob("*.md") if path.name not in named)
     if others:
@@ -93,6 +94,8 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     """
     if page.file.src_uri == "notes/method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
+    if page.file.src_uri.startswith(("notes/", "api/", "architecture", "design")):
+        page.meta["search"] = {"boost": 0.2}  # a user's page comes first
     above = "../" * page.file.src_uri.count("/")
     markdown = PLOT.sub(rf"![\2]({above}results/\1.png)", markdown)
     if "<!-- table 4 -->" in markdown:

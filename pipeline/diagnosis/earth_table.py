@@ -64,8 +64,8 @@ def check_earth_table(
 def earth_findings(check: EarthTableCheck, file: str, places: Collection[Target]) -> Iterator[Finding]:
     """Findings of that check; `file` is the mission's own table, empty for the bundled one.
 
-    A survey has errors. `places` whose 1-sigma are all 0 were computed by the mission's own model, to which its
-    table belongs: its difference from the IERS series is then no fault.
+    A survey has errors. `places` whose 1-sigma are all 0 were computed by the mission's own model, to which
+    its table belongs: its difference from the IERS series is then no fault.
     """
     if check.difference_m > max(LARGEST_DIFFERENCE_M, 3.0 * check.sigma_m):
         is_model = len(places) > 0 and not any(place.sigma_m.any() for place in places)

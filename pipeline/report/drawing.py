@@ -25,6 +25,7 @@ from matplotlib.transforms import ScaledTranslation, Transform
 
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.report.marks import SHAPES
+from boresight.pipeline.report.observations import SeenCard
 
 __all__ = [
     "AXES",
@@ -98,6 +99,12 @@ class Spot:
     link: str = scalar("id of the card")
     style: str = scalar("CSS classes: state and colour")
     shape: str = scalar("key of `SHAPES`")
+
+    @classmethod
+    def of(cls, row: SeenCard, axes: Axes, x: float, y: float) -> Spot:
+        """The mark of a target or star at (x, y)."""
+        style = f"{row.key} {row.colour}"
+        return cls(axes=axes, x=float(x), y=float(y), link=row.link, style=style, shape=row.shape)
 
 
 def new_figure(height_in: float, legend_in: float = 0.0) -> Figure:

@@ -44,18 +44,14 @@ def write_dumps_report(result: Path) -> Path:
         budget=budget_rows(budget, installation, JOINT_BUDGET),
         sigma_m=sigma_m,
         required=required(saved_requirement(result), joint["sigma"], sigma_m),
-        verdict=verdict_view(installation),
-        counts={name: number_from(installation, "installation.json", name, ".0f") for name in COUNTS},
+        **_common(result, installation, omissions),
         dumps=dumps,
         basis=_basis(result, [one["name"] for one in dumps if not one["reason"]]),
         maps=small_maps(result, dumps_in(result)),
         located=len(dumps_in(result)),
         shapes=SHAPES,
         drift=_drift(result),
-        omissions=omissions,
-        version=str(installation.get("version")),
         about=saved_about(result),
-        identity=identity_of_result(result).items(),
     )
     write_text(path, text)
     return path
@@ -80,18 +76,20 @@ def _cameras_page(result: Path, installation: dict[str, Any], omissions: list[di
         )
         for n, one in enumerate(installation["between_cameras"])
     ]
-    return template("cameras.html.j2").render(
-        cameras=cameras,
-        between=between,
-        verdict=verdict_view(installation),
-        counts={name: number_from(installation, source, name, ".0f") for name in COUNTS},
-        omissions=omissions,
-        version=str(installation.get("version")),
-        identity=identity_of_result(result),
-    )
+    common = _common(result, installation, omissions)
+    return template("cameras.html.j2").render(cameras=cameras, between=between, **common)
 
 
-COUNTS = ("frames", "stars", "targets", "chi2", "dof")  # fields of installation.json
+def _common(result: Path, installation: dict[str, Any], omissions: list[dict[str, Any]]) -> dict[str, Any]:
+    """What the pages of several dumps and of several cameras share."""
+    names = ("frames", "stars", "targets", "chi2", "dof")
+    return {
+        "verdict": verdict_view(installation),
+        "counts": {name: number_from(installation, "installation.json", name, ".0f") for name in names},
+        "omissions": omissions,
+        "version": str(installation.get("version")),
+        "identity": identity_of_result(result).items(),
+    }
 
 
 def _dumps(result: Path, reasons: dict[str, str]) -> list[dict[str, Any]]:

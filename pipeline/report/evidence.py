@@ -1,16 +1,5 @@
-"""Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables.
-
-    context.json          mission, dates, cameras, counts, noise scales, iterations, accuracy, footprints,
-                          uncertainty budget; of several dumps jointly the last alone
-    allan.parquet         Allan deviation of attitudes that star cameras deliver
-    inputs.parquet        every file of the dump that was read: bytes and SHA-256
-    convergence.parquet   theta and its 1-sigma after each further strip
-    angles.parquet        cross angles z_ij and their predicted spread
-    matches.parquet       pictures of every matched target
-    unmatched.parquet     pictures of targets that a strip shows and that were not matched
-    ground.parquet        targets on the ground: used or why not, residuals in metres
-    map.parquet           quicklooks of the strips and shaded terrain
-    exposure.parquet      detections in the star image shown, and its picture
+"""Files in `RESULT/evidence/`: what a report shows beyond the estimate and its tables (`saved.EVIDENCE`); of
+several dumps jointly the budget alone.
 
 The same inputs, settings and version give identical files.
 """
@@ -28,7 +17,6 @@ from typing import Any, get_type_hints
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.budget import uncertainty_budget
@@ -59,6 +47,7 @@ from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import ground_table, scene_json, scene_pictures, scenes_of
+from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
@@ -73,8 +62,6 @@ from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.sky_strip import as_matched
 
 __all__ = ["write_evidence", "write_joint_evidence"]
-
-Array = NDArray[np.float64]
 
 
 def write_evidence(
@@ -157,12 +144,8 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
             for name in ("stars", "stars_sigma", "targets", "targets_sigma")
         },
         "iterations": [
-            {
-                "theta_step_rad": step.theta_step.tolist(),
-                "sigma_rad": step.sigma.tolist(),
-                "chi2": float(step.chi2),
-                "targets": float(step.targets),
-            }
+            {"theta_step_rad": step.theta_step.tolist(), "sigma_rad": step.sigma.tolist()}
+            | {"chi2": float(step.chi2), "targets": float(step.targets)}
             for step in estimate.iterations
         ],
         "star_camera": None
@@ -173,10 +156,7 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
             "pixel_rad": star.pixel_m / star.focal_m,
             "focal_mm": 1e3 * star.focal_m,
         },
-        "ground": {
-            "range_m": _over_ground(dump, calibration)[0],
-            "edge_tan": edge_tangent(camera),
-        },
+        "ground": {"range_m": _over_ground(dump, calibration)[0], "edge_tan": edge_tangent(camera)},
         "remote_camera": {
             "pixel_rad": camera.pixel_rad,
             "samples": [ccd.n_px for ccd in camera.ccds],
@@ -301,16 +281,8 @@ def _convergence(calibration: DumpCalibration) -> pa.Table:
 
 def _angles(calibration: DumpCalibration) -> pa.Table:
     angles = cross_angles(_motions(calibration), calibration.estimate.R_cs, calibration.settings)
-    return pa.table(
-        {
-            "strip_id": arrow_array(angles.strip_id.tolist(), pa.string()),
-            "target_id": arrow_array(angles.target_id.tolist(), pa.string()),
-            "exposure_id": arrow_array(angles.exposure_id.tolist(), pa.string()),
-            "hip": arrow_array(angles.hip),
-            "z": arrow_array(angles.z),
-            "sigma": arrow_array(angles.sigma),
-        }
-    )
+    columns = {name: getattr(angles, name) for name in EVIDENCE["angles"]}
+    return pa.table({name: arrow_array(one, EVIDENCE["angles"][name]) for name, one in columns.items()})
 
 
 def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
@@ -347,8 +319,8 @@ def _allan(dump: Dump, settings: Settings) -> pa.Table:
     """Allan deviation of the attitudes of the longest piece without a gap; no row without attitudes."""
     found = attitude_signal(dump, settings)
     names = ""
-    times: Array = np.zeros(0)
-    deviation: Array = np.zeros((0, 3))
+    times: Floats = np.zeros(0)
+    deviation: Floats = np.zeros((0, 3))
     if found is not None:
         names, signal = " and ".join(found[0]), found[1]
         longest = max(signal.pieces, key=lambda piece: piece.stop - piece.start)
@@ -400,24 +372,9 @@ def _exposure(dump: Dump, calibration: DumpCalibration, settings: Settings) -> p
     """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
     preview = _preview(dump, calibration, settings)
     if preview is None:
-        none: Floats = np.zeros(0)
-        columns = {"xy_px": fixed_list(np.zeros((0, 2))), "snr": arrow_array(none)}
-        texts = {"state": pa.array([], pa.string()), "hip": pa.array([], pa.int64())}
-        return pa.table(columns | texts)
-    about = {
-        "exposure_id": preview.exposure_id,
-        "shrunk": preview.shrunk,
-        "hot_pixels": preview.hot_pixels,
-        "misshapen": preview.misshapen,
-    }
-    table = pa.table(
-        {
-            "xy_px": fixed_list(preview.xy_px),
-            "snr": arrow_array(preview.snr),
-            "state": arrow_array(preview.state.tolist(), pa.string()),
-            "hip": arrow_array(preview.hip),
-        }
-    )
+        return pa.schema(list(EVIDENCE["exposure"].items())).empty_table()
+    about = {name: getattr(preview, name) for name in ("exposure_id", "shrunk", "hot_pixels", "misshapen")}
+    table = pa.table(columns_of(preview)).select(list(EVIDENCE["exposure"]))
     return table.replace_schema_metadata(
         {b"about": json.dumps(about, sort_keys=True).encode(), b"jpeg": preview.jpeg}
     )

@@ -29,9 +29,8 @@ from boresight.pipeline.report.drawing import (
     new_figure,
     rule_axes,
 )
-from boresight.pipeline.report.observations import ExposureCard, TargetCard
+from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
 from boresight.pipeline.report.saved import Saved, utc_text
-from boresight.pipeline.report.strip_stars import StripStarRow
 
 __all__ = [
     "allan_plot",
@@ -85,9 +84,7 @@ def convergence(saved: Saved) -> Drawing:
             label=f"{curve.name}: |θ − final|",
         )
     _logarithmic(axes, "y")
-    axes.legend(
-        fontsize=8, labelcolor=INK, frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2)
-    )
+    _legend(axes, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2))
     last = ", ".join(f"{c.name} {s:.3g}″" for c, s in zip(AXES, sigma[-1])) if len(sigma) else "none"
     return drawn(
         figure,
@@ -103,11 +100,8 @@ def angle_histogram(saved: Saved) -> Drawing:
     text = f"{len(ratio)} pairs of directions; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
     figure = new_figure(2.6)
     axes = axes_of(figure, "z / predicted σ", "fraction per unit")
-    edges = np.linspace(-4.5, 4.5, 46)
-    _histogram(axes, ratio, edges)
     x = np.linspace(-4.5, 4.5, 181)
-    axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "-", color=INK, linewidth=1.4, label="expected")
-    _legend(axes, loc="upper right")
+    _histogram(axes, ratio, x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "expected")
     return drawn(figure, "angle-histogram", text, f"Histogram of cross-angle residuals. {text}")
 
 
@@ -210,14 +204,8 @@ def ground_scatter(saved: Saved) -> Drawing:
     for cell, values, turn in sides:
         beside = figure.add_subplot(cell)
         beside.set_axis_off()
-        beside.stairs(
-            np.histogram(values, edges)[0],
-            edges,
-            fill=True,
-            orientation=turn,
-            facecolor=FILL,
-            edgecolor=MUTED,
-        )
+        counts = np.histogram(values, edges)[0]
+        beside.stairs(counts, edges, fill=True, orientation=turn, facecolor=FILL, edgecolor=MUTED)
         beside.set(**{"xlim" if turn == "vertical" else "ylim": (-reach, reach)})
     text = f"Residuals of {len(across)} sightings of targets; circle: CE90 {ce90:.2f} m."
     return drawn(figure, "ground-scatter", text, text)
@@ -248,7 +236,7 @@ def _used_on_ground(saved: Saved) -> list[Floats]:
     return [column(saved.ground, name)[used] for name in ("ccd", "residual_across_m", "residual_along_m")]
 
 
-def star_residual_panels(saved: Saved, rows: Sequence[StripStarRow]) -> list[Drawing]:
+def star_residual_panels(saved: Saved, rows: Sequence[SeenCard]) -> list[Drawing]:
     """Residuals of stars in strips of the sky, along x and y of the camera, against sample and line."""
     table = saved.targets
     start = np.concatenate([[0.0], np.cumsum(saved.context["remote_camera"]["samples"])])
@@ -264,7 +252,7 @@ def star_residual_panels(saved: Saved, rows: Sequence[StripStarRow]) -> list[Dra
 
 
 def _residual_panel(
-    rows: Sequence[TargetCard] | Sequence[StripStarRow],
+    rows: Sequence[SeenCard],
     name: str,
     against: tuple[str, Floats],
     both: dict[str, Floats],
@@ -283,17 +271,8 @@ def _residual_panel(
         reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
         axes.set_ylim(-reach, reach)
         axes.plot(x[[row.row for row in rows]], np.zeros(len(rows)), linestyle="none")  # limits of x
-        spots += [
-            Spot(
-                axes=axes,
-                x=float(x[row.row]),
-                y=float(np.clip(y[row.row], -0.97 * reach, 0.97 * reach)),
-                link=row.link,
-                style=f"{row.key} {row.colour}",
-                shape=row.shape,
-            )
-            for row in rows
-        ]
+        inside = np.clip(y, -0.97 * reach, 0.97 * reach)
+        spots += [Spot.of(row, axes, x[row.row], inside[row.row]) for row in rows]
     beyond = sum(1 for row in rows if row.state == State.REJECTED)
     text = f"Residuals of {len(rows)} {of} against {name.removeprefix('star-')}; marks as on {marks}."
     text += f" {beyond} rejected: open marks, at the edge where they lie beyond it." if beyond else ""
@@ -345,13 +324,10 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     good = values[kept & np.isfinite(values)]
     figure = new_figure(2.6)
     axes = axes_of(figure, "squared residual over its variance", "fraction per unit")
-    edges = np.linspace(0.0, 16.0, 41)
-    _histogram(axes, np.minimum(good, 15.99), edges)
     x = np.linspace(0.0, 16.0, 161)
-    axes.plot(x, 0.5 * np.exp(-0.5 * x), "-", color=INK, linewidth=1.4, label="expected (χ², 2 degrees)")
+    _histogram(axes, np.minimum(good, 15.99), x, 0.5 * np.exp(-0.5 * x), "expected (χ², 2 degrees)")
     _logarithmic(axes, "y", steps=(1.0,))
     axes.set_ylim(1e-4, 1.0)
-    _legend(axes, loc="upper right")
     mean = float(good.mean()) if len(good) else float("nan")
     text = f"{len(good)} {what} used, mean {mean:.3f} (2 expected); {int((~kept).sum())} rejected."
     return drawn(
@@ -432,10 +408,13 @@ def _legend(axes: Axes, **where: Any) -> None:
     axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
 
 
-def _histogram(axes: Axes, values: Floats, edges: Any) -> None:
-    counts, _ = np.histogram(values, edges)
+def _histogram(axes: Axes, values: Floats, x: Floats, expected: Floats, label: str) -> None:
+    """Density of values in bins of four steps of x, below the curve that is expected at x."""
+    counts, edges = np.histogram(values, x[::4])
     density = counts / max(len(values), 1) / np.diff(edges)
     axes.stairs(density, edges, fill=True, facecolor=FILL, edgecolor=MUTED, linewidth=0.8)
+    axes.plot(x, expected, "-", color=INK, linewidth=1.4, label=label)
+    _legend(axes, loc="upper right")
 
 
 def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tuple[Floats, Floats]:
@@ -454,19 +433,12 @@ def _arrows(axes: Axes, place: Floats, vector: Floats, scale: float, length: flo
     if not len(place):
         return
     axes.plot(*place.T, ".", color=MUTED, markersize=2, linestyle="none")
-    axes.quiver(
-        *place.T,
-        *vector.T,
-        angles="xy",
-        scale_units="xy",
-        scale=scale / length,
-        color=INK,
-        width=0.004,
-    )
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale / length, "color": INK}
+    axes.quiver(*place.T, *vector.T, width=0.004, **style)
     low, high = axes.get_xlim()[0], axes.get_ylim()[0]
     box = {"facecolor": "none", "edgecolor": "none", "pad": 1}
     x, y = low + 0.6 * length, high - 0.6 * length
-    axes.quiver(x, y, scale, 0.0, angles="xy", scale_units="xy", scale=scale / length, color=INK, width=0.007)
+    axes.quiver(x, y, scale, 0.0, width=0.007, **style)
     axes.text(x + 1.25 * length, y, f"{scale:g} px", fontsize=8, color=INK, va="center", bbox=box)
 
 

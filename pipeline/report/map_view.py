@@ -155,17 +155,8 @@ def _scene(saved: Saved, number: int, origin: tuple[float, float], scale: float)
         path = "".join(_outline(outline, origin, scale) for outline in strip["outlines_m"])
         picture, box = pictures.get(strip["id"], ("", outside))
         clip = f"clip-{order[strip['id']]}"
-        strips.append(
-            Layer(
-                strip_id=strip["id"],
-                shape=shape,
-                colour=colour,
-                path=path,
-                clip=clip,
-                picture=picture,
-                box=box,
-            )
-        )
+        marks = {"shape": shape, "colour": colour, "path": path, "clip": clip}
+        strips.append(Layer(strip_id=strip["id"], picture=picture, box=box, **marks))
     names = ", ".join(strip.strip_id for strip in strips[:4]) + (" …" if len(strips) > 4 else "")
     ns, ew = "NS"[scene["lat_deg"] < 0], "EW"[scene["lon_deg"] < 0]
     terrain = None
@@ -207,14 +198,8 @@ def _spot(
     x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
     dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
     number = numbers.get(row.why or row.state, "") if row.state in (State.REJECTED, State.UNMATCHED) else ""
-    return SpotView(
-        row=row,
-        x=round(x, 2),
-        y=round(y, 2),
-        arrow=_arrow(x, y, dx, dy),
-        is_cut=bool(np.hypot(dx, dy) > LONGEST),
-        number=number,
-    )
+    arrow, is_cut = _arrow(x, y, dx, dy), bool(np.hypot(dx, dy) > LONGEST)
+    return SpotView(row=row, x=round(x, 2), y=round(y, 2), arrow=arrow, is_cut=is_cut, number=number)
 
 
 def _arrow(x: float, y: float, dx: float, dy: float) -> str:

@@ -21,9 +21,11 @@ __all__ = [
     "Aims",
     "ExposureCard",
     "Pictures",
+    "SeenCard",
     "TargetCard",
     "data_uri",
     "exposure_rows",
+    "pictures_of",
     "strip_numbers",
     "target_rows",
 ]
@@ -56,31 +58,24 @@ class Pictures:
 
 
 @record(kw_only=True)
-class TargetCard:
-    """One target in one CCD of a strip, or one that no strip shows."""
+class SeenCard:
+    """One target or star in one CCD of a strip, or a target that no strip shows."""
 
     link: str = scalar("id of its card on the page")
-    row: int = scalar("row of evidence/ground.parquet")
+    row: int = scalar("row of evidence/ground.parquet, of a star of sightings/targets.parquet")
     strip_id: str = scalar("strip; empty if none shows it")
-    target_id: str = scalar("target")
+    target_id: str = scalar("target, or name of the star")
     ccd: int = scalar("CCD, -1 if unknown")
     state: str = scalar("used, rejected, not matched, not in view")
-    cause: str = scalar("short reason; empty if used")
-    reason: str = scalar("sentence with the numbers of the test")
     shape: str = scalar("mark of its strip")
     colour: str = scalar("CSS class of the colour of its strip")
-    numbers: dict[str, Number] = scalar("by column: residual_m, sigmas, correlation ...; those that exist")
-    pictures: Pictures | None = scalar("chip, strip, difference, correlation")
+    numbers: dict[str, Number] = scalar("by name: residual_m, sigmas, correlation ...; those that exist")
+    pictures: Pictures | None = scalar("chip or trace, strip, difference, correlation; None: not readable")
     printed: bool = scalar("its card is part of a print")
 
     @property
-    def why(self) -> str:
-        """The cause in plain words, as on the console."""
-        return REASON_WORDS.get(self.cause, self.cause)
-
-    @property
     def name(self) -> str:
-        """Target, strip and CCD in words."""
+        """Target or star, strip and CCD in words."""
         where = f", strip {self.strip_id}" if self.strip_id else ""
         return f"{self.target_id}{where}" + (f", CCD {self.ccd}" if self.ccd >= 0 else "")
 
@@ -88,6 +83,19 @@ class TargetCard:
     def key(self) -> str:
         """CSS class of the state."""
         return self.state.replace(" ", "-")
+
+
+@record(kw_only=True)
+class TargetCard(SeenCard):
+    """A target, with the reason why it is not used."""
+
+    cause: str = scalar("short reason; empty if used")
+    reason: str = scalar("sentence with the numbers of the test")
+
+    @property
+    def why(self) -> str:
+        """The cause in plain words, as on the console."""
+        return REASON_WORDS.get(self.cause, self.cause)
 
     @property
     def words(self) -> str:
@@ -142,9 +150,9 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
         row, key = table[n], _key(table[n])
         pictures = None
         if key in matched and (row["state"] != State.USED or n in shown):
-            pictures = _pictures(saved, "matches", matched[key])
+            pictures = pictures_of(saved, "matches", matched[key])
         elif key in unmatched:
-            pictures = _pictures(saved, "unmatched", unmatched[key])
+            pictures = pictures_of(saved, "unmatched", unmatched[key])
         shape, colour = strip_style(number.get(row["strip_id"], 0))
         rows.append(
             TargetCard(
@@ -191,19 +199,20 @@ def _numbers(saved: Saved, row: int, sighted: int | None) -> dict[str, Number]:
     return {name: number for name, number in found.items() if np.isfinite(number.exact)}
 
 
-def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
+def pictures_of(saved: Saved, table: str, n: int, form: str = "+.2f") -> Pictures | None:
+    """Pictures of a row of evidence/`table`; None where it was measured elsewhere. `form` is that of values
+    shown black and white; a star has no correlation.
+    """
     row = getattr(saved, table).slice(n, 1).to_pylist()[0]
-    if not row["template_png"]:  # measured elsewhere
+    if not row["template_png"]:
         return None
+    parts = {name: row[f"{name}_png"] for name in ("template", "found", "difference", "surface")}
     off = [saved.cell(f"evidence/{table}", f"off_{axis}_px", n, "+.2f") for axis in "xy"]
     return Pictures(
-        template=data_uri("image/png", row["template_png"]),
-        found=data_uri("image/png", row["found_png"]),
-        difference=data_uri("image/png", row["difference_png"]),
-        surface=data_uri("image/png", row["surface_png"]),
-        low=saved.cell(f"evidence/{table}", "surface_low", n, "+.2f"),
-        high=saved.cell(f"evidence/{table}", "surface_high", n, "+.2f"),
-        aims=_aims(row),
+        **{name: data_uri("image/png", png) if png else "" for name, png in parts.items()},
+        low=saved.cell(f"evidence/{table}", "surface_low", n, form),
+        high=saved.cell(f"evidence/{table}", "surface_high", n, form),
+        aims=_aims(row) if parts["surface"] else {},
         off=tuple(off) if np.isfinite(off[0].exact) else (),
     )
 

@@ -7,9 +7,8 @@ from functools import partial
 from typing import Any
 
 from boresight.pipeline.report import figures
-from boresight.pipeline.report.observations import ExposureCard, TargetCard
+from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
 from boresight.pipeline.report.saved import Saved
-from boresight.pipeline.report.strip_stars import StripStarRow
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.run.executor import Executor
 
@@ -20,7 +19,7 @@ def page_figures(
     saved: Saved,
     targets: Sequence[TargetCard],
     exposures: Sequence[ExposureCard],
-    strip_stars: Sequence[StripStarRow],
+    strip_stars: Sequence[SeenCard],
     executor: Executor,
 ) -> dict[str, Any]:
     """Drawings by name; of stars and of targets where there are any."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.marks import strip_style
-from boresight.pipeline.report.observations import Pictures, data_uri
+from boresight.pipeline.report.observations import SeenCard, pictures_of
 from boresight.pipeline.report.saved import Number, Saved
 
-__all__ = ["StripStarRow", "strip_star_rows"]
+__all__ = ["strip_star_rows"]
 
 MOST_PRINTED = 12  # cards of used stars that a print shows
 TARGETS = "sightings/targets"  # table of a result, without suffix
@@ -25,34 +24,7 @@ SHAPES = {  # of each number: column, element (-1: a plain column), form, factor
 }
 
 
-@record(kw_only=True)
-class StripStarRow:
-    """One named star in one CCD of a strip of the sky."""
-
-    row: int = scalar("row of sightings/targets.parquet")
-    link: str = scalar("id of its card on the page")
-    strip_id: str = scalar("strip")
-    star: str = scalar("name")
-    ccd: int = scalar("CCD")
-    state: str = scalar("used, rejected")
-    shape: str = scalar("mark of its strip")
-    colour: str = scalar("CSS class of the colour of its strip")
-    numbers: dict[str, Number] = scalar("keys of `SHAPES`, t_s, probability_wrong")
-    pictures: Pictures | None = scalar("strip, fitted trace, difference; None where they cannot be read")
-    printed: bool = scalar("its card is part of a print")
-
-    @property
-    def key(self) -> str:
-        """CSS class of its state."""
-        return self.state
-
-    @property
-    def name(self) -> str:
-        """Star, strip and CCD in words."""
-        return f"{self.star}, strip {self.strip_id}, CCD {self.ccd}"
-
-
-def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[StripStarRow, ...]:
+def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[SeenCard, ...]:
     """All named stars: those rejected, then the others, largest residuals first; at most `most_pictures` of
     those used get pictures.
     """
@@ -71,17 +43,19 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[StripStarRow, ...
         at = pictured.get((row["strip_id"], row["target_id"], row["ccd"]))
         shape, colour = strip_style(strips.index(row["strip_id"]))
         rows.append(
-            StripStarRow(
+            SeenCard(
                 row=n,
                 link=f"s{n}",
                 strip_id=row["strip_id"],
-                star=row["target_id"],
+                target_id=row["target_id"],
                 ccd=row["ccd"],
                 state="used" if row["kept"] else "rejected",
                 shape=shape,
                 colour=colour,
                 numbers=_numbers(saved, n),
-                pictures=None if at is None or (row["kept"] and n not in shown) else _pictures(saved, at),
+                pictures=None
+                if at is None or (row["kept"] and n not in shown)
+                else pictures_of(saved, "matches", at, ".0f"),
                 printed=n in printed or not row["kept"],
             )
         )
@@ -105,17 +79,3 @@ def _numbers(saved: Saved, row: int) -> dict[str, Number]:
             root=root,
         )
     return found
-
-
-def _pictures(saved: Saved, n: int) -> Pictures:
-    row = saved.matches.slice(n, 1).to_pylist()[0]
-    return Pictures(
-        template=data_uri("image/png", row["template_png"]),
-        found=data_uri("image/png", row["found_png"]),
-        difference=data_uri("image/png", row["difference_png"]),
-        surface="",
-        aims={},
-        off=(),
-        low=saved.cell("evidence/matches", "surface_low", n, ".0f"),
-        high=saved.cell("evidence/matches", "surface_high", n, ".0f"),
-    )

@@ -14,8 +14,8 @@ from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import list_values
 from boresight.pipeline.report.drawing import INK, MUTED, Drawing, Spot, drawn, dress_axes, new_figure
 from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
+from boresight.pipeline.report.observations import SeenCard
 from boresight.pipeline.report.saved import Saved
-from boresight.pipeline.report.strip_stars import StripStarRow
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.star_names import star_name
 
@@ -29,7 +29,7 @@ MOST_NAMES = 12  # of a panel: of its brightest stars
 NAME_PT, MARK_PT, LINE_PT = 7.0, 3.6, 1.5  # size of a name; half a mark and half a line, with clear space
 
 
-def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
+def strips_on_sky(saved: Saved, rows: Sequence[SeenCard]) -> Drawing | None:
     """The stars of each strip on the tangent plane of its middle, north up and east to the left, with their
     residuals and the direction in which the camera scanned; None without strips of the sky.
     """
@@ -58,7 +58,7 @@ def strips_on_sky(saved: Saved, rows: Sequence[StripStarRow]) -> Drawing | None:
     return drawn(figure, "strips-on-sky", caption, text, spots)
 
 
-def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[StripStarRow], largest: float) -> list[Spot]:
+def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[SeenCard], largest: float) -> list[Spot]:
     """Draws one strip; the marks of its stars."""
     index = np.array([row.row for row in rows])
     u_i = list_values(saved.targets, "u_i", 3)[index]
@@ -80,11 +80,8 @@ def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[StripStarRow], l
         ends.append(np.array([[middle - half, middle + half]]))
         start, end = (tuple(at) for at in ends[-1][0].tolist())
         axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK})
-    _write_names(axes, [row.star for row in rows], place, np.concatenate(ends))
-    return [
-        Spot(axes=axes, x=x, y=y, link=row.link, style=f"{row.key} {row.colour}", shape=row.shape)
-        for row, (x, y) in zip(rows, place.tolist())
-    ]
+    _write_names(axes, [row.target_id for row in rows], place, np.concatenate(ends))
+    return [Spot.of(row, axes, x, y) for row, (x, y) in zip(rows, place.tolist())]
 
 
 def _write_names(axes: Axes, stars: Sequence[str], place: Floats, lines: Floats) -> None:

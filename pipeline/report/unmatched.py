@@ -14,10 +14,10 @@ from boresight.geometry.ledger import State
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.record_tables import ITEMS
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.ground_map import MapScene, StripOnGround
+from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
 from boresight.pipeline.stages.strip import read_chip
 
@@ -42,9 +42,7 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
         if pictures is not None:
             own = {name: getattr(pictures, name) for name in get_type_hints(MatchPictures)}
             rows.append({name: row[name] for name in ("strip_id", "target_id", "ccd")} | own)
-    types = {"strip_id": pa.string(), "target_id": pa.string(), "ccd": pa.int64()}
-    types |= {name: ITEMS[hint] for name, hint in get_type_hints(MatchPictures).items()}
-    return arrow_rows(rows, pa.schema(list(types.items())))
+    return arrow_rows(rows, pa.schema(list(EVIDENCE["unmatched"].items())))
 
 
 def _pictures(one: StripOnGround, row: dict[str, Any], surface: Surface) -> MatchPictures | None:
