@@ -94,8 +94,6 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Files) -> 
     """
     if page.file.src_uri == "notes/method.md":
         markdown = NAME.sub(r"[`\1`][\1]", markdown)
-    if page.file.src_uri.startswith(("notes/", "api/", "architecture", "design")):
-        page.meta["search"] = {"boost": 0.2}  # a user's page comes first
     above = "../" * page.file.src_uri.count("/")
     markdown = PLOT.sub(rf"![\2]({above}results/\1.png)", markdown)
     if "<!-- table 4 -->" in markdown:
