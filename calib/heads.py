@@ -43,9 +43,9 @@ __all__ = [
 
 @record(kw_only=True)
 class HeadTie:
-    """What the rows of all heads tell of their alignments in one pass, M whitened rows
-    M whitened rows
-        r = by_phi q"""
+    """What the rows of all heads tell of their alignments in one pass: M whitened rows
+    r = by_phi q + by_alpha alpha + noise of unit variance.
+    """
 
     heads: tuple[str, ...] = scalar("A / 3 heads with an alignment")
     r: Floats = array("M", "residuals")
