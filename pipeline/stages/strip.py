@@ -86,6 +86,7 @@ class StripTask:
     cov_s: Floats | None = array("K, 3, 3", "of smoothed attitudes, rad²; None: not smoothed", default=None)
     R_cs: Rotation = scalar("installation matrix to start from")
     sigma_installation_rad: Floats = array("3", "1-sigma of its error, rad, axes of c")
+    is_known: bool = scalar("whether targets of other strips gave that matrix", default=False)
     effects: LightEffects = scalar("effects on the line of sight that are modelled")
     targets: tuple[Target, ...] = array("N", "targets that the strip may show in its images")
     chips: tuple[ChipFile, ...] = array("N", "their image chips")
@@ -288,6 +289,7 @@ def strip_matches(
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
+            task.is_known,
         )
         result = match_strip(scene, each=map_parts, keep=keep)
     except RawDataError as error:

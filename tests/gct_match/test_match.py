@@ -164,6 +164,20 @@ def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case
     assert outcome.probability_chance < 1e-6  # of a search; 1 without
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_so_few_targets_are_kept_where_others_gave_the_matrix(case: Case, count: int):
+    of = case.targets[:count], case.chips[:count], SURFACE, np.full(3, 4e-5)
+    settings = MatchSettings(probability_chance=1e-12)  # which the vote of two does not reach
+    alone = match_strip(scene_of(case.strip, case.true, *of, settings))
+    assert not alone.matches
+    assert {refusal.reason for refusal in alone.refused} == {Reason.NO_COMMON_ROTATION}
+    found = match_strip(scene_of(case.strip, case.true, *of, settings, is_known=True))
+    assert {match.target_id for match in found.matches} == {target.target_id for target in of[0]}
+    assert np.abs(errors(case, found)[0]).max() < 0.015  # px
+    other = make_case(np.random.default_rng(99), case.theta, 1)
+    assert not match_strip(scene_of(other.strip, case.true, *of, settings, is_known=True)).matches
+
+
 def test_cost_is_known_before_the_search_starts(case: Case):
     scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
     plan = plan_search(scene)
