@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.gct_match.imaging.views import in_counts
 from boresight.gct_match.match import keep_whole, match_strip
 from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.predict.trajectories import displacements
@@ -328,7 +329,8 @@ def read_chip(file: ChipFile) -> Chip:
     """A chip with its geo-reference; `RawDataError` if it cannot be read."""
     grid = read_grid(file.path, file.file, max_pixels=MAX_CHIP_PIXELS)
     valid = np.isfinite(grid.values)
-    return Chip(file.target_id, np.where(valid, grid.values, 0.0), grid.transform, grid.crs, valid)
+    image = in_counts(np.where(valid, grid.values, 0.0), valid)
+    return Chip(file.target_id, image, grid.transform, grid.crs, valid)
 
 
 def _not_matched(task: StripTask, refusal: Entry) -> Entry:

@@ -15,6 +15,7 @@ from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.gct_match import consistency
+from boresight.gct_match.imaging.views import in_counts
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
 from boresight.gct_match.predict.template import predict_template
@@ -203,6 +204,15 @@ def test_chip_of_another_place_is_refused_among_good_ones(case: Case):
     assert "t04" not in {match.target_id for match in outcome.matches}
     assert "t04" in {refusal.subject.id for refusal in outcome.refused}
     assert len(outcome.matches) >= len(case.targets) - 1
+
+
+@pytest.mark.parametrize("gain", [1e-9, 0.013, 1e9])
+def test_unit_of_the_chips_moves_no_position(case: Case, outcome: StripMatches, gain: float):
+    chips = [replace(one, image=in_counts(gain * (one.image + 300.1), one.valid)) for one in case.chips]
+    found = matched(case, chips=chips)
+    assert [one.target_id for one in found.matches] == [one.target_id for one in outcome.matches]
+    for one, other in zip(found.matches, outcome.matches):
+        assert np.abs(one.xy_px - other.xy_px).max() < 1e-3  # px: float32 has 24 bits
 
 
 def test_target_on_a_lake_is_refused_with_the_reason(case: Case):
