@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -205,16 +206,26 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
     return InformationTotal(total, sums[-n:])
 
 
-@record(kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
     """The best theta of a total, and the directions that are not observable."""
 
-    theta: Array = array("T", "3 C, about the reference, rad; zero along unobservable directions")
-    covariance: Array = array("T, T", "of theta, frame c, rad²; zero along unobservable directions")
-    information: Array = array("T, T", "shared unknowns eliminated, rad⁻²")
-    shared: Array = array("N", "best shared unknowns")
-    covariance_all: Array = array("A, A", "of theta and the shared unknowns")
-    unobservable: Array = array("M, T", "unit vectors, frame c: rotation about them is not observable")
+    theta: Array  # (3 C,) about the reference, rad; zero along unobservable directions
+    covariance: Array  # (3 C, 3 C) of theta, frame c, rad²; zero along unobservable directions
+    information: Array  # (3 C, 3 C) shared unknowns eliminated, rad⁻²
+    shared: Array  # (N,) best shared unknowns
+    shared_information: Array  # (N, N) of these, theta given
+    gain: Array  # (N, 3 C) change of the best shared unknowns by -theta
+    unobservable: Array  # (M, 3 C) unit vectors, frame c: rotation about them is not observable
+
+    @cached_property
+    def covariance_all(self) -> Array:
+        """Covariance (3 C + N, 3 C + N) of theta and the shared unknowns."""
+        t = len(self.theta)
+        lift = np.vstack([np.eye(t), -self.gain])
+        covariance = lift @ self.covariance @ lift.T
+        covariance[t:, t:] += np.linalg.inv(self.shared_information)
+        return np.asarray(covariance)
 
 
 def solve_total(
@@ -229,8 +240,8 @@ def solve_total(
     prior = np.zeros((0, 0)) if prior_shared is None else prior_shared
     t = len(F) - len(prior)
     shared_F = F[t:, t:] + prior
-    gain = np.linalg.solve(shared_F, F[t:, :t])  # (n - t, t)
-    shared_0 = np.linalg.solve(shared_F, F_theta[t:])
+    solved = np.linalg.solve(shared_F, np.column_stack([F[t:, :t], F_theta[t:]]))
+    gain, shared_0 = solved[:, :-1], solved[:, -1]
     information = F[:t, :t] - F[:t, t:] @ gain
     information = 0.5 * (information + information.T)
     right = F_theta[:t] - gain.T @ F_theta[t:]
@@ -239,15 +250,13 @@ def solve_total(
     inverse = np.divide(1.0, values, out=np.zeros(t), where=seen)
     covariance = (vectors * inverse) @ vectors.T
     theta = vectors @ (inverse * (vectors.T @ right))
-    lift = np.vstack([np.eye(t), -gain])
-    covariance_all = lift @ covariance @ lift.T
-    covariance_all[t:, t:] += np.linalg.inv(shared_F)
     return Solution(
         theta=theta,
         covariance=covariance,
         information=information,
         shared=shared_0 - gain @ theta,
-        covariance_all=covariance_all,
+        shared_information=shared_F,
+        gain=gain,
         unobservable=vectors.T[~seen],
     )
 

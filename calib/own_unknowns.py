@@ -8,7 +8,7 @@ heads see the attitudes alone, whatever the installation matrix and the weights 
 
 for the attitude unknowns q (units of their prior sigma), the alignments s and the rows t of the other heads,
 q' = R q - r₁ + R₁ s has unit variance again, and targets are all that sees it. Of X q, with X = U S Vᵀ, only
-Vᵀ q matters, so that U S takes the place of X. Both steps are exact.
+Vᵀ q matters, so that U S = X V takes the place of X. Both steps are exact.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def condensed(group: StripGroup) -> StripGroup:
     if group.ties.shape[1]:
         R, by_ties[:, : group.n_phi], rows = _eliminated(group.ties, group.n_phi)
         X[:, :, : group.n_phi] = X[:, :, : group.n_phi] @ np.linalg.inv(R)
-    U, size, Vt = np.linalg.svd(X, full_matrices=False)
+    _, size, Vt = np.linalg.svd(np.linalg.qr(X, mode="r"), full_matrices=False)
     n = int(np.max(np.sum(size > NO_EFFECT * size[:, :1], axis=1), initial=0))
-    seen = (U[:, :, :n] * size[:, None, :n]).reshape(S, J, 2, n)
+    seen = (X @ np.swapaxes(Vt[:, :n], 1, 2)).reshape(S, J, 2, n)
     return replace(
         group,
         shared_s=np.swapaxes(tangent, 2, 3) @ seen,

@@ -14,8 +14,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import MovedInput
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import (
     ExposureAttitudes,
@@ -120,7 +122,7 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
     rows = _first_of_each(np.array([exposure.t_s for exposure in listed]))
     _check_same(strips, rows)
     heads = sorted({other.head for strip in strips for other in strip.others})
-    return replace(
+    found = replace(
         strips[0],
         exposures=tuple(listed[n] for n in rows),
         ground=GroundSightings.together([strip.ground for strip in strips]),
@@ -129,6 +131,23 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         attitudes=ExposureAttitudes.together([_attitudes(strip) for strip in strips]).take(rows),
         others=tuple(_record_of(head, strips) for head in heads),
         joined=tuple(part for strip in strips for part in strip.parts),
+    )
+    same = all(np.array_equal(_times(strip), _times(strips[0])) for strip in strips)
+    return found if same or not found.ground.is_star.all() else _about_one_motion(found)
+
+
+def _about_one_motion(scan: StripSightings) -> StripSightings:
+    """A scan of the sky, whose nominal motion was that of each piece, about one motion."""
+    times, attitudes = _times(scan), _attitudes(scan)
+    rows = np.flatnonzero(attitudes.usable)
+    if len(rows) < 2:
+        return scan
+    motion = ConstantRate.fitted(times[rows], Rotation.from_matrix(attitudes.R_si[rows]))
+    return replace(
+        scan,
+        R_oi_exposures=motion.R_oi(times),
+        R_oi_targets=motion.R_oi(scan.ground.t_s),
+        others=tuple(replace(one, R_oi=motion.R_oi(one.t_s)) for one in scan.others),
     )
 
 

@@ -425,6 +425,8 @@ def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[floa
     """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
     S, n = right.shape
     t = n - len(prior)  # components of theta
+    if S == 1:
+        return 0.0, 0
     if n == t:  # nothing is shared: each strip by itself, in a time that grows with their number
         each = [_explained(F[k], right[k]) for k in range(S)]
         free, dof_free = float(sum(gain for gain, _ in each)), sum(dof for _, dof in each)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, view_of, window
+from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, in_counts, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
 from boresight.gct_match.refine.changed import REACH_PX, fit_changed
 from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
@@ -287,4 +287,4 @@ def _view(image: NDArray, name: str) -> View:
     if image.ndim != 2 or not image.size:
         raise ValueError(f"{name} must be a two-dimensional array, got shape {image.shape}")
     valid = np.isfinite(image)
-    return view_of(filled_with_mean(image, valid), valid)
+    return view_of(in_counts(filled_with_mean(image, valid), valid), valid)

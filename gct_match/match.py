@@ -86,7 +86,7 @@ def match_strip(scene: Scene, *, each: Each = map, keep: Keep = keep_whole) -> S
     if not uncertain or _is_predicted(scene):
         prior = np.diag(scene.sigma_installation_rad**2)
         found = _found(scene, searched, np.zeros(3), prior, each, keep)
-        if not uncertain or _is_confirmed(found, settings):
+        if not uncertain or _is_confirmed(found, scene):
             return _matches(found, refused, 1.0)
     vote = search_common_rotation(scene, plan, each)
     found = _found(scene, searched, vote.parameters, vote.covariance, each, keep)
@@ -127,15 +127,17 @@ def _is_predicted(scene: Scene) -> bool:
     return bool(_radii_px(scene, np.array([variance]))[0] <= 2 * scene.settings.margin_px)
 
 
-def _is_confirmed(found: _Found, settings: MatchSettings) -> bool:
-    """Whether targets are where they were predicted: more than chance allows, more than half of those in
-    view, and none so far away that others may lie outside their windows.
+def _is_confirmed(found: _Found, scene: Scene) -> bool:
+    """Whether targets are where they were predicted: more than chance allows, or with those of other strips;
+    more than half of those in view; and none so far away that others may lie outside their windows.
     """
+    settings = scene.settings
     matched = {match.target_id for match in found.matches}
     missed = {
         refusal.subject.id for refusal in found.refused if refusal.state is not State.OUT_OF_VIEW
     } - matched
-    if len(matched) * np.log(settings.probability_chance_match) > np.log(settings.probability_chance):
+    by_chance = len(matched) * np.log(settings.probability_chance_match)
+    if not matched or not (scene.is_known or by_chance <= np.log(settings.probability_chance)):
         return False
     farthest = max(float(np.abs(match.xy_px - match.predicted_px).max()) for match in found.matches)
     return len(matched) > len(missed) and farthest <= 0.5 * settings.margin_px

@@ -24,6 +24,7 @@ from scipy.stats import norm
 from boresight.features.targets.ortho_files import HeightModel, RasterFile, RasterWindow, map_to_map, mapped
 from boresight.features.targets.suggest import SuggestedTarget, suggest_targets
 from boresight.features.targets.target_choice import TargetChoice, choose_targets
+from boresight.gct_match.imaging.views import in_counts
 from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Image, Target
 from boresight.geometry.constants import ARCSEC, WGS84
@@ -283,7 +284,8 @@ def _of_tile(
 ) -> Iterator[Candidate]:
     """At most `most` places of a tile of the n-th image whose first pixel is `corner` (column, row)."""
     ortho, size = orthos[n], request.size_px
-    grey, valid = np.nan_to_num(tile.values), np.isfinite(tile.values)
+    valid = np.isfinite(tile.values)
+    grey = in_counts(np.nan_to_num(tile.values), valid)
     places = suggest_targets(grey, tile.transform, valid, size_px=size, most=most)
     x, y = np.array([[one.x, one.y] for one in places]).reshape(-1, 2).T
     lon, lat = map_to_map(ortho.crs, DEGREES).transform(x, y)

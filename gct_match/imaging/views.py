@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, array, record
 
-__all__ = ["View", "band_passed", "filled_with_mean", "normalised", "view_of", "window"]
+__all__ = ["View", "band_passed", "filled_with_mean", "in_counts", "normalised", "view_of", "window"]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _STRONG_PX = 1.0, 4.0  # Gaussians whose difference is the pass band where contrast is left as it is
+_COUNTS = 50.0  # standard deviation of a usual picture of 8 bits
+_MOST_COUNTS = 1e6  # beyond, single precision makes whole numbers of others
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture
 
 
@@ -47,6 +49,17 @@ def band_passed(view: View) -> View:
             for part, sigma_px in zip((fine, wide), _STRONG_PX, strict=True)
         )
     return View(view.grey, view.valid, (fine - wide) * weight)
+
+
+def in_counts(image: NDArray, valid: Bools) -> Image:
+    """The picture (H, W) as float32: as it is where its grey values are whole numbers below 1e6; reflectances
+    and other units about zero, with the standard deviation of usual counts.
+    """
+    values = image[valid]
+    mean, deviation = (float(values.mean()), float(values.std())) if values.size else (0.0, 0.0)
+    if deviation == 0.0 or (np.abs(values).max() < _MOST_COUNTS and (values == np.rint(values)).all()):
+        return image.astype(np.float32)
+    return ((image - mean) * (_COUNTS / deviation)).astype(np.float32)
 
 
 def filled_with_mean(image: NDArray, valid: Bools) -> Image:

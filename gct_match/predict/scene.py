@@ -29,6 +29,7 @@ class Scene:
     sigma_installation_rad: Floats = array(
         "3", "1-sigma of the rotation by which R_cs0 may be wrong, axes of c"
     )
+    is_known: bool = scalar("whether targets of other strips lie where R_cs0 predicts them", default=False)
     settings: MatchSettings = scalar("settings of target matching")
     trajectories: Trajectories = scalar("image trajectories of the targets")
 
@@ -41,6 +42,7 @@ def scene_of(
     surface: Surface,
     sigma_installation_rad: Floats,
     settings: MatchSettings,
+    is_known: bool = False,
 ) -> Scene:
     """The scene of a strip: what `match_strip` starts from.
 
@@ -58,6 +60,8 @@ def scene_of(
         1-sigma of the rotation by which the installation matrix may be wrong, about the axes of frame c.
     settings : MatchSettings
         Search ranges and limits of the tests.
+    is_known : bool
+        Whether targets of other strips lie where the initial installation matrix predicts them.
 
     Raises
     ------
@@ -79,5 +83,6 @@ def scene_of(
         surface=surface,
         sigma_installation_rad=np.asarray(sigma_installation_rad, dtype=float),
         settings=settings,
+        is_known=is_known,
         trajectories=trajectories_of(pushbroom, np.array([t.p_e for t in targets]).reshape(-1, 3), rows),
     )

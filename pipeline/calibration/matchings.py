@@ -66,7 +66,7 @@ def match_first(
     if start is None or n == len(tasks):
         return list(tasks), matched, computed
     R_cs, sigma = start
-    near = [replace(task, R_cs=R_cs, sigma_installation_rad=sigma) for task in tasks[n:]]
+    near = [replace(task, R_cs=R_cs, sigma_installation_rad=sigma, is_known=True) for task in tasks[n:]]
     found, flags = match_strips(near, runner, "matching-1")
     used, matched, computed = [*tasks[:n], *near], matched + found, computed + flags
     if missed := [k for k, one in enumerate(matched) if k >= n and not len(one.target_id)]:

@@ -5,6 +5,7 @@ further one from the estimate before it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,7 @@ def _one_round(
         tasks, matched, flags = match_first(tasks, start_from, basis.runner)
     else:
         known, folder = before.matched if before else (), f"matching-{number}"
+        tasks = [replace(task, is_known=True) for task in tasks]
         matched, flags = match_again(tasks, known, settings.run.settled_px, basis.runner, folder)
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=number > 1)

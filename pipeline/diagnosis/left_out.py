@@ -55,7 +55,8 @@ def searched_alone(
             : max(1, MOST_SEARCHES // len(ccds))
         ]:
             strip = replace(task.strip, images=task.strip.images.of([ccd]))
-            wide = replace(task, strip=strip, sigma_installation_rad=np.asarray(sigma_rad, dtype=float))
+            sigma = np.asarray(sigma_rad, dtype=float)
+            wide = replace(task, strip=strip, sigma_installation_rad=sigma, is_known=False)
             one = match_strip_targets(wide)
             if not isinstance(one, Entry) and len(one.target_id) >= FEWEST:
                 found.append(one)

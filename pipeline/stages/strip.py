@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.gct_match.imaging.views import in_counts
 from boresight.gct_match.match import keep_whole, match_strip
 from boresight.gct_match.predict.scene import scene_of
 from boresight.gct_match.predict.trajectories import displacements
@@ -86,6 +87,7 @@ class StripTask:
     cov_s: Floats | None = array("K, 3, 3", "of smoothed attitudes, rad²; None: not smoothed", default=None)
     R_cs: Rotation = scalar("installation matrix to start from")
     sigma_installation_rad: Floats = array("3", "1-sigma of its error, rad, axes of c")
+    is_known: bool = scalar("whether targets of other strips gave that matrix", default=False)
     effects: LightEffects = scalar("effects on the line of sight that are modelled")
     targets: tuple[Target, ...] = array("N", "targets that the strip may show in its images")
     chips: tuple[ChipFile, ...] = array("N", "their image chips")
@@ -288,6 +290,7 @@ def strip_matches(
             surface_of(task.terrain),
             task.sigma_installation_rad,
             task.settings,
+            task.is_known,
         )
         result = match_strip(scene, each=map_parts, keep=keep)
     except RawDataError as error:
@@ -326,7 +329,8 @@ def read_chip(file: ChipFile) -> Chip:
     """A chip with its geo-reference; `RawDataError` if it cannot be read."""
     grid = read_grid(file.path, file.file, max_pixels=MAX_CHIP_PIXELS)
     valid = np.isfinite(grid.values)
-    return Chip(file.target_id, np.where(valid, grid.values, 0.0), grid.transform, grid.crs, valid)
+    image = in_counts(np.where(valid, grid.values, 0.0), valid)
+    return Chip(file.target_id, image, grid.transform, grid.crs, valid)
 
 
 def _not_matched(task: StripTask, refusal: Entry) -> Entry:

@@ -22,6 +22,7 @@ from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import groups_of, passes_of
 from boresight.calib.verdict import Verdict, assess
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
@@ -114,7 +115,7 @@ def piece(strip: StripSightings, name: str, rows: Ints, span_s: tuple[float, flo
     def around(other: HeadAttitudes) -> HeadAttitudes:
         return other.take(np.flatnonzero((other.t_s >= first) & (other.t_s <= last)))
 
-    return replace(
+    found = replace(
         strip,
         strip_id=name,
         exposures=tuple(strip.exposures[k] for k in seen.tolist()),
@@ -124,6 +125,15 @@ def piece(strip: StripSightings, name: str, rows: Ints, span_s: tuple[float, flo
         ground=strip.ground.take(rows),
         R_oi_targets=strip.R_oi_targets[rows],
     )
+    return about_its_own_motion(found) if strip.ground.is_star.all() and len(seen) > 1 else found
+
+
+def about_its_own_motion(scan: StripSightings) -> StripSightings:
+    """A scan of the sky about the rate that its own exposures show, as it comes from images."""
+    attitudes = with_attitudes([scan], MODEL.attitudes)[0].attitudes
+    times = np.array([exposure.t_s for exposure in scan.exposures])
+    motion = ConstantRate.fitted(times, Rotation.from_matrix(attitudes.R_si))
+    return replace(scan, R_oi_exposures=motion.R_oi(times), R_oi_targets=motion.R_oi(scan.ground.t_s))
 
 
 def spans(strip: StripSightings, cuts: Floats, overlap: int) -> list[tuple[float, float]]:

@@ -167,3 +167,14 @@ def test_target_that_is_rarely_visible_is_found_less_surely(monkeypatch: pytest.
     sure = [1.0 / (1.0 - w) for w in wrong]  # = (1 + c o) / (1 - e)
     slope = (sure[1] - sure[0]) / (1.0 - 1.0 / 19.0)
     assert slope > 1e-4 and sure[2] == pytest.approx(sure[1] + slope * 18.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("gain", [1e-12, 3e-4, 7e8])
+def test_unit_of_the_grey_values_moves_no_position(aerial: NDArray, gain: float):
+    pair = make_pair(aerial, np.random.default_rng(6), size_px=64, margin_px=MARGIN, condition="clean")
+    sound = locate_template(pair.template, pair.window, (MARGIN + 31.5, MARGIN + 31.5), MARGIN)
+    there = gain * pair.template.astype(float), 1e-3 * gain * pair.window.astype(float)
+    found = locate_template(*there, (MARGIN + 31.5, MARGIN + 31.5), MARGIN)
+    assert isinstance(sound, TemplateMatch) and isinstance(found, TemplateMatch)
+    assert np.abs(found.xy_px - sound.xy_px).max() < 1e-3  # px
+    assert np.allclose(found.cov_px, sound.cov_px, rtol=0.1)

@@ -15,6 +15,7 @@ from small_strip import LINES, SURFACE, Case, SmallStrip, make_case
 
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.gct_match import consistency
+from boresight.gct_match.imaging.views import in_counts
 from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
 from boresight.gct_match.predict.template import predict_template
@@ -164,6 +165,20 @@ def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case
     assert outcome.probability_chance < 1e-6  # of a search; 1 without
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_so_few_targets_are_kept_where_others_gave_the_matrix(case: Case, count: int):
+    of = case.targets[:count], case.chips[:count], SURFACE, np.full(3, 4e-5)
+    settings = MatchSettings(probability_chance=1e-12)  # which the vote of two does not reach
+    alone = match_strip(scene_of(case.strip, case.true, *of, settings))
+    assert not alone.matches
+    assert {refusal.reason for refusal in alone.refused} == {Reason.NO_COMMON_ROTATION}
+    found = match_strip(scene_of(case.strip, case.true, *of, settings, is_known=True))
+    assert {match.target_id for match in found.matches} == {target.target_id for target in of[0]}
+    assert np.abs(errors(case, found)[0]).max() < 0.015  # px
+    other = make_case(np.random.default_rng(99), case.theta, 1)
+    assert not match_strip(scene_of(other.strip, case.true, *of, settings, is_known=True)).matches
+
+
 def test_cost_is_known_before_the_search_starts(case: Case):
     scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
     plan = plan_search(scene)
@@ -189,6 +204,15 @@ def test_chip_of_another_place_is_refused_among_good_ones(case: Case):
     assert "t04" not in {match.target_id for match in outcome.matches}
     assert "t04" in {refusal.subject.id for refusal in outcome.refused}
     assert len(outcome.matches) >= len(case.targets) - 1
+
+
+@pytest.mark.parametrize("gain", [1e-9, 0.013, 1e9])
+def test_unit_of_the_chips_moves_no_position(case: Case, outcome: StripMatches, gain: float):
+    chips = [replace(one, image=in_counts(gain * (one.image + 300.1), one.valid)) for one in case.chips]
+    found = matched(case, chips=chips)
+    assert [one.target_id for one in found.matches] == [one.target_id for one in outcome.matches]
+    for one, other in zip(found.matches, outcome.matches):
+        assert np.abs(one.xy_px - other.xy_px).max() < 1e-3  # px: float32 has 24 bits
 
 
 def test_target_on_a_lake_is_refused_with_the_reason(case: Case):
