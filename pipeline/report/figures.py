@@ -100,7 +100,7 @@ def angle_histogram(saved: Saved) -> Drawing:
     text = f"{len(ratio)} pairs of directions; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
     figure = new_figure(2.6)
     axes = axes_of(figure, "z / predicted σ", "fraction per unit")
-    x: Floats = np.linspace(-4.5, 4.5, 181)
+    x = np.linspace(-4.5, 4.5, 181)
     _histogram(axes, ratio, x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "expected")
     return drawn(figure, "angle-histogram", text, f"Histogram of cross-angle residuals. {text}")
 
@@ -324,7 +324,7 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     good = values[kept & np.isfinite(values)]
     figure = new_figure(2.6)
     axes = axes_of(figure, "squared residual over its variance", "fraction per unit")
-    x: Floats = np.linspace(0.0, 16.0, 161)
+    x = np.linspace(0.0, 16.0, 161)
     _histogram(axes, np.minimum(good, 15.99), x, 0.5 * np.exp(-0.5 * x), "expected (χ², 2 degrees)")
     _logarithmic(axes, "y", steps=(1.0,))
     axes.set_ylim(1e-4, 1.0)
@@ -408,7 +408,7 @@ def _legend(axes: Axes, **where: Any) -> None:
     axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
 
 
-def _histogram(axes: Axes, values: Floats, x: Floats, expected: Floats, label: str) -> None:
+def _histogram(axes: Axes, values: Floats, x: Any, expected: Floats, label: str) -> None:
     """Density of values in bins of four steps of x, below the curve that is expected at x."""
     counts, edges = np.histogram(values, x[::4])
     density = counts / max(len(values), 1) / np.diff(edges)
