@@ -204,17 +204,9 @@ def _items(unused: Sequence[TargetCard]) -> tuple[Items, ...]:
 
 def _rejected(saved: Saved) -> tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]:
     rows: list[dict[str, Any]] = saved.ledger.to_pylist()
-    kinds = Counter(row["kind"] for row in rows)
     order = ("strip", "ccd", "exposure", "chip", "target", "star")
-    return tuple(
-        (
-            kind,
-            kinds[kind],
-            tuple(
-                Counter(
-                    REASON_WORDS.get(r["cause"], r["cause"]) for r in rows if r["kind"] == kind
-                ).most_common()
-            ),
-        )
-        for kind in sorted(kinds, key=lambda kind: order.index(kind) if kind in order else len(order))
-    )
+    causes: dict[str, Counter[str]] = {}
+    for row in rows:
+        causes.setdefault(row["kind"], Counter())[REASON_WORDS.get(row["cause"], row["cause"])] += 1
+    kinds = sorted(causes, key=lambda kind: order.index(kind) if kind in order else len(order))
+    return tuple((kind, causes[kind].total(), tuple(causes[kind].most_common())) for kind in kinds)

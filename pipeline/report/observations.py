@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ __all__ = [
     "data_uri",
     "exposure_rows",
     "pictures_of",
+    "shown_pictures",
     "strip_numbers",
     "target_rows",
 ]
@@ -200,18 +201,23 @@ def _numbers(saved: Saved, row: int, sighted: int | None) -> dict[str, Number]:
 
 
 def pictures_of(saved: Saved, table: str, n: int, form: str = "+.2f") -> Pictures | None:
-    """Pictures of a row of evidence/`table`; None where it was measured elsewhere. `form` is that of values
-    shown black and white; a star has no correlation.
-    """
+    """Pictures of a row of evidence/`table`; None where it holds none. `form` is that of its numbers."""
     row = getattr(saved, table).slice(n, 1).to_pylist()[0]
-    if not row["template_png"]:
+    return shown_pictures(row, lambda name: saved.cell(f"evidence/{table}", name, n, form))
+
+
+def shown_pictures(row: Mapping[str, Any], number: Callable[[str], Number]) -> Pictures | None:
+    """The pictures that a row of evidence/matches or evidence/unmatched holds, None where it holds none;
+    `number` gives its numbers by their columns. A star has no correlation.
+    """
+    if not row["template_png"]:  # measured elsewhere
         return None
     parts = {name: row[f"{name}_png"] for name in ("template", "found", "difference", "surface")}
-    off = [saved.cell(f"evidence/{table}", f"off_{axis}_px", n, "+.2f") for axis in "xy"]
+    off = [number(f"off_{axis}_px") for axis in "xy"]
     return Pictures(
         **{name: data_uri("image/png", png) if png else "" for name, png in parts.items()},
-        low=saved.cell(f"evidence/{table}", "surface_low", n, form),
-        high=saved.cell(f"evidence/{table}", "surface_high", n, form),
+        low=number("surface_low"),
+        high=number("surface_high"),
         aims=_aims(row) if parts["surface"] else {},
         off=tuple(off) if np.isfinite(off[0].exact) else (),
     )
