@@ -241,7 +241,7 @@ def solve_total(
     t = len(F) - len(prior)
     shared_F = F[t:, t:] + prior
     solved = np.linalg.solve(shared_F, np.column_stack([F[t:, :t], F_theta[t:]]))
-    gain, shared_0 = solved[:, :-1], solved[:, -1]
+    gain, shared_0 = np.asarray(solved[:, :-1]), solved[:, -1]
     information = F[:t, :t] - F[:t, t:] @ gain
     information = 0.5 * (information + information.T)
     right = F_theta[:t] - gain.T @ F_theta[t:]
