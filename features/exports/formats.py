@@ -20,15 +20,14 @@ from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
-from boresight.features.exports.quaternions import step_between_attitudes
+from boresight.features.exports.quaternions import instants_to_interpolate
 from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.spice_attitude import (
-    TICK_S,
     attitude_kernel,
     clock_kernel,
-    instants_of_ticks,
     instrument_kernel,
+    on_ticks,
 )
 from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
@@ -129,8 +128,7 @@ def _spice_attitude(request: ExportRequest) -> Made:
     yield "clock.tsc", clock_kernel(dump.epoch, frames, "\n".join(["Clock of the attitudes", *lines]))
     yield "camera.ti", instrument_kernel(dump.line_camera, frames, "\n".join(["Fields of view", *lines]))
     for model in _models(calibrated, request.strips):
-        step = round(_step_s(calibrated, model) / TICK_S)
-        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, step)
+        ticks, t_s = on_ticks(dump.epoch, _instants(calibrated, model, *model.track.span_s))
         name = model.strip.strip_id
         about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
         comment = "\n".join([*about, *lines])
@@ -156,8 +154,7 @@ def _camera_attitudes(
     C = R_cs.as_matrix()
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
-        steps = int(np.ceil((last - first) / _step_s(calibrated, model))) + 1
-        t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
+        t_s = _instants(calibrated, model, *np.clip([first, last], *model.track.span_s).tolist())
         own = np.nan_to_num(model.track.covariance_s(t_s))
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
@@ -172,12 +169,10 @@ def _camera_attitudes(
         yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
 
 
-def _step_s(calibrated: Calibrated, model: StripModel) -> float:
-    """Step of time between the attitudes of a strip."""
-    first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
-    begin, end = np.clip([first, last], *model.track.span_s).tolist()
+def _instants(calibrated: Calibrated, model: StripModel, first_s: float, last_s: float) -> Floats:
+    """Instants of a strip's exported attitudes."""
     limit_rad = ATTITUDE_LIMIT_PX * calibrated.dump.line_camera.pixel_rad
-    return step_between_attitudes(model.track, begin, end, limit_rad)
+    return instants_to_interpolate(model.track, first_s, last_s, limit_rad)
 
 
 def _csm_isd(request: ExportRequest) -> Made:
