@@ -38,8 +38,8 @@ _DIRECTORY = 100  # epochs to an entry of the directory
 
 
 def on_ticks(epoch: Epoch, t_s: Floats) -> tuple[Floats, Floats]:
-    """The whole ticks (N,) nearest to instants, TAI seconds, and between the first and the last of them: since
-    the epoch's clock zero, and as TAI seconds (N,).
+    """The whole ticks (N,) nearest to instants, TAI seconds, and not outside them: since the epoch's clock
+    zero, and as TAI seconds (N,).
     """
     zero = clock_zero(epoch)
     ticks = (ephemeris_time(epoch, t_s) - zero) / TICK_S

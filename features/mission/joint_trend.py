@@ -1,4 +1,5 @@
-"""Whether the mounting moved between the dumps of a joint calibration: drift.json, drift.csv, drift.png.
+"""Whether the mounting moved between the dumps of a joint calibration, and its course: drift.json, drift.csv,
+drift.png.
 
 The mounting has moved where chi2 against one matrix, or the gain of the best single step, is beyond what half
 of the probability of a false alarm allows.
@@ -27,7 +28,7 @@ from boresight.features.mission.mounting_course import (
     explained_by_free,
     fit_columns,
 )
-from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_at
+from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import record, scalar
@@ -51,14 +52,14 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
     if len({one.t_s for one in saved}) < max(len(saved), 2):
         return f"no drift: {len(saved)} results at {len({one.t_s for one in saved})} dates"
     pairs = reduce(InformationPairs.merged, [one.pair for one in saved])
-    series = _series(saved, pairs)
+    of_folder = {(out / name).resolve(): name for name in names}
+    series = _series(saved, [of_folder[one.folder] for one in saved], pairs)
     found = against_rest(series)
     rest, step = found.rest, found.step
     course = estimate_course(series)
     R_cs = deviation_from_theta(rest.coefficients[0]) * pairs.R_cs_ref
-    of_folder = {(out / name).resolve(): name for name in names}
     content: dict[str, Any] = {
-        "results": [of_folder[one.folder] for one in saved],
+        "results": list(series.names),
         "utc": [one.utc for one in saved],
         "moved": found.moved(FALSE_ALARM),
         "probability_false_alarm": FALSE_ALARM,
@@ -69,19 +70,14 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
             "covariance_rad2": rest.covariance.tolist(),
         },
         "constant": {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value},
-        "step": {
-            "after": of_folder[saved[step.row - 1].folder],
-            "before": of_folder[saved[step.row].folder],
-            "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
-            "theta_rad": step.theta.tolist(),
-            "covariance_rad2": step.covariance.tolist(),
-            "p_value": step.p_value,
-        },
+        "step": step.content(series),
+        "course": course.content(),
         "version": __version__,
     }
     moved = content["moved"]
     said = "the mounting has moved" if moved else "no sign that the mounting has moved"
     said += f", at a false-alarm probability of {FALSE_ALARM:.2g}"
+    said += f"; terms: {', '.join(course.terms)}" if course.terms else ""
     table = _table(course, content["results"], content["utc"], rest.coefficients[0])
     write_json(out / "drift.json", content)
     write_text(out / "drift.csv", table_csv(table, "%.9g"))
@@ -120,9 +116,9 @@ def against_rest(series: MountingSeries) -> AgainstRest:
     return AgainstRest(rest=rest, step=step, chi2=float(chi2), dof=3 * len(rows))
 
 
-def _series(saved: list[SavedMounting], pairs: InformationPairs) -> MountingSeries:
+def _series(saved: list[SavedMounting], names: list[str], pairs: InformationPairs) -> MountingSeries:
     return MountingSeries(
-        names=tuple(one.id for one in saved),
+        names=tuple(names),
         t_s=np.array([one.t_s for one in saved]),
         F=pairs.F[:, :3, :3],
         F_shared=pairs.F[:, :3, 3:],

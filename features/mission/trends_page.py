@@ -123,7 +123,7 @@ def _picture(trend: Trend, axis: int, folder: Path) -> dict[str, Any]:
             }
             for t, y, s, k, n in points
         ],
-        "steps": [f"{of_x(0.5 * (t_s[one.row - 1] + t_s[one.row])):.1f}" for one in course.steps],
+        "steps": [f"{of_x(one.t_s(course.series)):.1f}" for one in course.steps],
         "now": f"{of_x(trend.now.t_s):.1f}" if t_s[0] <= trend.now.t_s else "",
         "required": [f"{of_y(value):.1f}" for value in inside],
         "marks": [(f"{of_y(mark):.1f}", f"{mark:+.4g}") for mark in marks],

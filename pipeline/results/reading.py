@@ -178,9 +178,7 @@ def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, A
     return matrices[camera]
 
 
-def matrix_in(
-    content: dict[str, Any], camera: str, result: Path
-) -> tuple[Rotation, Floats, Floats]:
+def matrix_in(content: dict[str, Any], camera: str, result: Path) -> tuple[Rotation, Floats, Floats]:
     """R_cs, theta (3,), rad, and its covariance (3, 3), rad², of a result's installation.json, of several
     cameras those of `camera`.
     """

@@ -1,6 +1,6 @@
 """Two writers of one archive, both killed with SIGKILL at moments of their own, again and again.
 
-    python tests/features/mission/killed_writers.py --kills 200
+python tests/features/mission/killed_writers.py --kills 200
 """
 
 import argparse
@@ -19,6 +19,7 @@ from drawn_mission import DrawnMission, bare_result, lopsided_pair
 from boresight.features.mission.archive import add_mounting, add_results
 
 PAIR = lopsided_pair()
+FORK = multiprocessing.get_context("fork")
 MOST = 40  # results that writers of a round can add
 
 
@@ -36,7 +37,7 @@ def kill_writers(archive: Path, kills: int, seed: int = 0) -> tuple[int, list[st
     add_results([], archive)
     for n in range(-(-kills // 2)):
         out, into = os.pipe()
-        pair = [multiprocessing.get_context("fork").Process(target=write, args=(archive, n, into)) for _ in "ab"]
+        pair = [FORK.Process(target=write, args=(archive, n, into)) for _ in "ab"]
         for one in pair:
             one.start()
         os.close(into)

@@ -45,7 +45,7 @@ def test_a_series_of_the_archive_is_that_of_its_results(tmp_path):
 
 
 def test_of_results_that_share_a_strip_the_one_added_last_counts(tmp_path):
-    """A strip in two results has the same errors in both: counted in both, its information would be double."""
+    """A strip in two results has the same errors in both: its information would be counted twice."""
     mission, like = DrawnMission(PAIR, np.random.default_rng(1)), bare_result(PAIR)
     dates = np.array(["2021-01-01T00:00:00Z", "2021-01-01T00:05:00Z", "2021-01-01T00:10:00Z"])
     of = {"a": [0], "b": [1, 2], "c": [0, 1], "d": [2]}  # c shares a strip with a and with b, d with b alone
