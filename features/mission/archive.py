@@ -104,7 +104,6 @@ def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]
     """Add finished results, each dump of a joint one by itself; each folder with what became of it: "added"
     or "there already". `RawDataError` for a folder that holds no finished result, or a damaged one.
     """
-    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     told = []
     with closing(_connected(archive)) as database:
         _sweep(archive, database)
@@ -119,7 +118,6 @@ def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]
 
 def add_mounting(saved: SavedMounting, archive: Path) -> bool:
     """Add one result; whether it was not there."""
-    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     with closing(_connected(archive)) as database:
         return _add(archive, database, saved)
 
@@ -135,6 +133,7 @@ def series_of(archive: Path) -> list[ArchivedSeries]:
 
 
 def _connected(archive: Path) -> sqlite3.Connection:
+    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     database = sqlite3.connect(archive / FILE, timeout=LONGEST_WAIT_S, isolation_level=None)
     try:
         if database.execute("PRAGMA application_id").fetchone()[0] != GEOPACKAGE:
@@ -224,11 +223,10 @@ def _add(archive: Path, database: sqlite3.Connection, saved: SavedMounting) -> b
 def _tracks(saved: SavedMounting) -> list[tuple[Any, ...]]:
     """Rows of the table of tracks, one a strip; without a line where the result does not say where it is."""
     t_s = ORIGIN.seconds_from_utc(saved.strips_utc.tolist()).tolist() if len(saved.strips) else []
+    rows = zip(saved.track_deg.tolist(), saved.strips.tolist(), saved.strips_utc.tolist(), t_s)
     return [
-        (_geometry([(b, a), (d, c)]) if np.isfinite([a, b, c, d]).all() else None, saved.id, strip, utc, t)
-        for (a, b, c, d), strip, utc, t in zip(
-            saved.track_deg.tolist(), saved.strips.tolist(), saved.strips_utc.tolist(), t_s
-        )
+        (_geometry([(b, a), (d, c)]) if np.isfinite([a, b, c, d]).all() else None, saved.id, *strip)
+        for (a, b, c, d), *strip in rows
     ]
 
 

@@ -1,5 +1,4 @@
-"""Whether the mounting moved between the dumps of a joint calibration, and its course: drift.json, drift.csv,
-drift.png.
+"""Drift and course of the mounting between dumps of a joint calibration: drift.json, drift.csv, drift.png.
 
 The mounting has moved where chi2 against one matrix, or the gain of the best single step, is beyond what half
 of the probability of a false alarm allows.
@@ -138,24 +137,10 @@ def _table(course: MountingCourse, names: list[str], utc: list[str], middle: Any
     """
     free, covariance = course.free
     there, cov = course.at(course.series.t_s)
-    rows = [
-        (
-            *(name, date, axis, (free[k, a] - middle[a]) / ARCSEC, np.sqrt(covariance[k, a, a]) / ARCSEC),
-            *((there[k, a] - middle[a]) / ARCSEC, np.sqrt(cov[k, a, a]) / ARCSEC),
-        )
-        for k, (name, date) in enumerate(zip(names, utc))
-        for a, axis in enumerate("XYZ")
-    ]
-    columns = [
-        "result",
-        "utc",
-        "axis",
-        "theta_arcsec",
-        "sigma_arcsec",
-        "course_arcsec",
-        "course_sigma_arcsec",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    sigma, course_sigma = (np.sqrt(np.einsum("kaa->ka", C)) for C in (covariance, cov))
+    angles = {"theta": free - middle, "sigma": sigma, "course": there - middle, "course_sigma": course_sigma}
+    table = {"result": np.repeat(names, 3), "utc": np.repeat(utc, 3), "axis": [*"XYZ"] * len(names)}
+    return pd.DataFrame(table | {f"{name}_arcsec": rad.ravel() / ARCSEC for name, rad in angles.items()})
 
 
 def plot_drift(table: pd.DataFrame, step: list[str] | None, title: str) -> Figure:

@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 
 from boresight.features.mission.saved_mounting import utc_at
-from boresight.geometry.constants import DAY_S
+from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = [
@@ -179,6 +179,11 @@ class MountingCourse:
     def p_value(self) -> float:
         """Probability of so large a chi2, if the results' covariances and the model hold."""
         return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+
+    @property
+    def walk_arcsec(self) -> float:
+        """1 sigma of the random walk over a day."""
+        return float(np.sqrt(self.density_rad2_s * DAY_S)) / ARCSEC
 
     def of_term(self, term: str) -> tuple[Floats, Floats]:
         """Coefficients (M, 3) of an accepted term's columns, rad, and their covariance (N, N), N = 3 M."""

@@ -60,11 +60,9 @@ class Trend:
         lines += [f"terms                     {', '.join(('mean', *course.terms))}; chi2 / dof {chi2}"]
         lines += [f"step                      {step_words(course, step)}" for step in course.steps]
         if course.walks:
-            lines.append(f"random walk               {_per_root_day(course):.3g} arcsec per root day")
-        lines.append(
-            f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec"
-            + "".join(f"{value:10.4f}" for value in sigma)
-        )
+            lines.append(f"random walk               {course.walk_arcsec:.3g} arcsec per root day")
+        of_axes = "".join(f"{value:10.4f}" for value in sigma)
+        lines.append(f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec{of_axes}")
         if now.valid_s is not None:
             lines.append(f"valid                     {' to '.join(utc_at(t)[:10] for t in now.valid_s)}")
         lines += [f"cannot be told            {text}" for text in self.aliases]
@@ -158,7 +156,3 @@ def _alarms(archived: ArchivedSeries, course: MountingCourse, now: MountingPredi
             yield f"a step in the last {NEW_STEP_DAYS:.0f} days: {step_words(course, step)}"
     if not now.is_met:
         yield "the matrix for the date does not reach what is required"
-
-
-def _per_root_day(course: MountingCourse) -> float:
-    return float(np.sqrt(course.density_rad2_s * DAY_S)) / ARCSEC
