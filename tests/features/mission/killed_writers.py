@@ -24,7 +24,7 @@ MOST = 40  # results that writers of a round can add
 
 
 def write(archive: Path, round: int, told: int) -> None:
-    """Add the results of a round; each that was new is told to a pipe once it is added."""
+    """Add the results of a round; each that was new is written to a pipe once it is added."""
     mission, like = DrawnMission(PAIR, np.random.default_rng(round)), bare_result(PAIR)
     for k in range(round * MOST, (round + 1) * MOST):
         if add_mounting(mission.result(like, f"r{k:06d}", 1e5 * k, np.zeros(3)), archive):
