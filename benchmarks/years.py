@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import random
 import subprocess
 import sys
 import tempfile
@@ -24,9 +23,10 @@ from scipy.stats import chi2, kstest, ncx2
 
 sys.path.insert(0, str(ROOT / "tests" / "features" / "mission"))
 from drawn_mission import DrawnMission, Truth
+from killed_writers import kill_writers
 
 from boresight.calib.information import InformationPairs
-from boresight.features.mission.archive import add_mounting, add_results, series_of
+from boresight.features.mission.archive import add_mounting
 from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.features.mission.mounting_course import aliases, estimate_course
 from boresight.features.mission.saved_mounting import SavedMounting, instant_s, read_saved_mounting
@@ -112,50 +112,12 @@ def comparisons(pair: InformationPairs, like: SavedMounting, count: int) -> None
     )
 
 
-WRITER = """
-import sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-import numpy as np
-from drawn_mission import DrawnMission, bare_result, lopsided_pair
-from boresight.features.mission.archive import add_mounting, add_results
-pair = lopsided_pair()
-mission, like = DrawnMission(pair, np.random.default_rng(0)), bare_result(pair)
-print("ready", flush=True)
-add_results([], Path(sys.argv[1]))
-for k in range(int(sys.argv[3]), 10**6):
-    if add_mounting(mission.result(like, f"r{k:06d}", 1e5 * k, np.zeros(3)), Path(sys.argv[1])):
-        print(f"r{k:06d}", flush=True)
-"""
-
-
 def kills(count: int) -> None:
     """Two writers on one archive, killed at random moments: all that they told is there, once."""
-    told: list[str] = []
     with tempfile.TemporaryDirectory() as scratch:
-        place = str(ROOT / "tests" / "features" / "mission")
-        for n in range(count // 2):
-            start = str(50 * n)
-            command = [sys.executable, "-c", WRITER, scratch, place, start]
-            pair = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-            for one in pair:
-                one.stdout.readline()
-            time.sleep(random.Random(n).uniform(0.0, 0.3))
-            for one in pair:
-                one.kill()
-            told += [line for one in pair for line in one.communicate()[0].split()]
-        add_results([], Path(scratch))  # sweeps
-        found = series_of(Path(scratch))
-        names = [name for one in found for name in one.series.names]
-        files = {path.stem for path in (Path(scratch) / "information").glob("*.parquet")}
-    lost, doubled = set(told) - set(names), len(names) - len(set(names))
-    print(f"{count} kills: {len(told)} told, {len(names)} there")
-    verdict(
-        "archive: lost, doubled or left over after kills",
-        "0",
-        not lost and not doubled and files == set(names),
-        count,
-    )
+        told, wrong = kill_writers(Path(scratch), count)
+    print(f"{count} kills: {told} told; {', '.join(wrong)}")
+    verdict("archive: lost, doubled or left over after kills", "0", not wrong, count)
 
 
 def many(pair: InformationPairs, like: SavedMounting, results: int) -> None:

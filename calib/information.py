@@ -10,7 +10,7 @@ eliminated, after the sum. Of C cameras theta is three components each, camera a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -141,44 +141,38 @@ class InformationPairs:
             self.cameras,
         )
 
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns of a table, one row a pair: name, upper triangle of F, F_theta, reference (scalar last).
+    def numbers(self) -> tuple[list[str], Array]:
+        """Names (M,) and numbers (K, M) of a table: upper triangle of F, F_theta, references (scalar last).
 
-        They are `F:a:b` and `F_theta:a`, where a and b are x, y, z (of one of several cameras camera/NAME/x)
-        or the name of a shared unknown.
+        They are `F:a:b`, `F_theta:a` and `q_ref:i`, where a and b are x, y, z (of one of several cameras
+        camera/NAME/x) or the name of a shared unknown.
         """
-        unknowns = (*(_of(camera, axis) for camera in self.cameras for axis in "xyz"), *self.shared)
+        unknowns = [*(_of(camera, axis) for camera in self.cameras for axis in "xyz"), *self.shared]
         rows, columns = np.triu_indices(len(unknowns))
-        data: dict[str, NDArray[Any]] = {"name": self.names}
-        for i, j in zip(rows.tolist(), columns.tolist()):
-            data[f"F:{unknowns[i]}:{unknowns[j]}"] = self.F[:, i, j]
-        data |= {f"F_theta:{unknown}": self.F_theta[:, i] for i, unknown in enumerate(unknowns)}
-        of_all = np.ones(len(self.names))
-        quaternions = np.atleast_2d(self.R_cs_ref.as_quat())
-        references = {
-            f"q_ref:{_of(camera, i)}": q * of_all
-            for camera, own in zip(self.cameras, quaternions)
-            for i, q in enumerate(own)
-        }
-        return data | references
+        references = np.tile(self.R_cs_ref.as_quat().ravel(), (len(self.names), 1))
+        numbers = np.hstack([self.F[:, rows, columns], self.F_theta, references])
+        return _number_names(unknowns, self.cameras), numbers
 
     @classmethod
-    def from_columns(cls, table: Mapping[str, NDArray[Any]]) -> InformationPairs:
-        """Pairs from columns (N,) as `columns` gives them; `ValueError` if they have several references."""
-        unknowns = [name.removeprefix("F_theta:") for name in table if name.startswith("F_theta:")]
+    def from_numbers(cls, pairs: NDArray[Any], names: list[str], numbers: Array) -> InformationPairs:
+        """Pairs of the names `pairs` (K,) from what `numbers` gives; `ValueError` if they have several
+        references, `KeyError` for a number that is missing.
+        """
+        unknowns = [name.removeprefix("F_theta:") for name in names if name.startswith("F_theta:")]
         named = [name.split("/")[1] for name in unknowns if name.startswith("camera/")]
         cameras = tuple(dict.fromkeys(named)) or ("",)
-        quaternions = np.column_stack([table[f"q_ref:{_of(one, i)}"] for one in cameras for i in range(4)])
+        if (wanted := _number_names(unknowns, cameras)) != names:
+            place = {name: k for k, name in enumerate(names)}
+            numbers = numbers[:, [place[name] for name in wanted]]
+        n = len(unknowns)
+        rows, columns = np.triu_indices(n)
+        of_F, F_theta, quaternions = np.split(numbers, [len(rows), len(rows) + n], axis=1)
         if np.any(quaternions != quaternions[0]):
             raise ValueError("the pairs of one table must share one reference")
-        rows, columns = np.triu_indices(len(unknowns))
-        F = np.empty((len(quaternions), len(unknowns), len(unknowns)))
-        for i, j in zip(rows.tolist(), columns.tolist()):
-            F[:, i, j] = F[:, j, i] = table[f"F:{unknowns[i]}:{unknowns[j]}"]
-        F_theta = np.column_stack([table[f"F_theta:{unknown}"] for unknown in unknowns])
+        F = np.empty((len(numbers), n, n))
+        F[:, rows, columns] = F[:, columns, rows] = of_F
         R_cs_ref = Rotation.from_quat(quaternions[0].reshape((-1, 4) if len(cameras) > 1 else 4))
-        shared = tuple(unknowns[3 * len(cameras) :])
-        return cls(table["name"].astype(str), F, F_theta, R_cs_ref, shared, cameras)
+        return cls(pairs.astype(str), F, F_theta, R_cs_ref, tuple(unknowns[3 * len(cameras) :]), cameras)
 
 
 @record
@@ -269,6 +263,13 @@ def theta_of(R_cs: Rotation, R_cs0: Rotation) -> Array:
 def corrected(R_cs: Rotation, theta: Array) -> Rotation:
     """The matrices of C cameras that deviate by theta (3 C,) from `R_cs`."""
     return deviation_from_theta(theta if R_cs.single else theta.reshape(-1, 3)) * R_cs
+
+
+def _number_names(unknowns: Sequence[str], cameras: Sequence[str]) -> list[str]:
+    """Of the numbers of a pair, in order."""
+    of_F = [f"F:{one}:{other}" for n, one in enumerate(unknowns) for other in unknowns[n:]]
+    of_right = [f"F_theta:{one}" for one in unknowns]
+    return of_F + of_right + [f"q_ref:{_of(camera, i)}" for camera in cameras for i in range(4)]
 
 
 def _of(camera: str, part: str | int) -> str:

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from boresight.accepted import PathLike, instance_of, listed, new_folder_of, path_of, wrong
-from boresight.features.exports.formats import FORMATS, ExportRequest, Remark
-from boresight.features.exports.formats import export as made
+from boresight.features.exports.formats import FORMATS, ExportRequest, Remark, export
 from boresight.features.exports.spice_frame import SpiceFrames
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.reading import read_installation
 
 __all__ = ["export_files"]
@@ -47,16 +45,12 @@ def export_files(
         frames=SpiceFrames(),
         creation_utc=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%S"),
     )
-    written = []
+    written: list[Path] = []
     for name in names:
-        found = list(made(name, request))
+        found = list(export(name, request, folder))
         files = [one for one in found if not isinstance(one, Remark)]
         if not files:
             why = "; ".join(one.text for one in found if isinstance(one, Remark))
             raise DataNotSufficientError(f"nothing to write as {name}{f': {why}' if why else ''}")
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files:
-            raw = content.encode("utf-8") if isinstance(content, str) else content
-            write_whole(folder / file, lambda place, raw=raw: place.write_bytes(raw))
-            written.append(folder / file)
+        written += files
     return written

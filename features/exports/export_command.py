@@ -8,8 +8,14 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.exports.formats import FORMATS, OF_STRIPS, ExportRequest, Remark, strips_left_out
-from boresight.features.exports.formats import export as made
+from boresight.features.exports.formats import (
+    FORMATS,
+    OF_STRIPS,
+    ExportRequest,
+    Remark,
+    export,
+    strips_left_out,
+)
 from boresight.features.exports.spice_frame import SpiceFrames
 from boresight.pipeline.console.arguments import (
     CameraOption,
@@ -19,7 +25,6 @@ from boresight.pipeline.console.arguments import (
 )
 from boresight.pipeline.console.completion import among, strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
-from boresight.pipeline.files.whole_file import write_whole
 
 __all__ = ["export_command"]
 
@@ -94,7 +99,6 @@ def export_command(
         allow_stale_eop=allow_stale_eop,
     )
     folder = out if out is not None else result / "exports" / camera
-    folder.mkdir(parents=True, exist_ok=True)
     for remark in strips_left_out(request) if set(names) & set(OF_STRIPS) else ():
         say(remark.text)
     if empty := [name for name in names if not _written(name, request, folder)]:
@@ -113,13 +117,10 @@ def _date(text: str) -> str:
 def _written(name: str, request: ExportRequest, folder: Path) -> int:
     """How many files of a format were written."""
     count = 0
-    for one in made(name, request):
+    for one in export(name, request, folder):
         if isinstance(one, Remark):
             say(f"{name}: {one.text}")
-            continue
-        count += 1
-        file, content = one
-        raw = content.encode("utf-8") if isinstance(content, str) else content
-        write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
-        tell(f"{name:8s} {len(raw):10d} bytes -> {folder / file}")
+        else:
+            count += 1
+            tell(f"{name:8s} {one.stat().st_size:10d} bytes -> {one}")
     return count

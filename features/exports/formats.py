@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,15 +21,14 @@ from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import operator_parameters
-from boresight.features.exports.quaternions import step_between_attitudes
+from boresight.features.exports.quaternions import instants_to_interpolate
 from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.spice_attitude import (
-    TICK_S,
     attitude_kernel,
     clock_kernel,
-    instants_of_ticks,
     instrument_kernel,
+    on_ticks,
 )
 from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
@@ -45,9 +45,11 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.calibration_file import calibration_text
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
 from boresight.pipeline.results.sightings_tables import read_sightings
@@ -92,12 +94,20 @@ class ExportRequest:
     allow_stale_eop: bool = scalar("accept dates after the Earth-orientation table", default=False)
 
 
-def export(name: str, request: ExportRequest) -> Made:
-    """File names and contents of one of `FORMATS`, and remarks on what is left out.
+def export(name: str, request: ExportRequest, folder: Path) -> Iterator[Path | Remark]:
+    """Files of one of `FORMATS`, each once it is written into a folder, and remarks on what is left out.
 
     Raises `RawDataError` for a damaged or missing file, `DataNotSufficientError` without star exposures.
     """
-    return FORMATS[name](request)
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in FORMATS[name](request):
+        if isinstance(one, Remark):
+            yield one
+            continue
+        file, content = one
+        raw = content.encode("utf-8") if isinstance(content, str) else content
+        write_whole(folder / file, lambda path, raw=raw: path.write_bytes(raw))
+        yield folder / file
 
 
 def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
@@ -129,35 +139,21 @@ def _spice_attitude(request: ExportRequest) -> Made:
     yield "clock.tsc", clock_kernel(dump.epoch, frames, "\n".join(["Clock of the attitudes", *lines]))
     yield "camera.ti", instrument_kernel(dump.line_camera, frames, "\n".join(["Fields of view", *lines]))
     for model in _models(calibrated, request.strips):
-        step = round(_step_s(calibrated, model) / TICK_S)
-        ticks, t_s = instants_of_ticks(dump.epoch, *model.track.span_s, step)
+        ticks, t_s = on_ticks(dump.epoch, _instants(calibrated, model, *model.track.span_s))
         name = model.strip.strip_id
         about = [f"Strip {name}: attitude of the star camera, axes of GCRS", *_line_times(model, dump.epoch)]
         comment = "\n".join([*about, *lines])
         yield f"{name}.bc", attitude_kernel(ticks, model.track.R_si(t_s), frames, f"strip {name}", comment)
 
 
-def _aem(request: ExportRequest) -> Made:
-    for header, comments, utc, R_ci, _, name in _camera_attitudes(request):
-        yield f"{name}.aem", attitude_message(header, comments, utc, R_ci)
-
-
-def _acm(request: ExportRequest) -> Made:
-    for header, comments, utc, R_ci, variance_c, name in _camera_attitudes(request):
-        yield f"{name}.acm", comprehensive_message(header, comments, utc, R_ci, variance_c)
-
-
-def _camera_attitudes(
-    request: ExportRequest,
-) -> Iterator[tuple[AemHeader, list[str], list[str], Rotation, Floats, str]]:
-    """Of each strip: header, comments, instants, attitudes of the camera, their variances, id."""
+def _message(request: ExportRequest, ending: str, text_of: Callable[..., str]) -> Made:
+    """Attitudes of the camera and their variances over each strip."""
     calibrated, notes = _opened(request), _notes(request)
     dump, R_cs = calibrated.dump, calibrated.result.R_cs
     C = R_cs.as_matrix()
     for model in _models(calibrated, request.strips):
         first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
-        steps = int(np.ceil((last - first) / _step_s(calibrated, model))) + 1
-        t_s = np.clip(np.linspace(first, last, max(steps, 8)), *model.track.span_s)
+        t_s = _instants(calibrated, model, *np.clip([first, last], *model.track.span_s).tolist())
         own = np.nan_to_num(model.track.covariance_s(t_s))
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
@@ -169,15 +165,14 @@ def _camera_attitudes(
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
         comments += [*_line_times(model, dump.epoch), *notes.lines()]
         utc = dump.epoch.utc_from_seconds(t_s)
-        yield header, comments, utc, R_cs * model.track.R_si(t_s), variance_c, name
+        text = text_of(header, comments, utc, R_cs * model.track.R_si(t_s), variance_c)
+        yield f"{name}.{ending}", text
 
 
-def _step_s(calibrated: Calibrated, model: StripModel) -> float:
-    """Step of time between the attitudes of a strip."""
-    first, last = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
-    begin, end = np.clip([first, last], *model.track.span_s).tolist()
+def _instants(calibrated: Calibrated, model: StripModel, first_s: float, last_s: float) -> Floats:
+    """Instants of a strip's exported attitudes."""
     limit_rad = ATTITUDE_LIMIT_PX * calibrated.dump.line_camera.pixel_rad
-    return step_between_attitudes(model.track, begin, end, limit_rad)
+    return instants_to_interpolate(model.track, first_s, last_s, limit_rad)
 
 
 def _csm_isd(request: ExportRequest) -> Made:
@@ -239,18 +234,6 @@ def _kml(request: ExportRequest) -> Made:
     yield "boresight.kml", kml_text(outlines, _ground_points(request), _notes(request))
 
 
-def _asp(request: ExportRequest) -> Made:
-    return _each_image(request, "gcp", points_asp)
-
-
-def _envi(request: ExportRequest) -> Made:
-    return _each_image(request, "pts", lambda points, notes: points_envi(points, egm96(), notes))
-
-
-def _qgis(request: ExportRequest) -> Made:
-    return _each_image(request, "points", points_qgis)
-
-
 def _each_image(request: ExportRequest, ending: str, text_of: Callable[[GroundPoints, Notes], str]) -> Made:
     """The ground control points of each image as a text of its own."""
     notes = _notes(request)
@@ -303,33 +286,31 @@ def _operator(request: ExportRequest) -> Made:
 
 def _dimap(request: ExportRequest) -> Made:
     """The operator's product with the attitude corrected."""
-    calibrated = _opened(request)
-    if request.product is None:
-        raise DataNotSufficientError("the format dimap needs the option --product, the operator's DIMAP file")
-    dump, found = calibrated.dump, operator_model(request.product)
+    dump, correction, product = _corrected(request, "the format dimap needs", "the operator's DIMAP file")
+    found = operator_model(product)
     orbit = found.pushbroom.orbit
     assert isinstance(orbit, Orbit)
     first_utc = orbit.epoch.utc_from_seconds([found.pushbroom.rows.t_first_row_s])
     apart_s = dump.epoch.seconds_from_utc(first_utc)[0] - dump.strips[0].t_first_row_s
     if len(dump.strips) > 1 or dump.strips[0].lines != found.height_px or abs(apart_s) > 1e-6:
         text = f"{found.height_px} lines from {first_utc[0]}"
-        raise RawDataError(str(request.product), "strip", text, "the product that the dump was imported from")
-    correction = calibrated.result.R_cs * dump.R_cs0.inv()
-    yield request.product.name, corrected_dimap(request.product, correction, _notes(request).items())
+        raise RawDataError(str(product), "strip", text, "the product that the dump was imported from")
+    yield product.name, corrected_dimap(product, correction, _notes(request).items())
 
 
 def _gipp(request: ExportRequest) -> Made:
     """The operator's own GIPP file with the matrix of the result."""
-    calibrated = _opened(request)
-    if request.product is None:
-        raise DataNotSufficientError("the format gipp needs the option --product, a SPAMOD or VIEDIR file")
-    dump = calibrated.dump
-    correction = calibrated.result.R_cs * dump.R_cs0.inv()
+    dump, correction, product = _corrected(request, "the format gipp needs", "a SPAMOD or VIEDIR file")
     head = dump.heads[0].name
-    yield (
-        request.product.name,
-        corrected_gipp(request.product, correction, dump.R_cs0, head, request.valid_utc),
-    )
+    yield product.name, corrected_gipp(product, correction, dump.R_cs0, head, request.valid_utc)
+
+
+def _corrected(request: ExportRequest, who: str, what: str) -> tuple[Dump, Rotation, Path]:
+    """The dump, the rotation of frame c from its matrix to the result's, and the operator's file."""
+    if request.product is None:
+        raise DataNotSufficientError(f"{who} the option --product, {what}")
+    calibrated = _opened(request)
+    return calibrated.dump, calibrated.result.R_cs * calibrated.dump.R_cs0.inv(), request.product
 
 
 def _calibration(request: ExportRequest) -> Made:
@@ -348,8 +329,8 @@ OF_STRIPS = "spice-ck aem acm operator csm-isd rpc kml".split()  # formats that 
 FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "spice": _spice,
     "spice-ck": _spice_attitude,
-    "aem": _aem,
-    "acm": _acm,
+    "aem": partial(_message, ending="aem", text_of=lambda *of: attitude_message(*of[:4])),
+    "acm": partial(_message, ending="acm", text_of=comprehensive_message),
     "operator": _operator,
     "dimap": _dimap,
     "gipp": _gipp,
@@ -358,10 +339,10 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "rpc": _rpc,
     "vrt": _vrt,
     "kml": _kml,
-    "asp": _asp,
+    "asp": partial(_each_image, ending="gcp", text_of=points_asp),
     "geojson": _geojson,
-    "envi": _envi,
-    "qgis": _qgis,
+    "envi": lambda request: _each_image(request, "pts", partial(points_envi, geoid=egm96())),
+    "qgis": partial(_each_image, ending="points", text_of=points_qgis),
     "fits": _fits,
 }
 

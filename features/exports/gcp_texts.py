@@ -39,7 +39,7 @@ def points_asp(points: GroundPoints, notes: Notes) -> str:
     return "\n".join(lines) + "\n"
 
 
-def points_envi(points: GroundPoints, geoid: Geoid, notes: Notes) -> str:
+def points_envi(points: GroundPoints, notes: Notes, geoid: Geoid) -> str:
     """Text for ENVI: longitude, latitude, orthometric height, image x and y of each used point."""
     undulation = geoid.undulation_m(np.radians(points.lat_deg), np.radians(points.lon_deg))
     lines = [

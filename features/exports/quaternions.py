@@ -1,37 +1,38 @@
-"""Series of rotations as formats of attitudes take them: steps of time, and quaternions."""
+"""Series of rotations as formats of attitudes take them: instants, and quaternions."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import Attitude
+from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.record import Floats
 
-__all__ = ["continuous_quaternions", "step_between_attitudes"]
+__all__ = ["continuous_quaternions", "instants_to_interpolate"]
 
-STEPS_S = tuple(2.0**-n for n in range(5, 11))  # s; whole ticks of the clock of SPICE kernels
-# Error of a step, of that of the step before, above which it is a jump that no step follows: it falls to a
-# quarter where the attitude is smooth, to a half where its rate jumps.
-JUMP = 0.7
+LONGEST_S = 2.0**-3  # between attitudes
+SHORTEST_S = 2.0**-18  # 3.8 µs: between the attitudes before and after a jump
 
 
-def step_between_attitudes(attitude: Attitude, first_s: float, last_s: float, limit_rad: float) -> float:
-    """The longest of `STEPS_S` between attitudes that, interpolated along great circles, miss `attitude` by
-    at most `limit_rad` between two instants; where it jumps, the longest that misses by nothing else.
+def instants_to_interpolate(track: AttitudeTrack, first_s: float, last_s: float, limit_rad: float) -> Floats:
+    """Instants (N,) from first_s to last_s between which attitudes that are interpolated along great circles
+    miss `track` by at most `limit_rad`: steps are halved where they miss by more, and a jump of the track's
+    own interpolation has an attitude on either side.
     """
-    chosen, before = STEPS_S[0], np.inf
-    for step in STEPS_S:
-        t_s = np.linspace(first_s, last_s, int(np.ceil((last_s - first_s) / step)) + 1)
-        R = attitude.R_si(t_s)
+    inside = (track.breaks_s > first_s + 2.0 * SHORTEST_S) & (track.breaks_s < last_s - 2.0 * SHORTEST_S)
+    breaks = track.breaks_s[inside]
+    before, low, high = (breaks + n * SHORTEST_S for n in (-1.5, -0.5, 0.5))
+    step = track.R_si(high) * track.R_si(low).inv()
+    jumps = (step * track.R_si(before) * track.R_si(low).inv()).magnitude() > limit_rad
+    regular = np.linspace(first_s, last_s, int(np.ceil((last_s - first_s) / LONGEST_S)) + 1)
+    t_s = np.unique(np.concatenate([regular, breaks[~jumps], low[jumps], high[jumps]]))
+    while True:
+        middle, R = 0.5 * (t_s[1:] + t_s[:-1]), track.R_si(t_s)
         half = Rotation.from_rotvec(0.5 * (R[1:] * R[:-1].inv()).as_rotvec()) * R[:-1]
-        missed = float((attitude.R_si(0.5 * (t_s[1:] + t_s[:-1])) * half.inv()).magnitude().max())
-        if missed > JUMP * before:
-            break
-        chosen, before = step, missed
-        if missed <= limit_rad:
-            break
-    return chosen
+        missed = (track.R_si(middle) * half.inv()).magnitude() > limit_rad
+        if not np.any(wide := missed & (np.diff(t_s) > SHORTEST_S)):
+            return t_s
+        t_s = np.sort(np.concatenate([t_s, middle[wide]]))
 
 
 def continuous_quaternions(rotations: Rotation) -> Floats:

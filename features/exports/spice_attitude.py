@@ -1,6 +1,6 @@
 """SPICE kernels of the star camera's attitude over a strip: CK (binary, type 3) with its SCLK, and the IK.
 
-The clock counts 1/1024 s of ephemeris time (TDB) since an epoch, so that it needs no leap seconds; instants
+The clock counts 2^-20 s of ephemeris time (TDB) since an epoch, so that it needs no leap seconds; instants
 are laid on its whole ticks, because ephemeris times are held in doubles that resolve 0.1 µs only, in which an
 Earth-pointing satellite turns by 1e-10 rad. Between attitudes SPICE rotates about a fixed axis at a constant
 rate. The layout is that of NAIF's DAF and CK Required Reading.
@@ -23,26 +23,27 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats
 
 __all__ = [
-    "TICK_S",
     "attitude_kernel",
     "clock_kernel",
-    "instants_of_ticks",
     "instrument_kernel",
+    "on_ticks",
 ]
 
 # Length of a tick of the spacecraft clock that the SCLK file defines, s; exact in binary.
-TICK_S = 1.0 / 1024.0
+TICK_S = 2.0**-20
 _RECORD = 128  # doubles of a DAF record
 _J2000 = 1  # NAIF's number of the frame, in practice the axes of ICRF
 _TYPE_3 = 3  # CK data type: quaternions interpolated linearly (NAIF, CK Required Reading)
 _DIRECTORY = 100  # epochs to an entry of the directory
 
 
-def instants_of_ticks(epoch: Epoch, t_first_s: float, t_last_s: float, step: int) -> tuple[Floats, Floats]:
-    """Every `step` ticks between two instants: ticks (N,) since the epoch's clock zero, TAI seconds (N,)."""
+def on_ticks(epoch: Epoch, t_s: Floats) -> tuple[Floats, Floats]:
+    """The whole ticks (N,) nearest to instants, TAI seconds, and not outside them: since the epoch's clock
+    zero, and as TAI seconds (N,).
+    """
     zero = clock_zero(epoch)
-    first, last = (ephemeris_time(epoch, np.array([t]))[0] - zero for t in (t_first_s, t_last_s))
-    ticks = step * np.arange(np.ceil(first / TICK_S / step), np.floor(last / TICK_S / step) + 1.0)
+    ticks = (ephemeris_time(epoch, t_s) - zero) / TICK_S
+    ticks = np.unique(np.clip(np.round(ticks), np.ceil(ticks[0]), np.floor(ticks[-1])))
     return ticks, seconds_from_ephemeris_time(epoch, zero + ticks * TICK_S)
 
 
@@ -52,7 +53,7 @@ def clock_zero(epoch: Epoch) -> float:
 
 
 def clock_kernel(epoch: Epoch, frames: SpiceFrames, comment: str) -> str:
-    """Text of the SCLK: ticks of 1/1024 s, no drift."""
+    """Text of the SCLK: ticks of 2^-20 s, no drift."""
     clock = -frames.spacecraft_id
     return "\n".join(
         [
@@ -66,11 +67,11 @@ def clock_kernel(epoch: Epoch, frames: SpiceFrames, comment: str) -> str:
             f"SCLK_DATA_TYPE_{clock} = ( 1 )",
             f"SCLK01_TIME_SYSTEM_{clock} = ( 1 )",
             f"SCLK01_N_FIELDS_{clock} = ( 2 )",
-            f"SCLK01_MODULI_{clock} = ( 4294967296 1024 )",
+            f"SCLK01_MODULI_{clock} = ( 4294967296 1048576 )",
             f"SCLK01_OFFSETS_{clock} = ( 0 0 )",
             f"SCLK01_OUTPUT_DELIM_{clock} = ( 2 )",
             f"SCLK_PARTITION_START_{clock} = ( 0.0 )",
-            f"SCLK_PARTITION_END_{clock} = ( 4.398046511103E12 )",
+            f"SCLK_PARTITION_END_{clock} = ( 4.503599627370495E15 )",
             f"SCLK01_COEFFICIENTS_{clock} = ( 0.0 {clock_zero(epoch):.1f} 1.0 )",
             "",
             "\\begintext",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from boresight.accepted import PathLike, number_of, path_of, wrong
+from boresight.accepted import PathLike, instance_of, number_of, path_of
 from boresight.features.mission.mounting_comparison import Comparison, compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
 from boresight.features.mission.what_if import WhatIf, what_if_of
@@ -45,7 +45,7 @@ def compare(first: PathLike, second: PathLike, *, false_alarm: float = 0.01, cam
     0
     """
     limit = number_of(false_alarm, "false_alarm", 1e-9, 0.5)
-    which = _checked(camera)
+    which = instance_of(camera, str, "camera")
     folders = path_of(first, "first"), path_of(second, "second")
     one, other = (read_saved_mounting(folder, which) for folder in folders)
     return compare_mountings(one, other, limit)
@@ -84,10 +84,4 @@ def what_if(result: PathLike, factors: Mapping[str, float], *, camera: str = "")
     >>> bs.what_if(est, {"s02": float("inf")}).strips
     ('s01', 's03')
     """
-    return what_if_of(path_of(result, "result"), factors, _checked(camera))
-
-
-def _checked(camera: str) -> str:
-    if not isinstance(camera, str):
-        raise wrong("camera", camera, "the id of a camera")
-    return camera
+    return what_if_of(path_of(result, "result"), factors, instance_of(camera, str, "camera"))

@@ -7,7 +7,8 @@ A result is in the archive when its row is committed; nothing is ever changed or
 another. A Parquet file without a row was left by a process that was killed, and the next writer removes it.
 
 `results.pair` holds of each result's pair the rows of theta, and `totals` the sum of the rest over the
-results of a series that are not refuted, so that a course over years needs no other file.
+results of a series that are not refuted, so that a course over years needs no other file. Results of a series
+that have a strip in common share its errors: the one added last counts, the others do not.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.calib.verdict import Outcome
 from boresight.features.mission.mounting_course import MountingSeries, with_reference_moved
-from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting
+from boresight.features.mission.saved_mounting import ORIGIN, SavedMounting, read_saved_mounting
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
@@ -45,7 +46,7 @@ __all__ = ["ArchivedSeries", "add_mounting", "add_results", "series_of"]
 
 FILE, INFORMATION = "archive.gpkg", "information"
 SERIES = ("mission", "satellite", "camera", "head", "model")  # results alike in these are one series
-SAME_INSTANT_S = 1e-3  # results of a series whose dates are nearer are of the same strips
+SAME_INSTANT_S = 1e-3  # strips whose middles are nearer are one
 LONGEST_WAIT_S = 120.0  # for another writer
 GEOPACKAGE = 0x47504B47  # application_id of such a file: "GPKG"
 WGS84_ID = 4326  # EPSG
@@ -78,7 +79,9 @@ CREATE TABLE IF NOT EXISTS results (fid INTEGER PRIMARY KEY, id TEXT NOT NULL UN
   qz REAL, qw REAL, covariance_rad2 TEXT, ground_m_per_rad TEXT, cos_u REAL, sin_u REAL, beta_rad REAL,
   temperature_c REAL, reference TEXT, unknowns INTEGER, pair BLOB, added_utc TEXT);
 CREATE INDEX IF NOT EXISTS results_of_series ON results (series, t_s);
-CREATE TABLE IF NOT EXISTS tracks (fid INTEGER PRIMARY KEY, geom BLOB, result TEXT, strip TEXT, utc TEXT);
+CREATE TABLE IF NOT EXISTS tracks (fid INTEGER PRIMARY KEY, geom BLOB, result TEXT, strip TEXT, utc TEXT,
+  t_s REAL);
+CREATE INDEX IF NOT EXISTS tracks_of_results ON tracks (result);
 CREATE TABLE IF NOT EXISTS targets (fid INTEGER PRIMARY KEY, geom BLOB, result TEXT, strip TEXT, target TEXT,
   state TEXT, residual_m REAL);
 PRAGMA application_id = {GEOPACKAGE};
@@ -91,17 +94,16 @@ class ArchivedSeries:
     """Results of one camera and one star camera in the order of time."""
 
     key: tuple[str, ...] = scalar("mission, satellite, camera, head, digest of the camera's model")
-    series: MountingSeries = scalar("those of the course: neither refuted nor superseded")
+    series: MountingSeries = scalar("those of the course: neither refuted nor of strips that a later one has")
     R_cs_ref: Rotation = array("K", "reference of each: theta of the course is the deviation from it")
     rows: tuple[dict[str, Any], ...] = array("K", "what the table says of them")
-    left_out: tuple[dict[str, Any], ...] = scalar("results that are refuted or superseded, with `reason`")
+    left_out: tuple[dict[str, Any], ...] = scalar("the others, with `reason`")
 
 
 def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]]:
     """Add finished results, each dump of a joint one by itself; each folder with what became of it: "added"
     or "there already". `RawDataError` for a folder that holds no finished result, or a damaged one.
     """
-    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     told = []
     with closing(_connected(archive)) as database:
         _sweep(archive, database)
@@ -116,7 +118,6 @@ def add_results(folders: Sequence[Path], archive: Path) -> list[tuple[Path, str]
 
 def add_mounting(saved: SavedMounting, archive: Path) -> bool:
     """Add one result; whether it was not there."""
-    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     with closing(_connected(archive)) as database:
         return _add(archive, database, saved)
 
@@ -132,6 +133,7 @@ def series_of(archive: Path) -> list[ArchivedSeries]:
 
 
 def _connected(archive: Path) -> sqlite3.Connection:
+    (archive / INFORMATION).mkdir(parents=True, exist_ok=True)
     database = sqlite3.connect(archive / FILE, timeout=LONGEST_WAIT_S, isolation_level=None)
     try:
         if database.execute("PRAGMA application_id").fetchone()[0] != GEOPACKAGE:
@@ -209,18 +211,23 @@ def _add(archive: Path, database: sqlite3.Connection, saved: SavedMounting) -> b
             total = [series, unknowns, count + 1, F_sum.tobytes(), right_sum.tobytes()]
             database.execute("INSERT OR REPLACE INTO totals VALUES (?, ?, ?, ?, ?)", total)
         database.executemany(
-            "INSERT INTO tracks (geom, result, strip, utc) VALUES (?, ?, ?, ?)",
-            [
-                (_geometry([(b, a), (d, c)]), saved.id, str(strip), str(utc))
-                for strip, utc, (a, b, c, d) in zip(saved.strips, saved.strips_utc, saved.track_deg.tolist())
-                if np.isfinite([a, b, c, d]).all()
-            ],
+            "INSERT INTO tracks (geom, result, strip, utc, t_s) VALUES (?, ?, ?, ?, ?)", _tracks(saved)
         )
         database.executemany(
             "INSERT INTO targets (geom, result, strip, target, state, residual_m) VALUES (?, ?, ?, ?, ?, ?)",
             targets,
         )
     return True
+
+
+def _tracks(saved: SavedMounting) -> list[tuple[Any, ...]]:
+    """Rows of the table of tracks, one a strip; without a line where the result does not say where it is."""
+    t_s = ORIGIN.seconds_from_utc(saved.strips_utc.tolist()).tolist() if len(saved.strips) else []
+    rows = zip(saved.track_deg.tolist(), saved.strips.tolist(), saved.strips_utc.tolist(), t_s)
+    return [
+        (_geometry([(b, a), (d, c)]) if np.isfinite([a, b, c, d]).all() else None, saved.id, *strip)
+        for (a, b, c, d), *strip in rows
+    ]
 
 
 def _targets(saved: SavedMounting) -> list[tuple[Any, ...]]:
@@ -252,18 +259,11 @@ def _known(value: float | None) -> float | None:
 
 def _series(archive: Path, database: sqlite3.Connection, name: str) -> ArchivedSeries | None:
     every = database.execute("SELECT * FROM results WHERE series = ? ORDER BY t_s, fid", [name]).fetchall()
-    used: list[sqlite3.Row] = []
-    left_out: list[dict[str, Any]] = []
-    superseded: list[str] = []
-    for row in every:
-        if row["verdict"] == Outcome.REFUTED.value:
-            left_out.append(dict(row) | {"reason": "refuted"})
-        elif used and abs(used[-1]["t_s"] - row["t_s"]) < SAME_INSTANT_S:  # calibrated again: the last counts
-            superseded.append(used[-1]["id"])
-            left_out.append(dict(used[-1]) | {"reason": f"superseded by {row['id']}, of the same strips"})
-            used[-1] = row
-        else:
-            used.append(row)
+    reasons = {row["id"]: "refuted" for row in every if row["verdict"] == Outcome.REFUTED.value}
+    sharing = _sharing(database, name, [row for row in every if row["id"] not in reasons])
+    reasons |= sharing
+    used = [row for row in every if row["id"] not in reasons]
+    left_out = [dict(row) | {"reason": reasons[row["id"]]} for row in every if row["id"] in reasons]
     if not used:
         return None
     names = {row["fid"]: json.loads(row["names"]) for row in database.execute("SELECT * FROM unknowns")}
@@ -284,7 +284,7 @@ def _series(archive: Path, database: sqlite3.Connection, name: str) -> ArchivedS
         at = place[row["unknowns"]]
         shared_F[np.ix_(at, at)] += np.frombuffer(row["F"]).reshape(len(at), -1)
         shared_right[at] += np.frombuffer(row["right"])
-    for id in superseded:
+    for id in sharing:
         pair: InformationPairs = pairs_in(archive / INFORMATION / f"{id}.parquet").widened(shared)
         shared_F -= pair.F[0, 3:, 3:]
         shared_right -= pair.F_theta[0, 3:]
@@ -312,6 +312,29 @@ def _series(archive: Path, database: sqlite3.Connection, name: str) -> ArchivedS
         rows=tuple(dict(row) for row in used),
         left_out=tuple(left_out),
     )
+
+
+def _sharing(database: sqlite3.Connection, name: str, rows: Sequence[sqlite3.Row]) -> dict[str, str]:
+    """Results of a series that have a strip in common with one added later that counts, and how many."""
+    found = database.execute(
+        "SELECT result, tracks.t_s FROM tracks JOIN results ON results.id = result WHERE series = ? "
+        "AND tracks.t_s IS NOT NULL ORDER BY tracks.t_s",
+        [name],
+    ).fetchall()
+    apart = np.diff(np.array([t_s for _, t_s in found]), prepend=-np.inf) > SAME_INSTANT_S
+    strips: dict[str, list[int]] = {}
+    for (result, _), strip in zip(found, np.cumsum(apart).tolist()):
+        strips.setdefault(result, []).append(strip)
+    counted: dict[int, str] = {}
+    reasons: dict[str, str] = {}
+    for row in sorted(rows, key=lambda row: row["fid"], reverse=True):
+        own = strips.get(row["id"], [])
+        if shared := [counted[strip] for strip in own if strip in counted]:
+            later = ", ".join(dict.fromkeys(shared))
+            reasons[row["id"]] = f"{len(shared)} of its {len(own)} strips are in {later}, added later"
+        else:
+            counted |= dict.fromkeys(own, row["id"])
+    return reasons
 
 
 def _numbers(rows: Sequence[sqlite3.Row], name: str) -> Floats:

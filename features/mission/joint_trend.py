@@ -1,4 +1,4 @@
-"""Whether the mounting moved between the dumps of a joint calibration: drift.json, drift.csv, drift.png.
+"""Drift and course of the mounting between dumps of a joint calibration: drift.json, drift.csv, drift.png.
 
 The mounting has moved where chi2 against one matrix, or the gain of the best single step, is beyond what half
 of the probability of a false alarm allows.
@@ -27,7 +27,7 @@ from boresight.features.mission.mounting_course import (
     explained_by_free,
     fit_columns,
 )
-from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting, utc_at
+from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import record, scalar
@@ -51,14 +51,14 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
     if len({one.t_s for one in saved}) < max(len(saved), 2):
         return f"no drift: {len(saved)} results at {len({one.t_s for one in saved})} dates"
     pairs = reduce(InformationPairs.merged, [one.pair for one in saved])
-    series = _series(saved, pairs)
+    of_folder = {(out / name).resolve(): name for name in names}
+    series = _series(saved, [of_folder[one.folder] for one in saved], pairs)
     found = against_rest(series)
     rest, step = found.rest, found.step
     course = estimate_course(series)
     R_cs = deviation_from_theta(rest.coefficients[0]) * pairs.R_cs_ref
-    of_folder = {(out / name).resolve(): name for name in names}
     content: dict[str, Any] = {
-        "results": [of_folder[one.folder] for one in saved],
+        "results": list(series.names),
         "utc": [one.utc for one in saved],
         "moved": found.moved(FALSE_ALARM),
         "probability_false_alarm": FALSE_ALARM,
@@ -69,19 +69,14 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
             "covariance_rad2": rest.covariance.tolist(),
         },
         "constant": {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value},
-        "step": {
-            "after": of_folder[saved[step.row - 1].folder],
-            "before": of_folder[saved[step.row].folder],
-            "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
-            "theta_rad": step.theta.tolist(),
-            "covariance_rad2": step.covariance.tolist(),
-            "p_value": step.p_value,
-        },
+        "step": step.content(series),
+        "course": course.content(),
         "version": __version__,
     }
     moved = content["moved"]
     said = "the mounting has moved" if moved else "no sign that the mounting has moved"
     said += f", at a false-alarm probability of {FALSE_ALARM:.2g}"
+    said += f"; terms: {', '.join(course.terms)}" if course.terms else ""
     table = _table(course, content["results"], content["utc"], rest.coefficients[0])
     write_json(out / "drift.json", content)
     write_text(out / "drift.csv", table_csv(table, "%.9g"))
@@ -120,9 +115,9 @@ def against_rest(series: MountingSeries) -> AgainstRest:
     return AgainstRest(rest=rest, step=step, chi2=float(chi2), dof=3 * len(rows))
 
 
-def _series(saved: list[SavedMounting], pairs: InformationPairs) -> MountingSeries:
+def _series(saved: list[SavedMounting], names: list[str], pairs: InformationPairs) -> MountingSeries:
     return MountingSeries(
-        names=tuple(one.id for one in saved),
+        names=tuple(names),
         t_s=np.array([one.t_s for one in saved]),
         F=pairs.F[:, :3, :3],
         F_shared=pairs.F[:, :3, 3:],
@@ -142,24 +137,10 @@ def _table(course: MountingCourse, names: list[str], utc: list[str], middle: Any
     """
     free, covariance = course.free
     there, cov = course.at(course.series.t_s)
-    rows = [
-        (
-            *(name, date, axis, (free[k, a] - middle[a]) / ARCSEC, np.sqrt(covariance[k, a, a]) / ARCSEC),
-            *((there[k, a] - middle[a]) / ARCSEC, np.sqrt(cov[k, a, a]) / ARCSEC),
-        )
-        for k, (name, date) in enumerate(zip(names, utc))
-        for a, axis in enumerate("XYZ")
-    ]
-    columns = [
-        "result",
-        "utc",
-        "axis",
-        "theta_arcsec",
-        "sigma_arcsec",
-        "course_arcsec",
-        "course_sigma_arcsec",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    sigma, course_sigma = (np.sqrt(np.einsum("kaa->ka", C)) for C in (covariance, cov))
+    angles = {"theta": free - middle, "sigma": sigma, "course": there - middle, "course_sigma": course_sigma}
+    table = {"result": np.repeat(names, 3), "utc": np.repeat(utc, 3), "axis": [*"XYZ"] * len(names)}
+    return pd.DataFrame(table | {f"{name}_arcsec": rad.ravel() / ARCSEC for name, rad in angles.items()})
 
 
 def plot_drift(table: pd.DataFrame, step: list[str] | None, title: str) -> Figure:

@@ -15,13 +15,15 @@ time, each with the prior variance q dt on each axis (q in rad²/s).
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 
-from boresight.geometry.constants import DAY_S
+from boresight.features.mission.saved_mounting import utc_at
+from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = [
@@ -139,6 +141,24 @@ class CourseStep:
     theta: Floats = array("3", "change, rad")
     covariance: Floats = array("3, 3", "of the change, rad²")
 
+    def t_s(self, series: MountingSeries) -> float:
+        """Middle between the results before and after it, s."""
+        return float(0.5 * (series.t_s[self.row - 1] + series.t_s[self.row]))
+
+    def content(self, series: MountingSeries) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "after": series.names[self.row - 1],
+            "before": series.names[self.row],
+            "utc": utc_at(self.t_s(series)),
+            "utc_interval": [utc_at(t_s) for t_s in self.interval_s],
+            "probability": self.probability,
+            "p_value": self.p_value,
+            "is_exchange": self.is_exchange,
+            "theta_rad": self.theta.tolist(),
+            "covariance_rad2": self.covariance.tolist(),
+        }
+
 
 @record(kw_only=True)
 class MountingCourse:
@@ -159,6 +179,11 @@ class MountingCourse:
     def p_value(self) -> float:
         """Probability of so large a chi2, if the results' covariances and the model hold."""
         return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else 1.0
+
+    @property
+    def walk_arcsec(self) -> float:
+        """1 sigma of the random walk over a day."""
+        return float(np.sqrt(self.density_rad2_s * DAY_S)) / ARCSEC
 
     def of_term(self, term: str) -> tuple[Floats, Floats]:
         """Coefficients (M, 3) of an accepted term's columns, rad, and their covariance (N, N), N = 3 M."""
@@ -195,6 +220,28 @@ class MountingCourse:
                 part += (columns - columns.mean(axis=0)) @ self.of_term(term)[0]
         return part
 
+    def content(self) -> dict[str, Any]:
+        """For programs: terms, steps, random walk, and how well the results agree with them."""
+        return {
+            "terms": {term: self._term_content(term, p) for term, p in self.p_values.items()},
+            "steps": [step.content(self.series) for step in self.steps],
+            "random_walk": {
+                "accepted": self.walks,
+                "density_rad2_s": self.density_rad2_s,
+                "p_value": self.density_p_value,
+            },
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "p_value": self.p_value,
+        }
+
+    def _term_content(self, term: str, p: float) -> dict[str, Any]:
+        content: dict[str, Any] = {"accepted": term in self.terms, "p_value": p}
+        if term in self.terms:
+            values, covariance = self.of_term(term)
+            content |= {"coefficients_rad": values.tolist(), "covariance_rad2": covariance.tolist()}
+        return content
+
     def _columns_at(self, t_s: Floats, conditions: dict[str, Floats]) -> Floats:
         parts: list[Floats] = [np.ones((len(t_s), 1))]
         for term in self.terms:
@@ -204,8 +251,8 @@ class MountingCourse:
                 parts.append(conditions[term] @ self.series.directions(term))
             else:
                 parts.append(np.tile(self.series.columns(term).mean(axis=0), (len(t_s), 1)))
-        dates = [0.5 * (self.series.t_s[step.row - 1] + self.series.t_s[step.row]) for step in self.steps]
-        parts.append((t_s[:, None] > np.array(dates)).astype(float))
+        dates = np.array([step.t_s(self.series) for step in self.steps])
+        parts.append((t_s[:, None] > dates).astype(float))
         if self.density_rad2_s:
             parts.append(_ramps(t_s, _knots(self.series.t_s)))
         return np.hstack(parts)

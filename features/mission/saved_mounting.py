@@ -18,7 +18,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.identity import identity_of_result, saved_about
-from boresight.pipeline.results.reading import of_camera, read_installation, read_mounting, read_saved_result
+from boresight.pipeline.results.reading import matrix_in, of_camera, read_installation, read_mounting
 from boresight.pipeline.run.digests import rounded_digest
 
 __all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_at"]
@@ -77,7 +77,7 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     finished, or of other cameras."""
     content = read_installation(folder)
     camera = camera if content.get("cameras") else ""
-    saved, matrix = read_saved_result(folder, camera), of_camera(content, camera, folder)
+    R_cs, theta, covariance = matrix_in(content, camera, folder)
     identity, about = identity_of_result(folder), saved_about(folder)
     context = _content(folder / "evidence" / "context.json")
     path = folder / "sightings" / "passes.parquet"
@@ -93,7 +93,7 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     known = "beta_rad" in passes.column_names and len(u) > 0
     heads = content.get("heads") or [{"name": ""}]
     ends = [list_values(passes, name, 2) for name in ("begin_deg", "end_deg")] if known else []
-    per_rad = [np.nan if one is None else one for one in matrix.get("ground_m_per_rad") or [None] * 3]
+    of_ground = of_camera(content, camera, folder).get("ground_m_per_rad") or [None] * 3
     return SavedMounting(
         id=identity.result,
         folder=folder.resolve(),
@@ -106,10 +106,10 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
         star_camera=rounded_digest(context.get("star_camera")),
         model=rounded_digest([cameras, [settings.get(key) for key in OF_DISTORTION]]),
         verdict=str(content["verdict"]["outcome"]),
-        R_cs=saved.R_cs,
-        R_cs0=deviation_from_theta(saved.theta).inv() * saved.R_cs,
-        covariance=saved.cov_theta,
-        ground_m_per_rad=np.array(per_rad, dtype=float),
+        R_cs=R_cs,
+        R_cs0=deviation_from_theta(theta).inv() * R_cs,
+        covariance=covariance,
+        ground_m_per_rad=np.array(of_ground, dtype=float),
         pair=read_mounting(folder, identity.result, camera=camera),
         cos_sin=np.array([np.cos(u).mean(), np.sin(u).mean()]) if len(u) else np.full(2, np.nan),
         beta_rad=float(column(passes, "beta_rad").mean()) if known else np.nan,

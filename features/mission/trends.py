@@ -60,14 +60,14 @@ class Trend:
         lines += [f"terms                     {', '.join(('mean', *course.terms))}; chi2 / dof {chi2}"]
         lines += [f"step                      {step_words(course, step)}" for step in course.steps]
         if course.walks:
-            lines.append(f"random walk               {_per_root_day(course):.3g} arcsec per root day")
-        lines.append(
-            f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec"
-            + "".join(f"{value:10.4f}" for value in sigma)
-        )
+            lines.append(f"random walk               {course.walk_arcsec:.3g} arcsec per root day")
+        of_axes = "".join(f"{value:10.4f}" for value in sigma)
+        lines.append(f"matrix for {utc_at(now.t_s)[:10]}     1 sigma, arcsec{of_axes}")
         if now.valid_s is not None:
             lines.append(f"valid                     {' to '.join(utc_at(t)[:10] for t in now.valid_s)}")
         lines += [f"cannot be told            {text}" for text in self.aliases]
+        for row in self.archived.left_out:
+            lines.append(f"not in the course         {row['id']} of {row['utc'][:10]}: {row['reason']}")
         return "\n".join([*lines, *(f"ALARM                     {text}" for text in self.alarms)])
 
     def content(self) -> dict[str, Any]:
@@ -79,36 +79,7 @@ class Trend:
             "alarm": bool(self.alarms),
             "alarms": list(self.alarms),
             "now": self.now.content(),
-            "terms": {
-                term: {
-                    "accepted": term in course.terms,
-                    "p_value": p,
-                    **({} if term not in course.terms else _coefficients(course, term)),
-                }
-                for term, p in course.p_values.items()
-            },
-            "steps": [
-                {
-                    "after": course.series.names[step.row - 1],
-                    "before": course.series.names[step.row],
-                    "utc": utc_at(_date(course, step)),
-                    "utc_interval": [utc_at(t_s) for t_s in step.interval_s],
-                    "probability": step.probability,
-                    "p_value": step.p_value,
-                    "is_exchange": step.is_exchange,
-                    "theta_rad": step.theta.tolist(),
-                    "covariance_rad2": step.covariance.tolist(),
-                }
-                for step in course.steps
-            ],
-            "random_walk": {
-                "accepted": course.walks,
-                "density_rad2_s": course.density_rad2_s,
-                "p_value": course.density_p_value,
-            },
-            "chi2": course.chi2,
-            "dof": course.dof,
-            "p_value": course.p_value,
+            **course.content(),
             "cannot_be_told": list(self.aliases),
             "left_out": [
                 {key: row[key] for key in ("id", "utc", "reason")} for row in self.archived.left_out
@@ -158,7 +129,7 @@ def step_words(course: MountingCourse, step: CourseStep) -> str:
     kind = (
         "star camera exchanged" if step.is_exchange else f"p {step.p_value:.2g}, {step.probability:.0%} there"
     )
-    return f"{utc_at(_date(course, step))[:10]} ({low} to {high}; {kind}): {size} arcsec"
+    return f"{utc_at(step.t_s(course.series))[:10]} ({low} to {high}; {kind}): {size} arcsec"
 
 
 def changes_of(archived: ArchivedSeries) -> Iterator[tuple[str, str, str]]:
@@ -185,16 +156,3 @@ def _alarms(archived: ArchivedSeries, course: MountingCourse, now: MountingPredi
             yield f"a step in the last {NEW_STEP_DAYS:.0f} days: {step_words(course, step)}"
     if not now.is_met:
         yield "the matrix for the date does not reach what is required"
-
-
-def _date(course: MountingCourse, step: CourseStep) -> float:
-    return float(0.5 * (course.series.t_s[step.row - 1] + course.series.t_s[step.row]))
-
-
-def _coefficients(course: MountingCourse, term: str) -> dict[str, Any]:
-    values, covariance = course.of_term(term)
-    return {"coefficients_rad": values.tolist(), "covariance_rad2": covariance.tolist()}
-
-
-def _per_root_day(course: MountingCourse) -> float:
-    return float(np.sqrt(course.density_rad2_s * DAY_S)) / ARCSEC

@@ -44,10 +44,8 @@ def trends_command(
         at_s = instant_s(at or datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
     except ValueError as error:
         raise typer.BadParameter(f"--at {at}: {error}") from error
-    settings, wanted = (
-        CourseSettings(false_steps_per_year=false_steps),
-        Requirement(require_arcsec, require_m),
-    )
+    settings = CourseSettings(false_steps_per_year=false_steps)
+    wanted = Requirement(require_arcsec, require_m)
     found = [trend_of(one, at_s, wanted, settings) for one in series_of(archive)]
     trends = [trend for trend in found if trend is not None]
     if not trends:

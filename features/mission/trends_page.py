@@ -42,7 +42,6 @@ def trends_html(trends: Sequence[Trend], folder: Path) -> str:
 def _view(trend: Trend, folder: Path) -> dict[str, Any]:
     course, now = trend.course, trend.now
     sigma = np.sqrt(np.diag(now.covariance)) / ARCSEC
-    metres = [f"{value:.4g}" for value in now.error_month_rad / ARCSEC]
     return {
         "name": trend.name,
         "count": len(course.series.t_s),
@@ -51,12 +50,12 @@ def _view(trend: Trend, folder: Path) -> dict[str, Any]:
         "date": utc_at(now.t_s)[:10],
         "matrix": [[f"{value:+.12f}" for value in row] for row in now.R_cs.as_matrix().tolist()],
         "sigma": [f"{value:.4f}" for value in sigma],
-        "month": metres,
+        "month": [f"{value:.4f}" for value in now.error_month_rad / ARCSEC],
         "valid": None if now.valid_s is None else [utc_at(t_s)[:10] for t_s in now.valid_s],
         "pictures": [_picture(trend, axis, folder) for axis in range(3)],
         "terms": [_term_row(course, term, p) for term, p in course.p_values.items()],
         "steps": [step_words(course, step) for step in course.steps],
-        "walk": f"{np.sqrt(course.density_rad2_s * DAY_S) / ARCSEC:.3g}" if course.walks else "",
+        "walk": f"{course.walk_arcsec:.3g}" if course.walks else "",
         "chi2": f"{course.chi2:.1f} / {course.dof}, p {course.p_value:.3g}",
         "aliases": trend.aliases,
         "changes": list(changes_of(trend.archived))[-MOST_ROWS:],
@@ -123,7 +122,7 @@ def _picture(trend: Trend, axis: int, folder: Path) -> dict[str, Any]:
             }
             for t, y, s, k, n in points
         ],
-        "steps": [f"{of_x(0.5 * (t_s[one.row - 1] + t_s[one.row])):.1f}" for one in course.steps],
+        "steps": [f"{of_x(one.t_s(course.series)):.1f}" for one in course.steps],
         "now": f"{of_x(trend.now.t_s):.1f}" if t_s[0] <= trend.now.t_s else "",
         "required": [f"{of_y(value):.1f}" for value in inside],
         "marks": [(f"{of_y(mark):.1f}", f"{mark:+.4g}") for mark in marks],

@@ -142,8 +142,7 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
     """
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
-    matrix = of_camera(content, camera, result)
-    R_cs, theta = _matrix(matrix, name)
+    R_cs, theta, covariance = matrix_in(content, camera, result)
     path = result / "sightings" / "exposures.parquet"
     if dumps_in(result):
         table = arrow_rows([], sightings_schema("exposures"))
@@ -156,7 +155,7 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
     return SavedResult(
         R_cs=R_cs,
         theta=theta,
-        cov_theta=_numbers(matrix, "covariance_rad2", (3, 3), name),
+        cov_theta=covariance,
         installation=content,
         exposure_id=[str(name) for name in table.column("exposure_id").to_pylist()],
         t_exposures_s=column(table, "t_s"),
@@ -177,6 +176,14 @@ def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, A
         expected = f"one of {', '.join(matrices)}" if matrices else "none: it is of one camera"
         raise RawDataError(str(result), "--camera", camera or "nothing", expected)
     return matrices[camera]
+
+
+def matrix_in(content: dict[str, Any], camera: str, result: Path) -> tuple[Rotation, Floats, Floats]:
+    """R_cs, theta (3,), rad, and its covariance (3, 3), rad², of a result's installation.json, of several
+    cameras those of `camera`.
+    """
+    file, matrix = str(result / "installation.json"), of_camera(content, camera, result)
+    return *_matrix(matrix, file), _numbers(matrix, "covariance_rad2", (3, 3), file)
 
 
 def read_matrices(result: Path) -> tuple[tuple[str, ...], Rotation, Floats, Floats]:
@@ -279,10 +286,12 @@ def pairs_in(path: Path) -> InformationPairs:
     try:
         table = read_parquet(path)
         if "values" not in table.column_names:  # of version 0.1.0 before it had one list a row
-            return InformationPairs.from_columns({name: column(table, name) for name in table.column_names})
-        names = json.loads(table.schema.metadata[b"names"])
-        numbers = list_values(table, "values", len(names)).T
-        return InformationPairs.from_columns({"name": column(table, "name")} | dict(zip(names, numbers)))
+            names = [name for name in table.column_names if name != "name"]
+            numbers = np.column_stack([column(table, name) for name in names])
+        else:
+            names = json.loads(table.schema.metadata[b"names"])
+            numbers = list_values(table, "values", len(names))
+        return InformationPairs.from_numbers(column(table, "name"), names, numbers)
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 

@@ -400,10 +400,8 @@ def pairs_table(pairs: InformationPairs) -> pa.Table:
     """One row a pass: its name, and all numbers of its pair in one list, whose names are in the metadata. A
     column for each number takes ten times as long to read.
     """
-    columns = pairs.columns()
-    names = [name for name in columns if name != "name"]
-    values = fixed_list(np.column_stack([columns[name] for name in names]))
-    table = pa.table({"name": arrow_array(pairs.names), "values": values})
+    names, numbers = pairs.numbers()
+    table = pa.table({"name": arrow_array(pairs.names), "values": fixed_list(numbers)})
     return table.replace_schema_metadata({"names": json.dumps(names)})
 
 

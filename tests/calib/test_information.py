@@ -57,7 +57,7 @@ def test_nothing_is_counted_twice():
 
 def test_pairs_survive_their_table_bit_for_bit():
     pairs = pairs_of(4, shared=("distortion/x/0/1", "distortion/y/0/1"))
-    back = InformationPairs.from_columns(pairs.columns())
+    back = InformationPairs.from_numbers(pairs.names, *pairs.numbers())
     assert back.shared == pairs.shared and back.names.tolist() == pairs.names.tolist()
     assert back.F.tobytes() == pairs.F.tobytes() and back.F_theta.tobytes() == pairs.F_theta.tobytes()
     assert back.merged(pairs_of(1, 9, "q", pairs.shared)).F_theta[0].tobytes() == pairs.F_theta[0].tobytes()

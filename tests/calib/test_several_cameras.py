@@ -148,7 +148,7 @@ def test_distortions_are_those_that_each_camera_states() -> None:
 
 def test_pairs_of_several_cameras_are_read_back() -> None:
     pairs, _ = strip_pairs(campaign(0), R_CS, MODEL)
-    back = InformationPairs.from_columns(pairs.columns())
+    back = InformationPairs.from_numbers(pairs.names, *pairs.numbers())
     assert back.cameras == pairs.cameras and back.shared == pairs.shared
     np.testing.assert_array_equal(back.F, pairs.F)
     quaternions = back.R_cs_ref.as_quat(), pairs.R_cs_ref.as_quat()

@@ -185,6 +185,7 @@ def trend(folder: Path) -> tuple[Any, Any]:
         patch.setattr(joint_trend, "read_saved_mounting", saved.__getitem__)
         joint_trend.trend_of_dumps(folder, names)
     made = json.loads((folder / "drift.json").read_text())
+    assert set(made.pop("course")) >= {"terms", "steps", "random_walk"}  # as in test_mounting_course.py
     mean = np.linalg.solve(F.sum(axis=0), F[0] @ THETA[0] + F[1] @ THETA[1])
     cov = np.linalg.inv(F.sum(axis=0))
     apart, of_each = THETA[1] - THETA[0], np.linalg.inv(F)
@@ -207,7 +208,10 @@ def trend(folder: Path) -> tuple[Any, Any]:
         "step": {
             "after": "early",
             "before": "late",
+            "utc": f"{first + 0.5 * (last - first):%Y-%m-%dT%H:%M:%SZ}",
             "utc_interval": [f"{date:%Y-%m-%dT%H:%M:%SZ}" for date in within],
+            "probability": 1.0,
+            "is_exchange": False,
             "theta_rad": apart.tolist(),
             "covariance_rad2": of_each.sum(axis=0).tolist(),
             "p_value": chi2(3).sf(gain),

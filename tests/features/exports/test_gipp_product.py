@@ -105,7 +105,7 @@ def test_a_spamod_of_another_matrix_is_refused(tmp_path):
 
 @pytest.mark.skipif(not REAL.is_dir(), reason=f"NO SENTINEL-2 FILES in {REAL}: not tried with real ones")
 @pytest.mark.parametrize("band", ["B02", "B04"])
-def test_real_gipp_files_take_a_correction_to_5_mm(band):
+def test_real_gipp_files_take_a_correction_to_5_mm(band, tmp_path):
     (datastrip,) = REAL.glob("*_MTD_L1B_DS_*.xml")
     (spamod,), (viedir,) = REAL.glob("*_SPAMOD_*.xml"), REAL.glob(f"*_VIEDIR_*_{band}.xml")
     strip = read_sentinel2(datastrip, REAL, band)
@@ -123,3 +123,22 @@ def test_real_gipp_files_take_a_correction_to_5_mm(band):
             piloting_directions(spamod.read_text(), looks, detector),
         ):
             assert np.abs(one - expected).max() < FIVE_MM
+    # and by our reader, from a folder in which only one of the files is a corrected one
+    for name, text in ((spamod.name, made), (viedir.name, looks)):
+        gipp = tmp_path / name
+        gipp.mkdir()
+        for path in REAL.glob("*_GIP_*.xml"):
+            (gipp / path.name).symlink_to(path.resolve())
+        (gipp / name).unlink()
+        (gipp / name).write_text(text)
+        again = read_sentinel2(datastrip, gipp, band)
+        for detector in (0, 11):
+            ours, theirs = (
+                one.R_cp.inv().apply(
+                    np.column_stack([table.tan_x, table.tan_y, np.ones(table.n_px)])
+                    / np.sqrt(1.0 + table.tan_x**2 + table.tan_y**2)[:, None]
+                )
+                for one, table in ((again, again.camera.ccds[detector]), (strip, strip.camera.ccds[detector]))
+            )
+            turned = strip.R_cp.inv() * CORRECTION.inv() * strip.R_cp
+            assert np.abs(ours - turned.apply(theirs)).max() < FIVE_MM

@@ -55,7 +55,7 @@ def test_geojson_says_longitude_first_and_keeps_every_digit():
 
 
 def test_envi_counts_from_the_corner_of_pixel_one_and_wants_heights_above_the_geoid():
-    text = points_envi(POINTS, egm96(), NOTES)
+    text = points_envi(POINTS, NOTES, egm96())
     rows = [line.split() for line in text.splitlines() if not line.startswith(";")]
     assert "projection info = {Geographic Lat/Lon, WGS-84, units=Degrees}" in text
     assert len(rows) == 2  # the rejected one is not among them

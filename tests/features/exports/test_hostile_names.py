@@ -71,7 +71,7 @@ def test_other_texts_keep_their_lines(name):
         sigma_m=np.ones((1, 3)),
         used=np.array([True]),
     )
-    assert len(points_envi(points, egm96(), NOTES).splitlines()) == 6 + len(NOTES.lines())
+    assert len(points_envi(points, NOTES, egm96()).splitlines()) == 6 + len(NOTES.lines())
     *notes, point = points_asp(points, NOTES).splitlines()
     assert len(notes) == len(NOTES.lines()) and len(point.split()) == 12
     assert ElementTree.fromstring(kml_text({name: np.eye(2)}, [points], NOTES)) is not None

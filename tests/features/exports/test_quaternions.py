@@ -1,51 +1,58 @@
-"""Steps of time between exported attitudes: as short as their interpolation needs."""
+"""Exported attitudes are as dense as their interpolation by others needs."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
-from boresight.features.exports.quaternions import STEPS_S, step_between_attitudes
-from boresight.geometry.record import record, scalar
+from boresight.features.exports.quaternions import continuous_quaternions, instants_to_interpolate
+from boresight.features.exports.spice_attitude import on_ticks
+from boresight.geometry.attitude import AttitudeTrack, ConstantRate
+from boresight.geometry.epoch import Epoch
 
 RATE = np.array([3e-4, -1.06e-3, 2e-4])  # rad/s, of an orbit
+LIMIT_PX = 0.003
 
 
-@record
-class Jittery:
-    """A constant rate with a sine about one axis and, every 0.1 s, a jump about another."""
-
-    sine_rad: float = scalar("its amplitude")
-    hz: float = scalar("its frequency")
-    jump_rad: float = scalar("size of the jumps")
-    span_s: tuple[float, float] = (0.0, 10.0)
-
-    def R_si(self, t_s: ArrayLike) -> Rotation:
-        t = np.asarray(t_s, dtype=float)
-        sine = self.sine_rad * np.sin(2.0 * np.pi * self.hz * t)
-        jump = self.jump_rad * (np.floor(10.0 * t) % 2)
-        return Rotation.from_rotvec(np.column_stack([sine, jump, 0.0 * t])) * Rotation.from_rotvec(
-            np.outer(t, RATE)
-        )
+def track(jitter_rad: float, interpolation: str) -> AttitudeTrack:
+    """Attitudes at 10 Hz, each with an error of its own: an expansion about the nearest one jumps."""
+    t_s = np.arange(-20, 121) * 0.1
+    own = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(len(t_s), 3)) * jitter_rad)
+    R_si = own * Rotation.from_rotvec(np.outer(t_s, RATE))
+    return AttitudeTrack(t_s, R_si, ConstantRate.fitted(t_s, R_si), interpolation=interpolation)
 
 
-@pytest.mark.parametrize(("sine_rad", "hz"), [(0.0, 1.0), (5e-6, 1.3), (5e-6, 2.0), (2e-5, 2.0)])
-@pytest.mark.parametrize("pixel_rad", [1e-6, 1.27e-5])
-def test_great_circles_between_the_attitudes_miss_by_less_than_the_limit(
-    sine_rad: float, hz: float, pixel_rad: float
+def by_great_circles(t_s: np.ndarray, R: Rotation, at_s: np.ndarray) -> Rotation:
+    return Slerp(t_s, R)(at_s)
+
+
+def by_components(t_s: np.ndarray, R: Rotation, at_s: np.ndarray) -> Rotation:
+    """Quaternions interpolated linearly and normalised, as INTERPOLATION_METHOD LINEAR says."""
+    q = continuous_quaternions(R)
+    return Rotation.from_quat(np.column_stack([np.interp(at_s, t_s, q[:, k]) for k in range(4)]))
+
+
+@pytest.mark.parametrize("interpolation", ["taylor", "lagrange"])
+@pytest.mark.parametrize(("jitter_rad", "pixel_rad"), [(0.0, 1e-6), (2e-7, 1.27e-5), (1e-6, 2.54e-5)])
+@pytest.mark.parametrize("read", [by_great_circles, by_components])
+def test_attitudes_between_the_exported_ones_are_those_of_the_track(
+    interpolation: str, jitter_rad: float, pixel_rad: float, read
 ) -> None:
-    attitude, limit = Jittery(sine_rad, hz, 0.0), 0.003 * pixel_rad
-    step = step_between_attitudes(attitude, 0.0, 10.0, limit)
-    t = np.arange(0.0, 10.0 + 0.5 * step, step)
-    at = np.random.default_rng(1).uniform(0.0, 10.0, 2000)
-    missed = (Slerp(t, attitude.R_si(t))(at) * attitude.R_si(at).inv()).magnitude()
-    assert missed.max() < 1.05 * limit  # places of the largest error other than the middles of the steps
-    # and no shorter than needed: a sine is missed by (2 pi hz step)^2 / 8 of its size
-    needed = np.sqrt(8.0 * limit / max(sine_rad, 1e-30)) / (2.0 * np.pi * hz)
-    assert step == STEPS_S[0] or step > 0.45 * needed
+    """10 m and 20 m of Sentinel-2; places of the largest error may be other than the middles of the steps."""
+    attitude = track(jitter_rad, interpolation)
+    t_s = instants_to_interpolate(attitude, 0.0, 10.0, LIMIT_PX * pixel_rad)
+    at_s = np.random.default_rng(2).uniform(0.01, 9.99, 4000)
+    _, of_ticks = on_ticks(Epoch.from_utc("2020-08-16T12:02:20"), t_s)
+    for given in (t_s, of_ticks):
+        missed = (read(given, attitude.R_si(given), at_s) * attitude.R_si(at_s).inv()).magnitude()
+        assert missed.max() < 0.01 * pixel_rad
+    # no more of them than needed: without errors the longest steps, and the 100 breaks
+    assert len(t_s) < (182 if jitter_rad == 0.0 else 3000)
 
 
-def test_jumps_that_no_step_follows_do_not_ask_for_the_shortest() -> None:
-    assert step_between_attitudes(Jittery(0.0, 1.0, 1e-6), 0.0, 10.0, 1e-9) > STEPS_S[-1]
+def test_a_jump_has_an_attitude_on_either_side() -> None:
+    attitude = track(1e-6, "taylor")
+    t_s = instants_to_interpolate(attitude, 0.0, 10.0, 1e-9)
+    between = np.diff(t_s)[np.searchsorted(t_s, attitude.breaks_s[20:119]) - 1]
+    assert between.max() < 4e-6 and np.diff(t_s).min() > 1e-6

@@ -32,7 +32,7 @@ def attitude(t_s):
 @pytest.fixture(scope="module")
 def ticks_and_instants(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kernels")
-    ticks, t_s = made.instants_of_ticks(EPOCH, -3.0, 22.0, 32)
+    ticks, t_s = made.on_ticks(EPOCH, np.linspace(-3.0, 22.0, 801))
     texts = {
         "a.tls": leap_second_kernel(),
         "a.tsc": made.clock_kernel(EPOCH, FRAMES, "a clock"),
@@ -53,7 +53,7 @@ def test_attitudes_are_reproduced_to_1e_12(ticks_and_instants):
     assert len(t_s) > 750 and t_s[0] >= -3.0 and t_s[-1] <= 22.0
     zero = made.clock_zero(EPOCH)
     for n in range(0, len(ticks), 7):
-        et = zero + ticks[n] / 1024.0
+        et = zero + ticks[n] * made.TICK_S
         camera = spiceypy.pxform("J2000", FRAMES.remote_camera_name, et)
         assert np.abs(camera - (R_CS * attitude(t_s[n : n + 1]))[0].as_matrix()).max() < 1e-12
 

@@ -1,18 +1,13 @@
 """The archive of a mission: nothing is lost or doubled, and its trends are those of its results."""
 
 import json
-import os
-import signal
 import sqlite3
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import app
 from drawn_mission import DrawnMission, Truth, bare_result, lopsided_pair
+from killed_writers import kill_writers
 from typer.testing import CliRunner
 
 from boresight.features.mission.archive import add_mounting, add_results, series_of
@@ -49,18 +44,33 @@ def test_a_series_of_the_archive_is_that_of_its_results(tmp_path):
     np.testing.assert_allclose(found.series.shared_F, expected, rtol=1e-12)
 
 
-def test_a_result_of_the_same_strips_supersedes_the_one_before(tmp_path):
-    mission_in(tmp_path, 3)
-    (before,) = series_of(tmp_path)
-    mission = DrawnMission(PAIR, np.random.default_rng(1))
-    again = mission.result(bare_result(PAIR), "again", before.series.t_s[1], np.zeros(3), scale=2.0)
-    add_mounting(again, tmp_path)
-    (after,) = series_of(tmp_path)
-    assert after.series.names == ("r000", "again", "r002")
-    assert after.left_out[0]["reason"].startswith("superseded by again")
-    np.testing.assert_allclose(
-        after.series.shared_F - before.series.shared_F, PAIR.F[0, 3:, 3:], rtol=1e-9, atol=1e-9
-    )
+def test_of_results_that_share_a_strip_the_one_added_last_counts(tmp_path):
+    """A strip in two results has the same errors in both: its information would be counted twice."""
+    mission, like = DrawnMission(PAIR, np.random.default_rng(1)), bare_result(PAIR)
+    dates = np.array(["2021-01-01T00:00:00Z", "2021-01-01T00:05:00Z", "2021-01-01T00:10:00Z"])
+    of = {"a": [0], "b": [1, 2], "c": [0, 1], "d": [2]}  # c shares a strip with a and with b, d with b alone
+    for n, (name, strips) in enumerate(of.items()):
+        add_mounting(
+            mission.result(
+                like,
+                name,
+                1e6 * n,
+                np.zeros(3),
+                scale=n + 1.0,
+                strips=np.array([f"s{k}" for k in strips]),
+                strips_utc=dates[strips],
+                track_deg=np.full((len(strips), 4), np.nan),
+                verdict="refuted" if name == "d" else "consistent",
+            ),
+            tmp_path,
+        )
+    (found,) = series_of(tmp_path)
+    assert found.series.names == ("c",)
+    reasons = {row["id"]: row["reason"] for row in found.left_out}
+    assert reasons["a"] == "1 of its 1 strips are in c, added later"
+    assert reasons["b"] == "1 of its 2 strips are in c, added later" and reasons["d"] == "refuted"
+    expected = 3.0 * PAIR.F[0, 3:, 3:] + DrawnMission(PAIR, np.random.default_rng(0)).prior
+    np.testing.assert_allclose(found.series.shared_F, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_references_of_results_do_not_matter(tmp_path):
@@ -111,47 +121,10 @@ def test_a_folder_without_a_result_is_refused(tmp_path):
         series_of(tmp_path / "none")
 
 
-WRITER = """
-import sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[3])
-import numpy as np
-from drawn_mission import DrawnMission, bare_result, lopsided_pair
-from boresight.features.mission.archive import add_mounting, add_results
-pair = lopsided_pair()
-mission, like = DrawnMission(pair, np.random.default_rng(0)), bare_result(pair)
-add_results([], Path(sys.argv[1]))
-print("ready", flush=True)
-for k in range(*map(int, sys.argv[2].split(":"))):
-    if add_mounting(mission.result(like, f"r{k:03d}", 1e5 * k, np.zeros(3)), Path(sys.argv[1])):
-        print(f"r{k:03d}", flush=True)
-"""
-
-
-def writer(archive: Path, span: str):
-    return subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(archive), span, str(Path(__file__).parent)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-def test_two_writers_and_one_that_is_killed_lose_and_double_nothing(tmp_path):
-    killed, other = writer(tmp_path, "0:30"), writer(tmp_path, "15:45")
-    assert killed.stdout.readline() == "ready\n"
-    time.sleep(0.15)
-    os.kill(killed.pid, signal.SIGKILL)
-    told = set(killed.communicate()[0].split()) | set(other.communicate()[0].split()) - {"ready"}
-    (tmp_path / "information" / "left.parquet").write_bytes(b"of a process that was killed")
-    rest = writer(tmp_path, "0:45")
-    told |= set(rest.communicate()[0].split()) - {"ready"}
-    (found,) = series_of(tmp_path)
-    assert found.series.names == tuple(f"r{k:03d}" for k in range(45))
-    assert told <= set(found.series.names) and other.returncode == rest.returncode == 0
-    np.testing.assert_allclose(
-        found.series.shared_F, 45 * PAIR.F[0, 3:, 3:] + DrawnMission(PAIR, np.random.default_rng(0)).prior
-    )
-    assert {path.stem for path in (tmp_path / "information").glob("*.parquet")} == set(found.series.names)
+def test_two_writers_that_are_killed_lose_and_double_nothing(tmp_path):
+    """`python tests/features/mission/killed_writers.py --kills 200` is the same at length."""
+    told, wrong = kill_writers(tmp_path, 10)
+    assert not wrong and told >= 5
 
 
 def test_trends_tell_step_prediction_and_alarm(tmp_path):

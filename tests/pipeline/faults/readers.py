@@ -184,7 +184,8 @@ def _write_result(result: Path) -> None:
     pq.write_table(pa.table(exposures), result / "sightings/exposures.parquet", write_page_checksum=True)
     R_cs = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
     pair = InformationPairs(np.array(["s1"]), 1e12 * np.eye(3)[None], np.zeros((1, 3)), R_cs)
-    table = pa.table(pair.columns())
+    names, numbers = pair.numbers()
+    table = pa.table({"name": pair.names} | dict(zip(names, numbers.T)))
     pq.write_table(table, result / "sightings/strips.parquet", write_page_checksum=True)
 
 

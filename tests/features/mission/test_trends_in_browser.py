@@ -1,0 +1,51 @@
+"""The page of trends in a real headless Chromium: widths, both schemes, axe, and points by keyboard."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import app
+from drawn_mission import utc_at
+from test_archive import mission_in
+from typer.testing import CliRunner
+
+sys.path.append(str(Path(__file__).parents[2] / "pipeline" / "report"))
+from test_report_in_browser import CHROMIUM, address, brightness, opened, violations
+
+__all__ = ["address"]  # a fixture
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM FOUND: the page was not looked at")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A year with a step, a refuted result and an exchanged star camera."""
+    folder = tmp_path_factory.mktemp("trends")
+    truth = mission_in(folder / "archive", 60, refuted=(7,), exchanged=50, step=3.0)
+    asked = ["trends", str(folder / "archive"), "--out", str(folder), "--at", utc_at(truth.t_s[-1])]
+    ran = CliRunner().invoke(app, [*asked, "--require-arcsec", "2"])
+    assert ran.exit_code in (0, 4), ran.output
+    return folder / "trends.html"
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(400, "light"), (1280, "dark"), (2560, "light")])
+def test_the_page_of_trends_fits_and_is_walked_by_keyboard(address, page, width, scheme):
+    async def look():
+        browser = await opened(address)
+        facts = await browser.go(page, width, scheme)
+        found = await violations(browser)
+        here = "document.activeElement.closest('svg a') ? document.activeElement.ariaLabel : ''"
+        labels = []
+        for _ in range(12):
+            for kind in ("rawKeyDown", "keyUp"):
+                await browser.do("Input.dispatchKeyEvent", type=kind, key="Tab", windowsVirtualKeyCode=9)
+            labels.append(await browser.value(here))
+        return facts, browser, found, [label for label in labels if label]
+
+    facts, browser, found, labels = asyncio.run(look())
+    assert browser.complaints() == [] and browser.requests() == {page.as_uri()}
+    assert found == []
+    assert facts["scroll"] <= facts["client"] and facts["sticking_out"] == 0 and facts["broken"] == 0
+    assert len(facts["plot"]) == 3 and all(one > 250 for one in facts["plot"])
+    assert (brightness(facts["paper"]) > 200) == (scheme == "light")
+    assert len(labels) > 5 and all("±" in label for label in labels)
