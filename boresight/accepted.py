@@ -154,7 +154,7 @@ def progress_of(value: object) -> Callable[[str, int, int], None]:
     return value  # type: ignore[return-value]
 
 
-def counted(items: Sequence[Kind], stage: str, told: Callable[[str, int, int], None]) -> Iterator[Kind]:
+def counted(items: Sequence[Kind], stage: str, told: Progress) -> Iterator[Kind]:
     """The items one by one; `told` hears how many are done."""
     told(stage, 0, len(items))
     for n, item in enumerate(items, 1):
