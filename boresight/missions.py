@@ -232,13 +232,13 @@ class Calibration(Result):
         unknown = pd.DataFrame(np.nan, index=rows.index, columns=columns)
         if set(columns) <= set(rows.columns):  # places that were given with vectors
             return rows[columns]
-        if self.folder is None and self._run is None:
-            return unknown
         if self._run is not None:
             of = self._run[0].ground_targets
             p_e = [of[name].p_e if name in of else np.full(3, np.nan) for name in rows["target_id"]]
             lat, lon, _ = geodetic_from_ecef(np.reshape(p_e, (-1, 3)), WGS84)
             return pd.DataFrame({"lon_deg": np.degrees(lon), "lat_deg": np.degrees(lat)}, index=rows.index)
+        if self.folder is None:
+            return unknown
         keys = ["strip_id", "target_id", "ccd"]
         known = [unknown.iloc[:0].assign(**dict.fromkeys(keys, ""))]
         for place in (".", *dumps_in(self.folder)):
