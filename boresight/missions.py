@@ -235,18 +235,18 @@ class Calibration(Result):
         if self._run is not None:
             of = self._run[0].ground_targets
             p_e = [of[name].p_e if name in of else np.full(3, np.nan) for name in rows["target_id"]]
-            lat, lon, _ = geodetic_from_ecef(np.reshape(p_e, (-1, 3)), WGS84)
-            return pd.DataFrame({"lon_deg": np.degrees(lon), "lat_deg": np.degrees(lat)}, index=rows.index)
-        if self.folder is None:
-            return unknown
-        keys = ["strip_id", "target_id", "ccd"]
-        known = [unknown.iloc[:0].assign(**dict.fromkeys(keys, ""))]
-        for place in (".", *dumps_in(self.folder)):
-            if (path := self.folder / place / "evidence" / "ground.parquet").is_file():
+            lat, lon, height_m = geodetic_from_ecef(np.reshape(p_e, (-1, 3)), WGS84)
+            at = pd.DataFrame(np.degrees(np.column_stack([lon, lat])), rows.index, columns)
+            return at[np.isfinite(height_m)].reindex(rows.index)
+        keys, known = ["strip_id", "target_id", "ccd"], []
+        for place in () if self.folder is None else (".", *dumps_in(self.folder)):
+            if (path := Path(self) / place / "evidence" / "ground.parquet").is_file():
                 ground = read_parquet(path).to_pandas()[[*keys, *columns]]
                 known.append(
                     ground if place == "." else ground.assign(strip_id=f"{place}/" + ground["strip_id"])
                 )
+        if not known:
+            return unknown
         at = pd.concat(known).drop_duplicates(keys).set_index(keys)
         return at.reindex(pd.MultiIndex.from_frame(rows[keys])).set_index(rows.index)
 
