@@ -4,7 +4,7 @@ elimination, rejection or code of the package.
     python tests/api/test_most_likely_matrix.py 300
 
 prints for that many random sets of each kind the largest difference of matrices in sigmas, the mean NEES, and
-how many matrices with wrong vectors are believed.
+how many matrices with wrong vectors are accepted although they are off.
 """
 
 from __future__ import annotations
@@ -109,12 +109,12 @@ def most_likely(case: Case, stars: np.ndarray, targets: np.ndarray) -> tuple[Rot
         for k, (u, v, w, t) in enumerate(zip(given.u_s, given.v_stars, given.w_c, case.v_targets)):
             a, b = R_si[k].apply(v), (R_cs * R_si[k]).apply(t)
             block = np.zeros((len(a), 3, 3 + 3 * K))
-            block[:, :, 3 + 3 * k : 6 + 3 * k] = -cross(a)  # a turned by phi: a + phi x a
+            block[:, :, 3 + 3 * k : 6 + 3 * k] = -cross(a)  # a rotated by phi: a + phi x a
             keep = stars[s : s + len(a)]
             rows.append((block / SIGMA_S)[keep].reshape(-1, 3 + 3 * K))
             right.append(((u - a) / SIGMA_S)[keep].ravel())
             block = np.zeros((len(b), 3, 3 + 3 * K))
-            block[:, :, :3] = cross(b)  # R_cs turned by -theta: b - theta x b
+            block[:, :, :3] = cross(b)  # R_cs rotated by -theta: b - theta x b
             block[:, :, 3 + 3 * k : 6 + 3 * k] = -cross(b) @ R_cs.as_matrix()
             cov = np.broadcast_to(SIGMA_C**2 * np.eye(3), (len(b), 3, 3))
             if case.cov_targets is not None:
@@ -157,7 +157,7 @@ def tried(case: Case) -> Tried:
     return Tried(float(apart), float(np.abs(stated / sigma - 1.0)[free].max()), float(nees), len(free))
 
 
-def is_believed(case: Case) -> bool:
+def is_accepted(case: Case) -> bool:
     """Whether a matrix is off by more than 4 of its sigmas about an axis, without being refuted."""
     try:
         found = bs.calibrate_vectors(*case.given, **case.more)
@@ -203,8 +203,8 @@ def main() -> None:
         print(f", NEES {mean:.2f} (3 +- {three_sigma:.2f})", flush=True)
     rng = np.random.default_rng(61)
     wrong = [{kind: int(rng.integers(1, 4))} for kind in rng.choice(["stars", "targets"], n)]
-    believed = sum(is_believed(plain(rng, **one)) for one in wrong)
-    print(f"wrong vectors: {believed} of {n} matrices are off by 4 sigma and believed")
+    accepted = sum(is_accepted(plain(rng, **one)) for one in wrong)
+    print(f"wrong vectors: {accepted} of {n} matrices are off by 4 sigma and accepted")
 
 
 if __name__ == "__main__":
