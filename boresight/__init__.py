@@ -51,57 +51,14 @@ if TYPE_CHECKING:  # what a type checker and an editor see; at run time `__getat
     from boresight.vectors import calibrate_vectors
     from boresight.version import __version__
 
-__all__ = [
-    "Calibration",
-    "CameraSolution",
-    "Ccd",
-    "Comparison",
-    "DataNotSufficientError",
-    "Dump",
-    "ImageLike",
-    "LineCamera",
-    "LookAngleCamera",
-    "LookTable",
-    "Match",
-    "MatchSettings",
-    "NotIdentified",
-    "NotMatched",
-    "PathLike",
-    "PlanForecast",
-    "RawDataError",
-    "RotationLike",
-    "Settings",
-    "SiteLike",
-    "StarCamera",
-    "StarSettings",
-    "StarSolution",
-    "StarTrack",
-    "Stars",
-    "TargetMatches",
-    "TimeLike",
-    "Validation",
-    "WhatIf",
-    "WorkerError",
-    "__version__",
-    "calibrate",
-    "calibrate_star_camera",
-    "calibrate_vectors",
-    "compare",
-    "dump_from_arrays",
-    "example",
-    "find_stars",
-    "forecast",
-    "geolocate",
-    "identify",
-    "match_targets",
-    "match_template",
-    "open_dump",
-    "read_result",
-    "simulate",
-    "track",
-    "validate",
-    "what_if",
-]
+__all__ = ["Calibration", "CameraSolution", "Ccd", "Comparison", "DataNotSufficientError", "Dump"]
+__all__ += ["ImageLike", "LineCamera", "LookAngleCamera", "LookTable", "Match", "MatchSettings"]
+__all__ += ["NotIdentified", "NotMatched", "PathLike", "PlanForecast", "RawDataError", "RotationLike"]
+__all__ += ["Settings", "SiteLike", "StarCamera", "StarSettings", "StarSolution", "StarTrack", "Stars"]
+__all__ += ["TargetMatches", "TimeLike", "Validation", "WhatIf", "WorkerError", "__version__", "calibrate"]
+__all__ += ["calibrate_star_camera", "calibrate_vectors", "compare", "dump_from_arrays", "example"]
+__all__ += ["find_stars", "forecast", "geolocate", "identify", "match_targets", "match_template", "open_dump"]
+__all__ += ["read_result", "simulate", "track", "validate", "what_if"]
 
 # Public names by the module, below `boresight`, that defines them; it is imported when one is asked for.
 _MODULES = {

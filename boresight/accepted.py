@@ -7,9 +7,10 @@ names the argument, what was found and what is expected.
 from __future__ import annotations
 
 import datetime
+import inspect
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, Union
 
@@ -22,32 +23,27 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files.object_store import is_address
+from boresight.pipeline.files.whole_file import is_vacant
+from boresight.pipeline.report.notebook import notebook_progress
 
 if TYPE_CHECKING:
     from astropy.time import Time
 
-__all__ = [
-    "ImageLike",
-    "PathLike",
-    "Progress",
-    "RotationLike",
-    "SiteLike",
-    "Table",
-    "TimeLike",
-    "cell_of",
+__all__ = ["ImageLike", "PathLike", "Progress", "RotationLike", "SiteLike", "Table", "TimeLike", "cell_of"]
+__all__ += [
     "column_of",
+    "columns_of",
     "count_of",
+    "counted",
     "flag_of",
     "floats_of",
+    "image_of",
     "instance_of",
     "label_of",
-    "listed",
-    "new_file_of",
-    "new_folder_of",
-    "no_progress",
-    "number_of",
-    "of_argument",
-    "path_of",
+]
+__all__ += ["listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument", "path_of"]
+__all__ += [
+    "pixels_of",
     "progress_of",
     "rotation_of",
     "rows_of",
@@ -55,8 +51,9 @@ __all__ = [
     "site_of",
     "source_of",
     "utc_of",
-    "wrong",
+    "vacant_folder_of",
 ]
+__all__ += ["wrong"]
 
 PathLike: TypeAlias = Union[str, "os.PathLike[str]"]
 TimeLike: TypeAlias = Union[str, datetime.datetime, np.datetime64, "Time"]
@@ -117,6 +114,14 @@ def new_folder_of(value: object, name: str) -> Path:
     return path
 
 
+def vacant_folder_of(value: object, name: str) -> Path:
+    """A path at which a folder can be made, or an empty one is."""
+    path = new_folder_of(value, name)
+    if not is_vacant(path):
+        raise wrong(name, f"{path}, which holds files", "a new or empty folder")
+    return path
+
+
 def new_file_of(value: object, name: str) -> Path:
     """A path at which a file can be written; a folder is refused."""
     path = path_of(value, name)
@@ -137,10 +142,24 @@ def no_progress(stage: str, done: int, total: int) -> None:
 
 
 def progress_of(value: object) -> Callable[[str, int, int], None]:
-    """A function that is called with the stage, its tasks done, and all of them."""
-    if not callable(value):
-        raise wrong("progress", value, "a function of stage, tasks done and all tasks")
-    return value
+    """A function that is called with the stage, its tasks done, and all of them; by default it draws a bar in
+    a notebook.
+    """
+    if value is no_progress:
+        return notebook_progress()
+    try:
+        inspect.signature(value).bind("", 0, 1)  # type: ignore[arg-type]
+    except Exception:  # of what is no function, or one of other arguments
+        raise wrong("progress", value, "a function of stage, tasks done and all tasks") from None
+    return value  # type: ignore[return-value]
+
+
+def counted(items: Sequence[Kind], stage: str, told: Progress) -> Iterator[Kind]:
+    """The items one by one; `told` hears how many are done."""
+    told(stage, 0, len(items))
+    for n, item in enumerate(items, 1):
+        yield item
+        told(stage, n, len(items))
 
 
 def listed(value: object, name: str, what: str) -> list[Any]:
@@ -223,12 +242,39 @@ def _in_unit(value: Any, name: str, unit: str | None = None) -> Any:
         from astropy.units import Quantity  # only where a unit is stated
 
         given = Quantity(np.asarray(value.value if of_quantity else value), stated)
-        return given.to_value(f"{wanted}2" if wanted and given.ndim == 3 else wanted)
+        square = wanted and given.ndim > 1 and not given.unit.is_equivalent(wanted)
+        return given.to_value(f"{wanted}2" if square else wanted)
     except Exception:
         expected = (
             f"numbers in {wanted}, or of a unit that converts to it" if wanted else "numbers without a unit"
         )
         raise wrong(name, f"values in {shown(str(stated))}", expected) from None
+
+
+def image_of(value: Any, name: str) -> NDArray[Any]:
+    """An image (H, W) of integers, computed now where it is a function."""
+    expected = "raw counts (rows, columns) of type uint8 or uint16"
+    pixels = pixels_of(value, name, expected)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise wrong(name, pixels, expected)
+    return pixels
+
+
+def pixels_of(value: Any, name: str, expected: str) -> NDArray[Any]:
+    """Grey values (H, W), computed now where they are a function; masked pixels of floating ones are NaN."""
+    try:
+        given = value() if isinstance(value, Callable) else value  # type: ignore[arg-type]
+        hidden = np.ma.getmaskarray(given) if np.ma.is_masked(given) else None
+        pixels = np.asarray(given)
+    except Exception as error:  # of a function, or of a foreign class that pretends to be an array
+        raise wrong(name, value, f"{expected} ({shown(error)})") from error
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif" or not pixels.size:
+        raise wrong(name, pixels, expected)
+    if hidden is None:
+        return pixels
+    if pixels.dtype.kind != "f":
+        raise wrong(name, f"an array with {hidden.sum()} masked pixels", f"{expected}, none of them masked")
+    return np.where(hidden, pixels.dtype.type(np.nan), pixels)
 
 
 def rotation_of(value: object, name: str) -> Rotation:
@@ -273,8 +319,8 @@ def _utc_text(value: Any) -> str | None:
             return None
         utc = value if value.tzinfo is None else value.astimezone(datetime.UTC).replace(tzinfo=None)
         return utc.isoformat(timespec="microseconds")
-    if isinstance(value, np.datetime64):
-        return None if np.isnat(value) else str(value.astype("datetime64[ns]"))
+    if getattr(getattr(value, "dtype", None), "kind", "") == "M" and value.ndim == 0:  # also of xarray
+        return None if np.isnat(value) else str(np.asarray(value).astype("datetime64[ns]"))
     if type(value).__module__.startswith("astropy.time") and getattr(value, "isscalar", False):
         precise = value.utc.copy(format="isot")
         precise.precision = 9
@@ -297,7 +343,8 @@ def site_of(value: object, name: str = "site") -> tuple[float, float, float]:
 def rows_of(table: Table, name: str) -> list[Mapping[str, Any]]:
     """A table as mappings, one a row."""
     if isinstance(table, pd.DataFrame):
-        rows: list[Any] = [dict(zip(table.columns, values)) for values in table.itertuples(index=False)]
+        full = _with_places(table, name)
+        rows: list[Any] = [dict(zip(full.columns, values)) for values in full.itertuples(index=False)]
     elif isinstance(table, str | bytes | Mapping):
         raise wrong(name, table, "a DataFrame or a sequence of mappings")
     else:
@@ -308,6 +355,22 @@ def rows_of(table: Table, name: str) -> list[Mapping[str, Any]]:
     if not rows:
         raise wrong(name, "no rows", "at least one")
     return rows
+
+
+def _with_places(table: Any, name: str) -> Any:
+    """The table; of a GeoDataFrame with lat_deg and lon_deg of its points and, of points with heights,
+    height_m, unless it has such columns.
+    """
+    if (crs := getattr(table, "crs", None)) is None and not hasattr(table, "to_crs"):
+        return table
+    points = table.geometry
+    if crs is None or crs.is_compound or not (points.geom_type == "Point").all() or points.is_empty.any():
+        found = f"{', '.join(map(str, points.geom_type.unique()))} in {None if crs is None else crs.name}"
+        raise wrong(name, found, "points in a reference system, whose heights, if any, are ellipsoidal")
+    raised = bool(points.has_z.all())
+    at = points.to_crs(4979 if raised else 4326)
+    places = {"lat_deg": at.y, "lon_deg": at.x} | ({"height_m": at.z} if raised else {})
+    return table.assign(**{key: places[key] for key in places if key not in table.columns})
 
 
 def cell_of(row: Mapping[str, Any], key: str, name: str, n: int) -> Any:
@@ -327,6 +390,13 @@ def column_of(
     """A column of a table by a function of this module; `otherwise` stands in rows without it, if stated."""
     full = rows if otherwise is None else [{key: otherwise, **row} for row in rows]
     return [read(cell_of(row, key, name, n), f"{name}, row {n}, {key}") for n, row in enumerate(full)]
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]], keys: Iterable[str], name: str) -> list[list[Any]]:
+    """Columns of a table, each read as its key asks: texts, instants, counts; all others are numbers."""
+    read: dict[str, Callable[[Any, str], Any]] = {"ccd": count_of, "time": utc_of}
+    read |= dict.fromkeys(("id", "strip", "height_kind", "kind"), label_of)
+    return [column_of(rows, key, name, read.get(key, number_of)) for key in keys]
 
 
 def label_of(value: Any, name: str) -> str:

@@ -9,7 +9,7 @@ import atexit
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +21,35 @@ from rasterio.transform import Affine
 
 from boresight.accepted import (
     PathLike,
+    Progress,
     RotationLike,
     Table,
     cell_of,
-    column_of,
+    columns_of,
     count_of,
+    counted,
     floats_of,
+    image_of,
     instance_of,
-    label_of,
     listed,
-    new_folder_of,
+    no_progress,
     number_of,
+    pixels_of,
+    progress_of,
     rotation_of,
     rows_of,
     shown,
-    utc_of,
+    vacant_folder_of,
     wrong,
 )
-from boresight.array_stars import attitude_keys, write_attitudes, write_exposures
-from boresight.array_tables import READERS, bits_of, image_of, pixels_of, stored, write_image
+from boresight.array_stars import (
+    attitude_keys,
+    bits_of,
+    stored,
+    write_attitudes,
+    write_exposures,
+    write_image,
+)
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -48,7 +58,6 @@ from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.remote_camera import write_remote_camera
 from boresight.pipeline.files.text_tables import write_csv, write_toml
-from boresight.pipeline.files.whole_file import is_vacant
 from boresight.version import __version__
 
 __all__ = ["dump_from_arrays", "orbit_text"]
@@ -96,6 +105,7 @@ def dump_from_arrays(
     remote_bits: int | None = None,
     mission: str = "arrays",
     out: PathLike | None = None,
+    progress: Progress = no_progress,
 ) -> Dump:
     """A dump of images, strips, targets and orbit given as arrays and tables, ready for `calibrate`.
 
@@ -157,6 +167,8 @@ def dump_from_arrays(
         Name of the mission.
     out : path, optional
         Folder of the dump, new or empty; default: a temporary one that ends with the process.
+    progress : callable, optional
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------
@@ -174,7 +186,7 @@ def dump_from_arrays(
     --------
     See docs/bring-your-own-mission.md.
     """
-    folder = _new_folder(out)
+    folder, told = _new_folder(out), progress_of(progress)
     if not isinstance(remote_camera, LineCamera | LookAngleCamera):
         raise wrong("remote_camera", remote_camera, "a LineCamera or a LookAngleCamera")
     R_cs = rotation_of(R_cs0, "R_cs0")
@@ -195,20 +207,21 @@ def dump_from_arrays(
         keys = attitude_keys(attitude_frame, attitude_rotation, aberration_removed, line_of_sight_s)
         head_table = write_attitudes(folder, attitudes) | keys
     else:
-        head_table = write_exposures(folder, star_camera, exposures, star_bits)  # type: ignore[arg-type]
+        head_table = write_exposures(folder, star_camera, exposures, star_bits, told)  # type: ignore[arg-type]
     of_head = ("star_camera", "installation", "exposures") if head_table else ()
     files = {key: file for key, file in FILES.items() if key not in of_head}
-    write_remote_camera(folder, remote_camera, _write_strips(folder, rows_of(strips, "strips"), remote_bits))
+    bits_used = _write_strips(folder, rows_of(strips, "strips"), remote_bits, told)
+    write_remote_camera(folder, remote_camera, bits_used)
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
     name = instance_of(mission, str, "mission")
     (folder / files["orbit"]).write_text(orbit_text(name, orbit_frame, orbit), encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
-        _write_targets(folder, rows_of(targets, "targets"))
+        _write_targets(folder, rows_of(targets, "targets"), told)
     if points is not None:
         files["points"] = "points.csv"
-        columns = _columns(rows_of(points, "points"), MEASURED, "points")
+        columns = columns_of(rows_of(points, "points"), MEASURED, "points")
         write_csv(folder / "points.csv", MEASURED, list(zip(*columns)))
     head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
@@ -235,10 +248,7 @@ def _new_folder(out: PathLike | None) -> Path:
         folder = Path(tempfile.mkdtemp(prefix="boresight-dump-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return folder
-    folder = new_folder_of(out, "out")
-    if not is_vacant(folder):
-        raise wrong("out", f"{folder}, which holds files", "a new or empty folder")
-    return folder
+    return vacant_folder_of(out, "out")
 
 
 def _check_frame(frame: object) -> None:
@@ -257,17 +267,14 @@ def _has_sky(strips: Table) -> bool:
     return not isinstance(strips, pd.DataFrame) or bool((strips.get("kind", pd.Series()) == "sky").any())
 
 
-def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None) -> int:
-    readers: dict[str, Callable[[Any, str], Any]] = {
-        "id": label_of,
-        "ccd": count_of,
-        "time": utc_of,
-        "row_period_s": number_of,
-    }
-    ids, ccds, times, periods = (column_of(rows, key, "strips", read) for key, read in readers.items())
+def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None, told: Progress) -> int:
+    rows = [{"kind": "ground", **row} for row in rows]
+    ids, ccds, times, periods, kinds = columns_of(
+        rows, ("id", "ccd", "time", "row_period_s", "kind"), "strips"
+    )
     places: list[tuple[str, int]] = []  # file and number of lines
     types = set()
-    for n, row in enumerate(rows):
+    for n, row in enumerate(counted(rows, "strips", told)):
         file, image = "", cell_of(row, "image", "strips", n)
         if image is None:
             count = count_of(cell_of(row, "lines", "strips", n), f"strips, row {n}, lines")
@@ -278,34 +285,23 @@ def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int |
             count = len(pixels)
             write_image(folder / file, stored(pixels, stated or 8))
         places.append((file, count))
-    lines = zip(
-        ids,
-        ccds,
-        *zip(*places),
-        times,
-        map(repr, periods),
-        column_of(rows, "kind", "strips", label_of, "ground"),
-    )
     columns = ["id", "ccd", "file", "lines", "utc_first_row", "row_period_s", "kind"]
-    write_csv(folder / "strips.csv", columns, list(lines))
+    lines = list(zip(ids, ccds, *zip(*places), times, map(repr, periods), kinds))
+    write_csv(folder / "strips.csv", columns, lines)
     return bits_of(stated, types, "remote_bits")
 
 
-def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]], told: Progress) -> None:
     files = [f"chips/{n + 1:05d}.tif" for n in range(len(rows))]
-    for n, (row, file) in enumerate(zip(rows, files)):
+    for n, (row, file) in enumerate(zip(counted(rows, "targets", told), files)):
         at = f"targets, row {n}"
         pixels = pixels_of(cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)")
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = pixels.astype(np.float32)
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
         write_image(folder / file, pixels, **_georeference(affine, crs, at))
-    lines = zip(*_columns(rows, ("id", *PLACE), "targets"), files)
+    lines = zip(*columns_of(rows, ("id", *PLACE), "targets"), files)
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], list(lines))
-
-
-def _columns(rows: Sequence[Mapping[str, Any]], keys: Sequence[str], name: str) -> list[list[Any]]:
-    return [column_of(rows, key, name, READERS.get(key, number_of)) for key in keys]
 
 
 def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
@@ -339,8 +335,8 @@ def orbit_text(mission: str, frame: str, orbit: Table) -> str:
     rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
-    utc = column_of(rows, "time", "orbit", utc_of)
-    numbers = np.array([column_of(rows, key, "orbit", number_of) for key in ORBIT[1:]]).T
+    utc, *columns = columns_of(rows, ORBIT, "orbit")
+    numbers = np.array(columns).T
     radius_m = np.linalg.norm(numbers[:, :3], axis=1)
     for n in np.flatnonzero(~((radius_m > 6.4e6) & (radius_m < 5e7)))[:1]:
         found = f"{radius_m[n]:.6g} m from the centre of the Earth"

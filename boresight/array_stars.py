@@ -1,36 +1,35 @@
-"""The star side of a dump made of arrays: images, lists of stars, or attitudes, written as its files."""
+"""The star side of a dump made of arrays, as its files: images, lists of stars, or attitudes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from boresight.accepted import (
+    Progress,
     Table,
     cell_of,
-    column_of,
+    columns_of,
+    counted,
     floats_of,
+    image_of,
     instance_of,
-    label_of,
-    number_of,
     rows_of,
-    utc_of,
     wrong,
 )
-from boresight.array_tables import bits_of, image_of, stored, write_image
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
+from boresight.pipeline.files.images.tiff import TILES, write_tiff
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import table_csv, write_csv, write_toml
 from boresight.pipeline.files.whole_file import write_text
 
-__all__ = ["attitude_keys", "write_attitudes", "write_exposures"]
+__all__ = ["attitude_keys", "bits_of", "stored", "write_attitudes", "write_exposures", "write_image"]
 
 STAR = ("x_px", "y_px", "sigma_x_px", "sigma_y_px", "cov_xy_px2", "flux_dn")  # columns of a list of stars
 MORE = ("snr", "saturated", "blended", "psf_sigma_px")  # its optional columns
@@ -42,7 +41,9 @@ REMOVED = ("none", "annual", "annual and orbital")
 LIST_BITS = 16  # of a camera whose images are not given: not used
 
 
-def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int | None) -> dict[str, Any]:
+def write_exposures(
+    folder: Path, camera: StarCamera, table: Table, stated: int | None, told: Progress
+) -> dict[str, Any]:
     """Write star_camera.toml and the exposures, as images or lists of stars; what dump.toml says of them.
 
     For images that is {}, the usual files; for lists a table of [[star_cameras]].
@@ -52,7 +53,7 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
     rows = rows_of(table, "exposures")
     of_lists = "stars" in rows[0]
     files = [f"exposures/{n + 1:05d}.tif" for n in range(len(rows))]
-    for n, (row, file) in enumerate(zip(rows, files)):
+    for n, (row, file) in enumerate(zip(counted(rows, "star images", told), files)):
         at = f"exposures, row {n}"
         if of_lists:
             lists.append(_stars(cell_of(row, "stars", "exposures", n), f"{at}, stars").assign(file=file))
@@ -61,8 +62,7 @@ def write_exposures(folder: Path, camera: StarCamera, table: Table, stated: int 
             types.add(pixels.dtype)
             write_image(folder / file, stored(pixels, stated or 8))
     rows = [{"id": f"e{n + 1:04d}", **row} for n, row in enumerate(rows)]
-    readers: dict[str, Callable[[Any, str], Any]] = {"id": label_of, "time": utc_of, "exposure_s": number_of}
-    ids, times, lengths = (column_of(rows, key, "exposures", read) for key, read in readers.items())
+    ids, times, lengths = columns_of(rows, ("id", "time", "exposure_s"), "exposures")
     lines = list(zip(ids, files, times, lengths))
     write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
     bits = LIST_BITS if of_lists else bits_of(stated, types, "star_bits")
@@ -94,9 +94,8 @@ def write_attitudes(folder: Path, table: Table) -> dict[str, Any]:
     """Write attitudes.csv with its errors; its table of [[star_cameras]] without `attitude_keys`."""
     rows = rows_of(table, "attitudes")
     errors = COVARIANCES if COVARIANCES[0] in rows[0] else SIGMAS
-    times = column_of(rows, "time", "attitudes", utc_of)
-    numbers = [column_of(rows, key, "attitudes", number_of) for key in (*COMPONENTS, *errors)]
-    write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], list(zip(times, *numbers)))
+    columns = columns_of(rows, ("time", *COMPONENTS, *errors), "attitudes")
+    write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], list(zip(*columns)))
     return HEAD | {"level": "attitudes", "attitudes": "attitudes.csv"}
 
 
@@ -121,3 +120,20 @@ def attitude_keys(
     if u_s.shape != (3,) or not abs(np.linalg.norm(u_s) - 1.0) <= DIRECTION_LENGTH:
         raise wrong("line_of_sight_s", line_of_sight_s, expected)
     return keys | {"line_of_sight": u_s.tolist()}
+
+
+def bits_of(stated: int | None, types: set[Any], name: str) -> int:
+    if stated is not None:
+        return stated
+    if types - {np.dtype(np.uint8)}:
+        raise wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
+    return 8 if types else 0
+
+
+def write_image(path: Path, pixels: NDArray[Any], **options: Any) -> None:
+    write_tiff(path, pixels, **(TILES if min(pixels.shape) > 256 else {}), **options)
+
+
+def stored(pixels: NDArray[Any], bits: int) -> NDArray[Any]:
+    """Counts in the type that the format has for their bits."""
+    return pixels.astype(np.uint16) if bits > 8 else pixels

@@ -6,16 +6,13 @@ import dataclasses
 import os
 import re
 import shutil
-import tempfile
 import time
-import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -35,6 +32,7 @@ from boresight.accepted import (
     path_of,
     progress_of,
     source_of,
+    vacant_folder_of,
     wrong,
 )
 from boresight.calib.verdict import p_residuals
@@ -42,9 +40,7 @@ from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Bools, Floats, array, inner, record, scalar
-from boresight.notebook import calibration_html, notebook_progress
+from boresight.geometry.record import Floats, array, inner, record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import named_cameras, open_dumps
@@ -54,14 +50,21 @@ from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.report.evidence import write_evidence
+from boresight.pipeline.report.notebook import calibration_html
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
-from boresight.pipeline.results.reading import SavedResult, read_for_dump, read_matrices
-from boresight.pipeline.results.reading import read_saved_result as saved_in
+from boresight.pipeline.results.reading import (
+    SavedResult,
+    read_for_dump,
+    read_matrices,
+)
+from boresight.pipeline.results.reading import (
+    read_saved_result as saved_in,
+)
+from boresight.pipeline.results.scratch_folder import ScratchFolder
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import CheckPoints, TruthErrors
@@ -72,9 +75,10 @@ from boresight.pipeline.run.workers import executor_for
 from boresight.version import __version__
 
 if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
     from matplotlib.axes import Axes
 
-__all__ = ["UNUSED", "Calibration", "ScratchFolder", "Validation", "calibrate", "read_result", "validate"]
+__all__ = ["UNUSED", "Calibration", "Validation", "calibrate", "read_result", "validate"]
 
 DumpLike = PathLike | Dump
 UNUSED = ["kind", "name", "reason", "cause", "file"]  # columns of what is not used
@@ -82,23 +86,6 @@ UNUSED = ["kind", "name", "reason", "cause", "file"]  # columns of what is not u
 # give them.
 STARS = {"exposure_id": "exposure", "hip": "hip", "normalised": "statistic", "kept": "kept"}
 TARGETS = {"strip_id": "strip_id", "target_id": "target_id", "ccd": "ccd", "correlation": "correlation"}
-
-
-class ScratchFolder:
-    """A folder that exists as long as this object: the files of a result that was given no folder, written by
-    `fill` when they are first asked for.
-    """
-
-    def __init__(self, fill: Callable[[Path], object] = lambda path: None) -> None:
-        self._fill = fill
-
-    @cached_property
-    def path(self) -> Path:
-        """The folder, filled."""
-        path = Path(tempfile.mkdtemp(prefix="boresight-"))
-        weakref.finalize(self, shutil.rmtree, path, ignore_errors=True)
-        self._fill(path)
-        return path
 
 
 @record(kw_only=True)
@@ -153,8 +140,7 @@ class Calibration(Result):
         """`consistent`, `consistent, findings`, `not checkable` or `refuted`, by the statistics of the result
         itself.
         """
-        stated = self.facts.get("verdict")
-        return str(stated["outcome"]) if isinstance(stated, dict) and "outcome" in stated else "not assessed"
+        return str(self._stated.get("outcome", "not assessed"))
 
     @property
     def p_value(self) -> float:
@@ -169,13 +155,13 @@ class Calibration(Result):
         neither holds nor fails what is not applicable.
         """
         names = ["kind", "statistic", "expected", "n", "p_plain", "p_value", "limit", "holds", "fails"]
-        return pd.DataFrame(self._of_verdict("checks"), columns=names)
+        return pd.DataFrame(list(self._stated.get("checks") or []), columns=names)
 
     @property
     def findings(self) -> pd.DataFrame:
         """One row an input that looks wrong: cause, item, text, refutes, effect_sigma."""
         names = ["cause", "item", "text", "refutes", "effect_sigma"]
-        return pd.DataFrame(self._of_verdict("findings"), columns=names)
+        return pd.DataFrame(list(self._stated.get("findings") or []), columns=names)
 
     @property
     def blind_spots(self) -> pd.DataFrame:
@@ -190,9 +176,10 @@ class Calibration(Result):
         effects = [f"effect_{axis}_arcsec" for axis in "xyz"]
         return pd.DataFrame(rows, columns=["cause", "item", "unit", *effects, "is_unseen", "hidden_sigma"])
 
-    def _of_verdict(self, key: str) -> list[dict[str, Any]]:
+    @property
+    def _stated(self) -> Mapping[str, Any]:
         stated = self.facts.get("verdict")
-        return list(stated.get(key) or []) if isinstance(stated, dict) else []
+        return stated if isinstance(stated, dict) else {}
 
     def residuals(self, of: Literal["targets", "stars"] = "targets") -> pd.DataFrame:
         """Residuals, one row an observation, in arcsec, with statistic (chi-square of 2 degrees of freedom),
@@ -212,46 +199,56 @@ class Calibration(Result):
             f"R_cs{' of ' * bool(camera)}{camera}: theta {', '.join(numbers[n : n + 3])} arcsec"
             for n, camera in zip(range(0, len(numbers), 3), self.cameras)
         ]
-        stated = self.facts.get("verdict")
-        sentence = stated.get("sentence") if isinstance(stated, dict) else None
-        fit = f"{sentence or self.verdict}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
+        sentence = self._stated.get("sentence") or self.verdict
+        fit = f"{sentence}\nchi2 / dof {self.chi2:.1f} / {self.dof} (p {self.p_value:.2g})"
         return "\n".join([*angles, fit, f"from {self.counts}", self._not_used_line()])
 
     def _repr_html_(self) -> str:
-        stated = self.facts.get("verdict")
-        sentence = stated.get("sentence") if isinstance(stated, dict) else None
         rows = [
             (f"R_cs, row {'XYZ'[n % 3]}", "+.9f", row)
             for n, row in enumerate(self.R_cs.as_matrix().reshape(-1, 3))
         ]
         for name, values in (("theta, arcsec", self.theta / ARCSEC), ("1 sigma, arcsec", self.sigma_arcsec)):
             rows += [(name, ".4f", values[n : n + 3]) for n in range(0, len(values), 3)]
-        return calibration_html(self.verdict, sentence or self.verdict, rows, *self._places())
+        at, kept = self._places(), self.targets["kept"].to_numpy()
+        known = at.notna().all(axis=1).to_numpy()
+        sentence = self._stated.get("sentence") or self.verdict
+        return calibration_html(self.verdict, sentence, rows, at.to_numpy()[known], kept[known])
 
-    def _places(self) -> tuple[Floats, Bools]:
-        """Longitude and latitude (N, 2), deg, of sightings of targets, and which are kept; none: vectors."""
+    def geodataframe(self) -> GeoDataFrame:
+        """`targets` as points, EPSG:4326; needs geopandas. Raises `ValueError` where no place of a target is
+        known: of given directions, and of a folder without evidence.
+        """
+        from geopandas import GeoDataFrame, points_from_xy  # no other function loads it
+
+        at = self._places()
+        if at.isna().all(axis=None):
+            raise ValueError("geodataframe: no place of a target is known")
+        return GeoDataFrame(self.targets, geometry=points_from_xy(at["lon_deg"], at["lat_deg"]), crs=4326)
+
+    def _places(self) -> pd.DataFrame:
+        """Columns lon_deg and lat_deg of each row of `targets`; NaN where they are not known."""
+        columns, rows = ["lon_deg", "lat_deg"], self.targets
+        unknown = pd.DataFrame(np.nan, index=rows.index, columns=columns)
+        if set(columns) <= set(rows.columns):  # places that were given with vectors
+            return rows[columns]
         if self._run is not None:
             of = self._run[0].ground_targets
-            names = self.targets["target_id"].tolist() if "target_id" in self.targets else []
-            known = [of[name].p_e for name in names if name in of]
-            if len(known) == len(names) > 0:
-                lat, lon, _ = geodetic_from_ecef(np.array(known), WGS84)
-                return np.degrees([lon, lat]).T, self.targets["kept"].to_numpy()
-        files = (
-            []
-            if self.folder is None
-            else [
-                path
-                for place in (".", *dumps_in(self.folder))
-                if (path := self.folder / place / "evidence" / "ground.parquet").is_file()
-            ]
-        )
-        tables = [read_parquet(path).to_pandas() for path in files]
-        if not tables:
-            return np.zeros((0, 2)), np.zeros(0, dtype=bool)
-        ground = pd.concat(tables)
-        ground = ground[ground["state"].isin(["used", "rejected"])]
-        return ground[["lon_deg", "lat_deg"]].to_numpy(), (ground["state"] == "used").to_numpy()
+            p_e = [of[name].p_e if name in of else np.full(3, np.nan) for name in rows["target_id"]]
+            lat, lon, height_m = geodetic_from_ecef(np.reshape(p_e, (-1, 3)), WGS84)
+            at = pd.DataFrame(np.degrees(np.column_stack([lon, lat])), rows.index, columns)
+            return at[np.isfinite(height_m)].reindex(rows.index)
+        keys, known = ["strip_id", "target_id", "ccd"], []
+        for place in () if self.folder is None else (".", *dumps_in(self.folder)):
+            if (path := Path(self) / place / "evidence" / "ground.parquet").is_file():
+                ground = read_parquet(path).to_pandas()[[*keys, *columns]]
+                known.append(
+                    ground if place == "." else ground.assign(strip_id=f"{place}/" + ground["strip_id"])
+                )
+        if not known:
+            return unknown
+        at = pd.concat(known).drop_duplicates(keys).set_index(keys)
+        return at.reindex(pd.MultiIndex.from_frame(rows[keys])).set_index(rows.index)
 
     def _not_used_line(self) -> str:
         groups = Counter(zip(self.not_used["kind"].tolist(), self.not_used["cause"].tolist()))
@@ -310,9 +307,7 @@ class Calibration(Result):
 
     def save(self, folder: PathLike) -> Path:
         """Write the result into a folder, new or empty, which `read_result` reads; the folder."""
-        place = new_folder_of(folder, "folder")
-        if not is_vacant(place):
-            raise wrong("folder", f"{place}, which holds files", "a new or empty folder")
+        place = vacant_folder_of(folder, "folder")
         without = shutil.ignore_patterns(".boresight-lock")
         return Path(shutil.copytree(Path(self), place, ignore=without, dirs_exist_ok=True))
 
@@ -404,18 +399,20 @@ class Validation(Result):
     """Errors of a result, and of the matrix that it started from, against a simulated truth."""
 
     errors: TruthErrors = scalar("the full record")
-    error_rad = inner[Floats](
+    error_rad: ClassVar[inner[Floats]] = inner(
         "errors.error_rad", "(3,) theta of the result's error: R_result = exp[[error]] R_true"
     )
-    sigma_rad = inner[Floats]("errors.sigma_rad", "(3,) 1-sigma that the result states")
-    nees = inner[float]("errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof")
-    before_rad = inner[Floats]("errors.before_rad", "(3,) error of the pre-launch matrix")
-    after = inner[CheckPoints]("errors.after", "check points with the result's matrix")
-    before = inner[CheckPoints]("errors.before", "check points with the pre-launch matrix")
-    predicted = inner[tuple[RmsTest, ...]](
+    sigma_rad: ClassVar[inner[Floats]] = inner("errors.sigma_rad", "(3,) 1-sigma that the result states")
+    nees: ClassVar[inner[float]] = inner(
+        "errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof"
+    )
+    before_rad: ClassVar[inner[Floats]] = inner("errors.before_rad", "(3,) error of the pre-launch matrix")
+    after: ClassVar[inner[CheckPoints]] = inner("errors.after", "check points with the result's matrix")
+    before: ClassVar[inner[CheckPoints]] = inner("errors.before", "check points with the pre-launch matrix")
+    predicted: ClassVar[inner[tuple[RmsTest, ...]]] = inner(
         "errors.predicted", "errors of check points against those that the result predicts"
     )
-    without = inner[int](
+    without: ClassVar[inner[int]] = inner(
         "errors.without", "check points without attitude or ground, for which no error can be given"
     )
 
@@ -503,11 +500,10 @@ def calibrate(
     ('consistent', True)
     """
     folder = None if out is None else new_folder_of(out, "out")
-    told = notebook_progress() if progress is no_progress else progress_of(progress)
+    told = progress_of(progress)
     n_workers, chosen = count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
-    sources = [
-        source_of_dump(one) for one in (listed(dump, "dump", "dumps") if _is_several(dump) else [dump])
-    ]
+    given = [dump] if isinstance(dump, str | os.PathLike | Dump) else listed(dump, "dump", "dumps")
+    sources = [source_of_dump(one) for one in given]
     if not sources:
         raise wrong("dump", "no dumps", "at least one")
     with _in_words_of_python():
@@ -535,7 +531,7 @@ def calibrate(
             return made if folder else dataclasses.replace(made, folder=None, _scratch=scratch)
         opened = several[0].dump
         if strips is not None:
-            opened = _with_strips(opened, [str(one) for one in listed(strips, "strips", "ids of strips")])
+            opened = opened.of_strips([str(one) for one in listed(strips, "strips", "ids of strips")])
         with executor_for(n_workers, None, opened.pixels) as executor:
             if folder is not None:
                 run_dump(folder, opened, str(opened.root), request, executor, told)
@@ -555,10 +551,6 @@ def _root_of(source: str | Path | Dump) -> Path:
     return source.root if isinstance(source, Dump) else dump_folder(source)
 
 
-def _is_several(dump: object) -> bool:
-    return not isinstance(dump, str | os.PathLike | Dump)
-
-
 def source_of_dump(dump: object) -> str | Path | Dump:
     """A dump as `open_dump` takes it."""
     if isinstance(dump, Dump):
@@ -572,28 +564,6 @@ def _after_joint() -> tuple[Callable[[Path, list[str]], str], ...]:
     """What features do at the end of a joint calibration."""
     places = [one.after_joint.partition(":") for one in features() if one.after_joint]
     return tuple(getattr(import_module(f"boresight.{module}"), name) for module, _, name in places)
-
-
-def _with_strips(dump: Dump, wanted: Sequence[str]) -> Dump:
-    """The dump with these strips only; the others are among its omissions."""
-    every = [*dump.strips, *dump.sky_strips]
-    names = [strip.strip_id for strip in every]
-    if unknown := [one for one in wanted if one not in names]:
-        raise wrong("strips", unknown[0], f"ids among {', '.join(names)}")
-    if not wanted:
-        raise wrong("strips", "no ids", "at least one")
-    left_out = tuple(
-        Entry(Subject(Kind.STRIP, strip=name), Reason.NOT_ASKED_FOR, "not among the strips asked for")
-        for name in names
-        if name not in wanted
-    )
-    return dataclasses.replace(
-        dump,
-        strips=tuple(strip for strip in dump.strips if strip.strip_id in wanted),
-        sky_strips=tuple(strip for strip in dump.sky_strips if strip.strip_id in wanted),
-        points=tuple(points for points in dump.points if points.strip_id in wanted),
-        omissions=(*dump.omissions, *left_out),
-    )
 
 
 @contextmanager

@@ -15,8 +15,9 @@ from boresight.calib.from_vectors import calibrate_vector_sets
 from boresight.features.vectors import given_vectors, vector_result
 from boresight.features.vectors.target_places import orbit_of_states
 from boresight.geometry.record import Floats
-from boresight.missions import UNUSED, Calibration, ScratchFolder
+from boresight.missions import UNUSED, Calibration
 from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.results.scratch_folder import ScratchFolder
 
 __all__ = ["Sigmas", "Vectors", "calibrate_vectors"]
 
@@ -65,7 +66,7 @@ def calibrate_vectors(
         light time and the aberration by the satellite's geocentric velocity, 5 arcsec. With `orbit`: rows of
         lat_deg, lon_deg, height_m, time and, unless they are exact, sigma_east_m, sigma_north_m, sigma_up_m,
         from which the directions are computed; height_kind "egm96" for heights above the geoid. A place that
-        several frames list has one error.
+        several frames list has one error. A GeoDataFrame of points needs no columns of the place.
     sigma_c : float, (J,) or (J, 3, 3) array, or list of them
         Their 1-sigma errors per axis, rad, or covariances, frame c.
     R_cs0 : Rotation, or (3, 3) matrix
@@ -80,7 +81,7 @@ def calibrate_vectors(
     orbit_frame : str
         "ITRF" (velocities relative to the rotating Earth), "GCRF" or "EME2000".
     progress : callable, optional
-        Called with the stage, the tasks done and all tasks.
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------

@@ -15,7 +15,7 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 
 import boresight as bs
 
-FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
+FIXTURE = bs.example("mini")
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 with rasterio.open(FIXTURE / "chips" / "s01-t05.tif") as file:

@@ -16,7 +16,7 @@ from PIL import Image
 
 import boresight as bs
 
-FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
+FIXTURE = bs.example("mini")
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 

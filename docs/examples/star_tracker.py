@@ -13,7 +13,7 @@ import pandas as pd
 
 import boresight as bs
 
-FIXTURE = bs.example("mini")  # elsewhere than in a checkout it is rendered at first use
+FIXTURE = bs.example("mini")
 PICTURES = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 images = [FIXTURE / "exposures" / f"e{number:04d}.png" for number in range(1, 11)]
 

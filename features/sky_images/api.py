@@ -6,7 +6,7 @@ import datetime
 import os
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,14 +15,18 @@ from scipy.spatial.transform import Rotation
 
 from boresight.accepted import (
     ImageLike,
+    Progress,
     SiteLike,
     TimeLike,
+    counted,
     floats_of,
     instance_of,
     listed,
+    no_progress,
     number_of,
     of_argument,
     path_of,
+    progress_of,
     site_of,
     utc_of,
     wrong,
@@ -88,23 +92,27 @@ class Stars(Result):
     size_px: tuple[int, int] = scalar("width and height of the image, px")
     masked: int = scalar("pixels without a number: they have no weight")
     pixels: NDArray[Any] | None = scalar("grey values (H, W); None: not given", default=None, repr=False)
-    xy_px = inner[Floats](
+    xy_px: ClassVar[inner[Floats]] = inner(
         "star_list.xy_px", "(N, 2) centroids (column, row); (0, 0) is the centre of the first pixel"
     )
-    cov_px = inner[Floats]("star_list.cov_px", "(N, 2, 2) covariance of the centroids, px²")
-    flux_dn = inner[Floats]("star_list.flux_dn", "(N,) total above the background, DN")
-    snr = inner[Floats]("star_list.snr", "(N,) flux over the error that the background alone causes")
-    saturated = inner[Bools]("star_list.saturated", "(N,) some pixel is full")
-    blended = inner[Bools](
+    cov_px: ClassVar[inner[Floats]] = inner("star_list.cov_px", "(N, 2, 2) covariance of the centroids, px²")
+    flux_dn: ClassVar[inner[Floats]] = inner("star_list.flux_dn", "(N,) total above the background, DN")
+    snr: ClassVar[inner[Floats]] = inner(
+        "star_list.snr", "(N,) flux over the error that the background alone causes"
+    )
+    saturated: ClassVar[inner[Bools]] = inner("star_list.saturated", "(N,) some pixel is full")
+    blended: ClassVar[inner[Bools]] = inner(
         "star_list.blended", "(N,) displaced by a neighbour or by blooming: not for calibration"
     )
-    psf_sigma_px = inner[float]("star_list.psf.sigma_px", "width of the point spread function, px, 1 sigma")
-    misshapen_px = inner[Floats](
+    psf_sigma_px: ClassVar[inner[float]] = inner(
+        "star_list.psf.sigma_px", "width of the point spread function, px, 1 sigma"
+    )
+    misshapen_px: ClassVar[inner[Floats]] = inner(
         "star_list.misshapen_px",
         "(M, 2) detections that are not among the stars: cosmic rays, trails, stars that touch one another",
     )
-    hot_pixels = inner[int]("star_list.hot_pixels", "detections rejected as hot pixels")
-    saturation_dn = inner[float](
+    hot_pixels: ClassVar[inner[int]] = inner("star_list.hot_pixels", "detections rejected as hot pixels")
+    saturation_dn: ClassVar[inner[float]] = inner(
         "star_list.saturation_dn", "value from which a pixel is full; inf: not known, no star is saturated"
     )
 
@@ -223,18 +231,22 @@ class StarSolution(SuccessfulResult):
     )
     stars: Stars = scalar("all stars found in the image, identified or not")
     observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
-    R_si = inner[Rotation]("field.R_si", "attitude: GCRS to star-camera frame s")
-    hip = inner[Ints]("field.hip", "(M,) Hipparcos numbers of the identified stars")
-    xy_px = inner[Floats]("field.xy_px", "(M, 2) their centroids (column, row)")
-    residual_px = inner[Floats]("field.residual_px", "(M, 2) measured minus predicted centroids")
-    false_alarm_probability = inner[float](
+    R_si: ClassVar[inner[Rotation]] = inner("field.R_si", "attitude: GCRS to star-camera frame s")
+    hip: ClassVar[inner[Ints]] = inner("field.hip", "(M,) Hipparcos numbers of the identified stars")
+    xy_px: ClassVar[inner[Floats]] = inner("field.xy_px", "(M, 2) their centroids (column, row)")
+    residual_px: ClassVar[inner[Floats]] = inner(
+        "field.residual_px", "(M, 2) measured minus predicted centroids"
+    )
+    false_alarm_probability: ClassVar[inner[float]] = inner(
         "field.false_alarm_probability", "upper bound of the probability that the identification is wrong"
     )
-    camera = inner[StarCamera]("field.camera", "the camera as given, or as fitted to this image")
-    misfit_px = inner[float](
+    camera: ClassVar[inner[StarCamera]] = inner(
+        "field.camera", "the camera as given, or as fitted to this image"
+    )
+    misfit_px: ClassVar[inner[float]] = inner(
         "field.misfit_px", "rms displacement of stars from the camera, an axis, px; 0: none seen"
     )
-    mirrored = inner[bool](
+    mirrored: ClassVar[inner[bool]] = inner(
         "field.mirrored", "whether the image is a mirror image: all is stated for its columns reversed"
     )
 
@@ -411,10 +423,14 @@ class CameraSolution(SuccessfulResult):
     """A star camera calibrated by the stars of several images."""
 
     fit: CameraCalibration = scalar("residuals, full covariance and attitudes (boresight.star_id)")
-    camera = inner[StarCamera]("fit.camera", "focal length, principal point and distortion")
-    rms_px = inner[float]("fit.rms_px", "root mean square residual along one axis, px")
-    images_used = inner[tuple[str, ...]]("fit.frames_used", "names of the images that were identified")
-    images_rejected = inner[tuple[tuple[str, str], ...]]("fit.frames_refused", "the others, (name, reason)")
+    camera: ClassVar[inner[StarCamera]] = inner("fit.camera", "focal length, principal point and distortion")
+    rms_px: ClassVar[inner[float]] = inner("fit.rms_px", "root mean square residual along one axis, px")
+    images_used: ClassVar[inner[tuple[str, ...]]] = inner(
+        "fit.frames_used", "names of the images that were identified"
+    )
+    images_rejected: ClassVar[inner[tuple[tuple[str, str], ...]]] = inner(
+        "fit.frames_refused", "the others, (name, reason)"
+    )
 
     def __repr__(self) -> str:
         return self.summary()
@@ -634,6 +650,7 @@ def calibrate_star_camera(
     times: Iterable[TimeLike] | TimeLike | None = None,
     site: SiteLike | None = None,
     settings: StarSettings = StarSettings(),  # noqa: B008
+    progress: Progress = no_progress,
 ) -> CameraSolution | NotIdentified:
     """Focal length, principal point and distortion of a star camera from images of the sky.
 
@@ -654,6 +671,8 @@ def calibrate_star_camera(
         Of a camera on the ground, with `times`: refraction is removed, too.
     settings : StarSettings
         Limits of detection and identification.
+    progress : callable, optional
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------
@@ -680,6 +699,7 @@ def calibrate_star_camera(
     if camera is not None and fov_deg is not None:
         raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
     fov_deg, chosen = _field_of(fov_deg), instance_of(settings, StarSettings, "settings")
+    told = progress_of(progress)
     camera = None if camera is None else instance_of(camera, StarCamera, "camera")
     place = None if site is None else site_of(site)
     if site is not None and times is None:
@@ -693,7 +713,10 @@ def calibrate_star_camera(
     names = [
         str(image) if isinstance(image, str | os.PathLike) else f"image {n}" for n, image in enumerate(given)
     ]
-    every = [image if isinstance(image, Stars) else find_stars(image, settings=chosen) for image in given]
+    every = [
+        image if isinstance(image, Stars) else find_stars(image, settings=chosen)
+        for image in counted(given, "star images", told)
+    ]
     if len(sizes := {stars.size_px for stars in every}) != 1:
         raise ValueError(f"images must be of one size, got {sorted(sizes)}")
     if camera is not None and (camera.width_px, camera.height_px) != every[0].size_px:

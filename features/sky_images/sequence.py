@@ -12,7 +12,18 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.accepted import ImageLike, floats_of, instance_of, listed, number_of, wrong
+from boresight.accepted import (
+    ImageLike,
+    Progress,
+    counted,
+    floats_of,
+    instance_of,
+    listed,
+    no_progress,
+    number_of,
+    progress_of,
+    wrong,
+)
 from boresight.display import Result, axes_or_new
 from boresight.features.sky_images.api import Stars, find_stars, identify, image_pixels, stars_given
 from boresight.features.sky_images.identify_images import sky_index
@@ -125,6 +136,7 @@ def track(
     focal_error: float = 1e-3,
     focal_drift: float = 1e-7,
     settings: StarSettings = StarSettings(),  # noqa: B008
+    progress: Progress = no_progress,
 ) -> StarTrack:
     """Attitude and rate of each frame of a sequence, predicted from the frame before.
 
@@ -155,6 +167,8 @@ def track(
         Relative change of the focal length in one second, 1 sigma; of a random walk.
     settings : StarSettings
         Limits of detection and identification.
+    progress : callable, optional
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------
@@ -177,7 +191,7 @@ def track(
     ('found anew', 'found anew', 'tracked', 'tracked')
     """
     known, chosen = instance_of(camera, StarCamera, "camera"), instance_of(settings, StarSettings, "settings")
-    step = number_of(interval_s, "interval_s", 0.0)
+    step, told = number_of(interval_s, "interval_s", 0.0), progress_of(progress)
     if not step > 0.0:
         raise wrong("interval_s", interval_s, "a time above 0 s")
     exposure = None if exposure_s is None else number_of(exposure_s, "exposure_s", 0.0)
@@ -191,7 +205,7 @@ def track(
     if t_s.shape != (len(given),) or not (np.isfinite(t_s).all() and (np.diff(t_s) > 0.0).all()):
         raise wrong("times_s", f"{t_s.shape}", f"{len(given)} increasing times, one a frame")
     tracker = _Tracker(known, sky_index(known, None, chosen), chosen, exposure, push, *errors)
-    rows = [tracker.next(image, float(t)) for image, t in zip(given, t_s)]
+    rows = [tracker.next(image, float(t)) for image, t in zip(counted(given, "star images", told), t_s)]
     state, quat, cov, rate, focal, sigma, misfit, stars, cpu, reason = zip(*rows)
     return StarTrack(
         t_s=t_s,

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from boresight.accepted import PathLike, listed, source_of, wrong
+from boresight.accepted import (
+    PathLike,
+    Progress,
+    counted,
+    listed,
+    no_progress,
+    progress_of,
+    source_of,
+    wrong,
+)
 from boresight.display import Result, axes_or_new
 from boresight.features.targets.target_matches import matched_lines, matches_table
 from boresight.geometry.record import record, scalar
@@ -67,7 +76,12 @@ class TargetMatches(Result):
         return ax
 
 
-def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None = None) -> TargetMatches:
+def match_targets(
+    dump: PathLike | Dump,
+    *,
+    strips: Iterable[str] | str | None = None,
+    progress: Progress = no_progress,
+) -> TargetMatches:
     """Targets of a dump found in its raw strips, starting from the pre-launch installation matrix.
 
     Parameters
@@ -76,6 +90,8 @@ def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None =
         Folder with a dump.toml, or what `open_dump` returned.
     strips : str or iterable of str, optional
         Ids of the strips wanted; default: all.
+    progress : callable, optional
+        Called with the stage, the tasks done and all tasks; default: a bar in a notebook, else nothing.
 
     Returns
     -------
@@ -100,10 +116,8 @@ def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None =
     """
     if not isinstance(dump, str | os.PathLike | Dump):
         raise wrong("dump", dump, "a path or an open Dump")
+    told = progress_of(progress)
     chosen = None if strips is None else [str(one) for one in listed(strips, "strips", "ids of strips")]
     opened = dump if isinstance(dump, Dump) else open_dump(source_of(dump, "dump"))
-    if unknown := set(chosen or ()) - {strip.strip_id for strip in opened.strips}:
-        raise ValueError(f"the dump has no strip {', '.join(sorted(unknown))}")
-    tasks, _ = strips_to_match(opened, Settings())
-    wanted = [task for task in tasks if chosen is None or task.strip.strip_id in chosen]
-    return TargetMatches(measured=matches_table(list(matched_lines(wanted, None))))
+    tasks, _ = strips_to_match(opened if chosen is None else opened.of_strips(chosen), Settings())
+    return TargetMatches(measured=matches_table(list(matched_lines(counted(tasks, "targets", told), None))))

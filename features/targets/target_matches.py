@@ -5,7 +5,7 @@ dump -> stars, attitudes -> each strip: matches, refusals -> table (CSV or Parqu
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +36,7 @@ class StripLine:
     text: str
 
 
-def matched_lines(tasks: Sequence[StripTask], overlay: Path | None) -> Iterator[StripLine]:
+def matched_lines(tasks: Iterable[StripTask], overlay: Path | None) -> Iterator[StripLine]:
     """Match the strips one after another; pictures of every place go to the folder `overlay`."""
     for task in tasks:
         result, omitted = strip_matches(task)

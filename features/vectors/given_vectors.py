@@ -136,7 +136,7 @@ def check_directions(vectors: VectorSets, R_cs0: Rotation, found: VectorCalibrat
 def _is_table(value: Any) -> bool:
     """Whether places on the ground are given: a DataFrame with latitudes, or mappings."""
     if isinstance(value, pd.DataFrame):
-        return "lat_deg" in value.columns
+        return "lat_deg" in value.columns or hasattr(value, "to_crs")
     return isinstance(value, Sequence) and len(value) > 0 and isinstance(value[0], Mapping)
 
 

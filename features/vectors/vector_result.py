@@ -127,7 +127,9 @@ def _target_table(vectors: VectorSets, found: VectorCalibration) -> pd.DataFrame
     }
     fitted = _fitted(columns, residuals.statistic, residuals.kept)
     more = {"weight": residuals.weight, "detectable_arcsec": residuals.detectable_rad / ARCSEC}
-    return pd.DataFrame({"frame": frame, "target": number} | fitted | more)
+    places = vectors.target_id.tolist() if vectors.target_id is not None else ()
+    of_place = zip(("lat_deg", "lon_deg", "height_m"), zip(*(map(float, one.split("/")) for one in places)))
+    return pd.DataFrame({"frame": frame, "target": number} | fitted | more | dict(of_place))
 
 
 def _star_table(vectors: VectorSets, found: VectorCalibration) -> pd.DataFrame:

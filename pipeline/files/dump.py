@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from boresight.gct_match.records import Target
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.ledger import Entry, Kind
+from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, record, scalar, value_text
@@ -112,6 +113,27 @@ class Dump:
         """All targets and measured points by their ids."""
         measured = (target for points in self.points for target in points.targets)
         return {target.target_id: target for target in (*self.targets, *measured)}
+
+    def of_strips(self, wanted: Sequence[str]) -> Dump:
+        """The dump with these strips only; the others are among its omissions. `ValueError` where one is not
+        known, and for none.
+        """
+        names = [strip.strip_id for strip in (*self.strips, *self.sky_strips)]
+        if not wanted or (unknown := set(wanted) - set(names)):
+            found = "no ids" if not wanted else repr(min(unknown))
+            raise ValueError(f"strips: found {found}, expected ids among {', '.join(names)}")
+        left_out = tuple(
+            Entry(Subject(Kind.STRIP, strip=name), Reason.NOT_ASKED_FOR, "not among the strips asked for")
+            for name in names
+            if name not in wanted
+        )
+        return replace(
+            self,
+            strips=tuple(strip for strip in self.strips if strip.strip_id in wanted),
+            sky_strips=tuple(strip for strip in self.sky_strips if strip.strip_id in wanted),
+            points=tuple(points for points in self.points if points.strip_id in wanted),
+            omissions=(*self.omissions, *left_out),
+        )
 
     @property
     def star_images(self) -> tuple[StarImages, ...]:

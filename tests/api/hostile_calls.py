@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import astropy.units as u
 import numpy as np
 import pandas as pd
 from astropy.time import Time
@@ -56,7 +57,8 @@ VALUES: list[Any] = [
     *(np.array(["a"]), np.zeros((64, 64), complex), np.array([None, 1]), np.full((33, 33), -5)),
     *(datetime.datetime(1, 1, 1), datetime.datetime.max, datetime.date(2026, 1, 1), datetime.timedelta(1)),
     *(np.datetime64("NaT"), pd.NaT, Time(["2026-01-01", "2026-01-02"])),
-    *(pd.DataFrame(), pd.DataFrame({"a": ["b"]}), pd.Series([1.0])),
+    *(pd.DataFrame(), pd.DataFrame({"a": ["b"]}), pd.Series([1.0]), 3.0 * u.m, [1.0, 2.0] * u.deg),
+    *(pd.DataFrame({"lat_deg": [91.0], "lon_deg": ["east"]}), print, "".join),
     *(Rotation.identity(2), Rotation.identity(0)),
     *(bs.StarSettings(), bs.MatchSettings(), bs.RawDataError("a", "b", "c", "d")),
 ]

@@ -359,6 +359,7 @@ reveal_type(bs.open_dump("dump").star_camera)
 reveal_type(bs.simulate("mini", "out"))
 reveal_type(bs.forecast("plan.toml").table)
 reveal_type(bs.forecast("plan.toml").strips_needed)
+bs.mispelt
 """
 
 
@@ -389,7 +390,8 @@ def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
     lines = [line for line in done.stdout.splitlines() if line.startswith("script.py")]
     revealed = [line.split("Revealed type is ")[1] for line in lines if "Revealed type is" in line]
     assert len(revealed) == USER_SCRIPT.count("reveal_type")
-    assert not [line for line in lines if ": error:" in line]
+    errors = [line for line in lines if ": error:" in line]
+    assert len(errors) == 1 and 'no attribute "mispelt"' in errors[0]
     shapes_aside = [text.replace("tuple[Any, ...]", "tuple[int, ...]") for text in revealed]  # NumPy's own
     assert not [text for text in shapes_aside if re.search(r"\bAny\b", text)]
 

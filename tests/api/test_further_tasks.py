@@ -13,7 +13,7 @@ import rasterio
 from matplotlib.axes import Axes
 
 import boresight as bs
-from boresight.array_tables import pixels_of
+from boresight.accepted import pixels_of
 
 MINI = Path(__file__).parents[2] / "fixtures" / "mini"
 EXPOSURE = MINI / "exposures" / "e0001.png"

@@ -49,6 +49,15 @@ def test_wheel_holds_every_tracked_source_and_the_notices(built: tuple[Path, Pat
     assert "boresight/py.typed" in names
 
 
+@pytest.mark.parametrize("name", ["mini", "sky"])
+def test_examples_of_the_wheel_are_the_fixtures_byte_for_byte(built: tuple[Path, Path], name: str) -> None:
+    fixture, folder = ROOT / "fixtures" / name, f"boresight/examples/{name}/"
+    with zipfile.ZipFile(built[0]) as archive:
+        held = {file: archive.read(file) for file in archive.namelist() if file.startswith(folder)}
+    files = {f"{folder}{path.relative_to(fixture)}": path for path in fixture.rglob("*") if path.is_file()}
+    assert held == {file: path.read_bytes() for file, path in files.items()}
+
+
 def test_notice_names_every_data_file_of_the_wheel(built: tuple[Path, Path]) -> None:
     notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
     data = [name for name in names_in(built[0]) if "/data/" in name and not name.endswith(".md")]

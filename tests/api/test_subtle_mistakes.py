@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
+from seen_by_astropy import states_of
 from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors, nees_of, unit_vectors
 
 import boresight as bs
@@ -173,11 +174,7 @@ def test_there_are_forty_mistakes_and_right_vectors_are_none() -> None:
 
 @pytest.fixture(scope="module")
 def states(finished: tuple[Path, Path]) -> pd.DataFrame:
-    lines = [
-        line.split() for line in (finished[0] / "orbit.oem").read_text().splitlines() if line[:2] == "20"
-    ]
-    axes = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
-    return pd.DataFrame([[t, *(1e3 * float(x) for x in row)] for t, *row in lines], columns=["time", *axes])
+    return states_of(finished[0])
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def test_example_prints_what_the_site_shows(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
-    monkeypatch.chdir(ROOT)
+    monkeypatch.chdir(tmp_path)  # no file of a checkout is at hand
     with matplotlib.rc_context({"backend": "agg"}):
         runpy.run_path(str(path), run_name="__main__")
     out = capsys.readouterr().out
