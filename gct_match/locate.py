@@ -78,7 +78,7 @@ def locate_template(
     TemplateMatch
         `xy_px` (2,) and `cov_px` (2, 2) of the centre in the picture, `correlation`, `probability_wrong`.
     Entry
-        False in a condition; `.reason` names the failed test, `.sentence` gives its numbers.
+        False in a condition; `.reason` names the failed test, `.text` gives its numbers.
 
     Raises
     ------

@@ -106,4 +106,4 @@ def match_targets(dump: PathLike | Dump, *, strips: Iterable[str] | str | None =
         raise ValueError(f"the dump has no strip {', '.join(sorted(unknown))}")
     tasks, _ = strips_to_match(opened, Settings())
     wanted = [task for task in tasks if chosen is None or task.strip.strip_id in chosen]
-    return TargetMatches(measured=matches_table(list(matched_lines(wanted, None))))
+    return TargetMatches(measured=matches_table(list(matched_lines(wanted))))

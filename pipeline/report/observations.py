@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ __all__ = [
     "TargetCard",
     "data_uri",
     "exposure_rows",
+    "shown_pictures",
     "strip_numbers",
     "target_rows",
 ]
@@ -193,16 +194,23 @@ def _numbers(saved: Saved, row: int, sighted: int | None) -> dict[str, Number]:
 
 def _pictures(saved: Saved, table: str, n: int) -> Pictures | None:
     row = getattr(saved, table).slice(n, 1).to_pylist()[0]
+    return shown_pictures(row, lambda name: saved.cell(f"evidence/{table}", name, n, "+.2f"))
+
+
+def shown_pictures(row: Mapping[str, Any], number: Callable[[str], Number]) -> Pictures | None:
+    """The pictures that a row of evidence/matches or evidence/unmatched holds, None where it holds none;
+    `number` gives its numbers by their columns.
+    """
     if not row["template_png"]:  # measured elsewhere
         return None
-    off = [saved.cell(f"evidence/{table}", f"off_{axis}_px", n, "+.2f") for axis in "xy"]
+    off = [number(f"off_{axis}_px") for axis in "xy"]
     return Pictures(
         template=data_uri("image/png", row["template_png"]),
         found=data_uri("image/png", row["found_png"]),
         difference=data_uri("image/png", row["difference_png"]),
         surface=data_uri("image/png", row["surface_png"]),
-        low=saved.cell(f"evidence/{table}", "surface_low", n, "+.2f"),
-        high=saved.cell(f"evidence/{table}", "surface_high", n, "+.2f"),
+        low=number("surface_low"),
+        high=number("surface_high"),
         aims=_aims(row),
         off=tuple(off) if np.isfinite(off[0].exact) else (),
     )
