@@ -70,7 +70,7 @@ BENCHMARKS = (
     Benchmark("star_fields"),
     Benchmark("star_sequences", "--sequences 4 --long 200", "--sequences 20 --long 1000"),
     Benchmark("match_peers", "--pairs 40", "--pairs 200"),
-    Benchmark("match_real_pairs", "", "--votes 40"),
+    Benchmark("match_real_pairs"),
     Benchmark("paper_tables", "--runs 12", "--runs 200"),
     Benchmark("bench_frames"),
     Benchmark("bench_pushbroom"),
