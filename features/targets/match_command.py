@@ -11,13 +11,7 @@ from boresight.features.targets.candidates_page import write_candidates_page
 from boresight.features.targets.target_matches import matched_lines, matches_table, write_matches
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.completion import strips_of
-from boresight.pipeline.console.messages import (
-    DATA_DID_NOT_ALLOW,
-    DONE,
-    Answer,
-    say,
-    tell,
-)
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import read_settings
