@@ -49,7 +49,7 @@ def run_seed(scenario: str, seed: int, changed: float, workers: int) -> Run:
         sets = [text for change in date for text in ("--set", change)]
         run_command("simulate", scenario, str(dump), "--seed", str(seed), *sets)
         command = "calibrate", str(dump), "--out", str(result), "--workers", str(workers)
-        calibrated = run_command(*command, status=None if changed else 0)  # a gross error is told
+        calibrated = run_command(*command, status=None if changed else 0)  # findings are allowed
         saved = read_saved_result(result)
         facts = saved.installation
         return Run(

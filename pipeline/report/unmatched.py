@@ -53,8 +53,8 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
 def pictures_at(
     task: StripTask, model: Pushbroom, target_id: str, ccd: int, xy_px: Floats, surface: Surface
 ) -> MatchPictures | None:
-    """Template of a target and strip at xy_px (sample, line), where `model` expects it; None where the chip
-    or the strip shows nothing of it.
+    """Template of a target and strip at `xy_px` (2,), sample and line, where `model` expects it; None where
+    the chip or the strip shows nothing of it.
     """
     order = [target.target_id for target in task.targets]
     lines, samples = task.strip.images.shape(ccd)
