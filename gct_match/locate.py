@@ -78,7 +78,7 @@ def locate_template(
     TemplateMatch
         `xy_px` (2,) and `cov_px` (2, 2) of the centre in the picture, `correlation`, `probability_wrong`.
     Entry
-        False in a condition; `.reason` names the failed test, `.sentence` gives its numbers.
+        False in a condition; `.reason` names the failed test, `.text` gives its numbers.
 
     Raises
     ------
@@ -136,9 +136,9 @@ def locate(
         changed = _of_changed(template, picture, start_px, radius_px, reference_px)
         if isinstance(unchanged, Entry) or not _is_of_the_scene(unchanged.fit, changed, settings):
             kept, found = found, _tested(changed, radius_px, template, settings)
-            if isinstance(found, Entry) and _agree(kept, changed, settings):
-                assert not isinstance(kept, Entry) and not isinstance(changed, Entry)
-                found = replace(changed, wrong=kept.wrong)
+            if isinstance(found, Entry) and isinstance(kept, _Found) and isinstance(changed, _Found):
+                if changed.fit.sigma_px <= settings.sigma_px and _agree(kept.fit, changed.fit):
+                    found = replace(changed, wrong=kept.wrong)
     if isinstance(found, Entry):
         return found
     best = found.fit
@@ -208,17 +208,12 @@ def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchS
     return 1.0 - fit.correlation**2 < _PARTS_LEAVE * left
 
 
-def _agree(unchanged: _Found | Entry, changed: _Found | Entry, settings: MatchSettings) -> bool:
+def _agree(one: PositionFit, other: PositionFit) -> bool:
     """Whether two fits that weigh the scene otherwise find one place: then each says that the other is not
     that of another place, however little they correlate.
     """
-    if isinstance(unchanged, Entry) or isinstance(changed, Entry):
-        return False
-    if unchanged.fit.sigma_px > UNCHANGED_PX or changed.fit.sigma_px > settings.sigma_px:
-        return False
-    apart = changed.fit.xy_px - unchanged.fit.xy_px
-    covariance = changed.fit.cov_px + unchanged.fit.cov_px
-    return float(apart @ np.linalg.solve(covariance, apart)) < _AGREE_SIGMAS**2
+    apart = one.xy_px - other.xy_px
+    return float(apart @ np.linalg.solve(one.cov_px + other.cov_px, apart)) < _AGREE_SIGMAS**2
 
 
 def _of_changed(

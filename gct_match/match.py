@@ -23,13 +23,7 @@ from boresight.gct_match.locate import locate
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import Template, chip_points, chip_sides_px, predict_template
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import (
-    Chip,
-    StripMatches,
-    Target,
-    TargetMatch,
-    not_matched,
-)
+from boresight.gct_match.records import Chip, StripMatches, Target, TargetMatch, not_matched
 from boresight.gct_match.search.coarse import read_window
 from boresight.gct_match.search.common_rotation import search_common_rotation
 from boresight.gct_match.search.search_plan import SearchPlan, plan_search
@@ -204,12 +198,7 @@ def _no_common_rotation(
 
 
 def _no_matches(refused: tuple[Entry, ...], chance: float) -> StripMatches:
-    return StripMatches(
-        matches=(),
-        refused=refused,
-        theta_vote=np.full(3, np.nan),
-        probability_chance=chance,
-    )
+    return StripMatches(matches=(), refused=refused, theta_vote=np.full(3, np.nan), probability_chance=chance)
 
 
 def _measured(

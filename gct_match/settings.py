@@ -6,13 +6,17 @@ from boresight.geometry.record import check_numbers, record, scalar
 
 __all__ = ["MatchSettings"]
 
+LEAST_SIDE_PX = 8  # of any template: that of one of its blocks
+
 
 @record(kw_only=True)
 class MatchSettings:
     """Settings of target matching; the defaults serve every sensor."""
 
     template_px: int = scalar("side of the template: error falls as 1/side, cost grows as side²", default=128)
-    smallest_template_px: int = scalar("smallest side: below, textures are seldom unique", default=32)
+    smallest_template_px: int = scalar(
+        "smallest side, 8 at least: below, textures are seldom unique", default=32
+    )
     margin_px: int = scalar("search radius at the common rotation: three times its usual error", default=12)
     mtf_at_nyquist: float = scalar("MTF of camera: optics, detector, smear (usual 0.1 to 0.2)", default=0.15)
     chip_mtf_at_nyquist: float = scalar("MTF of a chip at its grid: an ortho-image, resampled", default=0.3)
@@ -43,3 +47,8 @@ class MatchSettings:
         limits = ("probability_chance", "probability_chance_match", "probability_wrong", "least_correlation")
         zero = ("margin_px", "attitude_sigma_px", *limits)
         check_numbers(self, any_value=("saturation_dn", "no_data"), zero=zero)
+        if self.smallest_template_px < LEAST_SIDE_PX:
+            least = f"at least {LEAST_SIDE_PX}: a side of fewer pixels shows no texture"
+            raise ValueError(
+                f"MatchSettings.smallest_template_px must be {least}, got {self.smallest_template_px}"
+            )

@@ -120,4 +120,4 @@ def match_targets(
     chosen = None if strips is None else [str(one) for one in listed(strips, "strips", "ids of strips")]
     opened = dump if isinstance(dump, Dump) else open_dump(source_of(dump, "dump"))
     tasks, _ = strips_to_match(opened if chosen is None else opened.of_strips(chosen), Settings())
-    return TargetMatches(measured=matches_table(list(matched_lines(counted(tasks, "targets", told), None))))
+    return TargetMatches(measured=matches_table(list(matched_lines(counted(tasks, "targets", told)))))

@@ -310,10 +310,7 @@ def check_lines(found: DumpCheck) -> list[str]:
     """The check as text: errors, facts, what would not be used, targets and their nearest misses."""
     if found.faults:
         lines = [f"error: {text}" for text in grouped_faults(found.faults)]
-        return [
-            *lines,
-            f"{len(found.faults)} error(s) in the files of {found.root}; images were not checked",
-        ]
+        return [*lines, f"{len(found.faults)} error(s) in the files of {found.root}; images were not checked"]
     lines = [*found.facts, *(f"error: {text}" for text in found.wrong)]
     lines += [f"not used: {text}" for text in lines_grouped(found.omissions, lambda one: one.line, _like)]
     if n := len(found.targets):

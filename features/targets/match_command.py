@@ -7,16 +7,11 @@ from typing import Annotated
 
 import typer
 
+from boresight.features.targets.candidates_page import write_candidates_page
 from boresight.features.targets.target_matches import matched_lines, matches_table, write_matches
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.completion import strips_of
-from boresight.pipeline.console.messages import (
-    DATA_DID_NOT_ALLOW,
-    DONE,
-    Answer,
-    say,
-    tell,
-)
+from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import read_settings
@@ -32,8 +27,8 @@ def match_command(
     strip: Annotated[
         list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
     ] = None,
-    overlay: Annotated[
-        Path | None, typer.Option(help="Folder for a picture of each place: predicted, found, residual.")
+    page: Annotated[
+        Path | None, typer.Option(help="HTML page of all candidates: pictures, and why matched or not.")
     ] = None,
     settings: SettingsFile = None,
     workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
@@ -52,12 +47,14 @@ def match_command(
     for omission in omissions:
         say(f"not used: {omission.line}")
     lines = []
-    for line in matched_lines(wanted, overlay):
+    for line in matched_lines(wanted):
         lines.append(line)
         tell(line.text)
         for refusal in line.refused:
             say(f"refused: {line.strip_id}/{refusal.subject.name}: {refusal.text}")
     write_matches(out, lines)
+    if page is not None:
+        write_candidates_page(page, opened.mission, wanted, lines, out.name)
     matched = sum(len(line.matches) for line in lines)
     return Answer(
         text=f"matched {matched} in {len(lines)} strips -> {out}",
@@ -66,6 +63,6 @@ def match_command(
             "targets": matches_table(lines).to_dict("records"),
             "omitted": [omission.row for omission in omissions],
         },
-        files=(out,),
+        files=(out,) if page is None else (out, page),
         exit_status=DONE if matched else DATA_DID_NOT_ALLOW,
     )

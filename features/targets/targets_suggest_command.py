@@ -15,11 +15,7 @@ from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.completion import first_argument
-from boresight.pipeline.console.messages import (
-    Answer,
-    say,
-    wrong_usage,
-)
+from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
@@ -72,9 +68,7 @@ def targets_suggest_command(
     band: Annotated[
         int | None,
         typer.Option(
-            help="Band of the images; default: the mean of the first three.",
-            min=1,
-            autocompletion=_bands_of,
+            help="Band of the images; default: the mean of the first three.", min=1, autocompletion=_bands_of
         ),
     ] = None,
     sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,

@@ -30,7 +30,8 @@ __all__ = [
 Shape = tuple[int, int]
 
 _PAD = 8  # mirrored pixels around a picture that is filtered
-_RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip
+_RING = 1.0 / 32.0  # width of a ring, cycles per pixel: hundreds of coefficients each on a 64 px chip; of
+# smaller ones that of a coefficient, so that no ring is empty
 
 
 def filtered(image: Image, amplitude: Image) -> Image:
@@ -96,7 +97,8 @@ def _quick(shape: tuple[int, ...]) -> Shape:
 @lru_cache(maxsize=32)
 def _sorted(shape: Shape) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Order that sorts a packed spectrum by ring; start, mid frequency and size of each ring."""
-    ring = (frequency(shape) / _RING).astype(np.int64).ravel()
+    width = max(_RING, 1.0 / max(shape))
+    ring = (frequency(shape) / width).astype(np.int64).ravel()
     count = np.bincount(ring)
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])
-    return np.argsort(ring, kind="stable"), starts, (np.arange(len(count)) + 0.5) * _RING, count.astype(float)
+    return np.argsort(ring, kind="stable"), starts, (np.arange(len(count)) + 0.5) * width, count.astype(float)

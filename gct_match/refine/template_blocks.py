@@ -46,7 +46,12 @@ class Blocks:
         return P
 
     def covariance(self, *, affine: bool) -> Floats:
-        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` as above."""
+        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` as above. Without
+        more blocks than it takes from the count it is infinite.
+        """
+        count = len(self.lever)
+        if count <= 4:
+            return np.diag([np.inf, np.inf])
         n, g = self._sums(affine)
         n_b = self.information
         if affine:
@@ -55,7 +60,6 @@ class Blocks:
         left = self._scores(affine) - n_b @ np.linalg.solve(n, g)
         moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
-        count = len(moved)
         # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
@@ -105,7 +109,7 @@ def blocks_of(
     """
     h, w = residual.shape
     side = max(_SMALLEST, min(h, w) // along_side)
-    columns, rows = w // side, h // side
+    columns, rows = max(1, w // side), max(1, h // side)
     wx, wy, area = weight * gx, weight * gy, h * w / (rows * columns)
     sums = [
         cv2.resize(product, (columns, rows), interpolation=cv2.INTER_AREA).ravel()

@@ -58,7 +58,7 @@ def _most_likely(power_a: Floats, power_b: Floats, common: Floats, count: Floats
     floor = 1e-9 * power_a.max() + 1e-30
     power = (power_a + floor) * (power_b + 1e-9 * power_b.max() + 1e-30)
     chance = 1.0 / count  # squared coherence of unrelated pictures
-    g2 = np.clip((common**2 / power - chance) / (1.0 - chance), 0.0, 0.999)
+    g2 = np.clip((common**2 / power - chance) / np.maximum(1.0 - chance, 1e-9), 0.0, 0.999)
     g2[common <= 0.0] = 0.0
     weight = g2 / (1.0 - g2) / (np.abs(common) + floor)
     weight[0] = min(weight[0], weight[1])

@@ -11,17 +11,19 @@ import pyarrow as pa
 
 from boresight.gct_match.predict.template import chip_sides_px, predict_template
 from boresight.geometry.ledger import State
+from boresight.geometry.pushbroom import Pushbroom
+from boresight.geometry.record import Floats
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import surface_of
-from boresight.pipeline.report.ground_map import MapScene, StripOnGround
+from boresight.pipeline.report.ground_map import MapScene
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
-from boresight.pipeline.stages.strip import read_chip
+from boresight.pipeline.stages.strip import StripTask, read_chip
 
-__all__ = ["unmatched_pictures"]
+__all__ = ["pictures_at", "unmatched_pictures"]
 
 MOST = 200  # pictures of more make the page too large
 SIDE_PX, SMALLEST_PX, MARGIN_PX = 96, 8, 16  # of the template, and of the strip around it
@@ -38,29 +40,33 @@ def unmatched_pictures(scenes: Sequence[MapScene], ground: pa.Table, dump: Dump)
     for row in ground.to_pylist():
         if row["state"] != State.UNMATCHED or row["ccd"] < 0 or len(rows) == MOST:
             continue
-        pictures = _pictures(strips[row["strip_id"]], row, surface)
+        one, xy_px = strips[row["strip_id"]], np.array([row["sample_px"], row["line_px"]])
+        pictures = pictures_at(one.task, one.model, row["target_id"], row["ccd"], xy_px, surface)
         if pictures is not None:
             own = {name: getattr(pictures, name) for name in get_type_hints(MatchPictures)}
             rows.append({name: row[name] for name in ("strip_id", "target_id", "ccd")} | own)
     return arrow_rows(rows, pa.schema(list(EVIDENCE["unmatched"].items())))
 
 
-def _pictures(one: StripOnGround, row: dict[str, Any], surface: Surface) -> MatchPictures | None:
-    """Template and strip at the expected place; None where the chip or the strip shows nothing of it."""
-    task, ccd, xy_px = one.task, row["ccd"], np.array([row["sample_px"], row["line_px"]])
+def pictures_at(
+    task: StripTask, model: Pushbroom, target_id: str, ccd: int, xy_px: Floats, surface: Surface
+) -> MatchPictures | None:
+    """Template of a target and strip at `xy_px` (2,), sample and line, where `model` expects it; None where
+    the chip or the strip shows nothing of it.
+    """
     order = [target.target_id for target in task.targets]
     lines, samples = task.strip.images.shape(ccd)
     if not np.isfinite(xy_px).all():
         return None
     try:
-        chip = read_chip(task.chips[order.index(row["target_id"])])
-        side = float(chip_sides_px([chip], one.model, ccd, xy_px[None], surface)[0])
+        chip = read_chip(task.chips[order.index(target_id)])
+        side = float(chip_sides_px([chip], model, ccd, xy_px[None], surface)[0])
         half = int(min(0.5 * SIDE_PX, 0.5 * side)) if np.isfinite(side) else 0
         x0, y0 = np.maximum(np.round(xy_px).astype(int) - half, 0).tolist()
         w, h = min(2 * half, samples - x0), min(2 * half, lines - y0)
         if min(w, h) < SMALLEST_PX:
             return None
-        template = predict_template(chip, one.model, ccd, (x0, y0), (h, w), surface, task.settings)
+        template = predict_template(chip, model, ccd, (x0, y0), (h, w), surface, task.settings)
         left, top = max(0, x0 - MARGIN_PX), max(0, y0 - MARGIN_PX)
         right, bottom = min(samples, x0 + w + MARGIN_PX), min(lines, y0 + h + MARGIN_PX)
         around = task.strip.images.read(ccd, top, bottom, left, right).astype(np.float32)

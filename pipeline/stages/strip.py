@@ -59,6 +59,7 @@ __all__ = [
     "measured_points",
     "no_matches",
     "orbit_around",
+    "pictures_of_match",
     "predicted_again",
     "pushbroom_of",
     "read_chip",
@@ -156,10 +157,7 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
     pictures: dict[tuple[str, int], MatchPictures] = {}
 
     def keep(match: TargetMatch) -> TargetMatch:
-        middle = 0.5 * (np.array(match.surface.shape[::-1]) - 1.0)  # the search goes as far to all sides
-        places = Places(in_chip=match.place_px, in_surface=middle, off_px=match.xy_px - match.expected_px)
-        shown = match_pictures(match.template, match.found, match.residual, match.surface, places)
-        pictures[match.target_id, match.ccd] = shown
+        pictures[match.target_id, match.ccd] = pictures_of_match(match)
         return replace(match, template=NOTHING, found=NOTHING, residual=NOTHING, surface=NOTHING)
 
     result, omitted = strip_matches(task, parts, keep) if task.targets else (None, [])
@@ -168,6 +166,13 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
     in_view = (refusal for refusal in result.refused if refusal.state is not State.OUT_OF_VIEW)
     unmatched = [_not_matched(task, refusal) for refusal in in_view]
     return _matched(task.strip.strip_id, result.matches, [*omitted, *unmatched], pictures)
+
+
+def pictures_of_match(match: TargetMatch) -> MatchPictures:
+    """Pictures of a match with its template, what was found, residual and correlation surface."""
+    middle = 0.5 * (np.array(match.surface.shape[::-1]) - 1.0)  # the search goes as far to all sides
+    places = Places(in_chip=match.place_px, in_surface=middle, off_px=match.xy_px - match.expected_px)
+    return match_pictures(match.template, match.found, match.residual, match.surface, places)
 
 
 def measured_points(

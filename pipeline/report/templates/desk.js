@@ -7,11 +7,13 @@
     const body = box.querySelector("tbody"), rows = [...body.rows], output = box.querySelector("output");
     const text = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
     const search = box.querySelector("[data-search]"), state = box.querySelector("select");
+    const gallery = box.querySelector(".gallery"), pictures = box.querySelector("[data-gallery]");
     let shown = rows, first = 0;
     function show() {
       first = Math.max(0, Math.min(first, Math.floor((shown.length - 1) / PAGE) * PAGE));
       const page = shown.slice(first, first + PAGE);
       body.replaceChildren(...page);
+      if (gallery) gallery.replaceChildren(...(pictures.ariaPressed === "true" ? page.map((row) => shownCard(row.dataset.link)) : []));
       output.textContent = shown.length ? `${first + 1} to ${first + page.length} of ${shown.length}` : "none";
     }
     function filter() {
@@ -41,6 +43,7 @@
     box.addEventListener("click", (event) => {
       const button = event.target.closest("button");
       if (button && button.classList.contains("sort")) sort(button.closest("th"));
+      else if (button === pictures) { button.ariaPressed = String(button.ariaPressed !== "true"); show(); }
       else if (button) { first += PAGE * +button.dataset.page; show(); }
       else { const row = event.target.closest("tbody tr"); if (row && !event.target.closest("a")) location.hash = row.dataset.link; }
     });
@@ -76,13 +79,18 @@
     }
     return cards.get(link);
   }
+  function shownCard(link) { // a copy, with chip and strip one over the other
+    const card = cardOf(link).cloneNode(true), overlay = card.querySelector(".overlay .shot");
+    if (overlay) overlay.append(...[...card.querySelectorAll(".shot img")].slice(0, 2).map((image) => image.cloneNode()));
+    return card;
+  }
   let chosen = "";
   function choose() {
     const link = location.hash.slice(1), card = cardOf(link);
     for (const mark of document.querySelectorAll(".spot.chosen, .dot.chosen")) mark.classList.remove("chosen");
     if (!card) { if (chosen && !link) close(); chosen = card ? link : ""; for (const table of tables) table.mark(""); return; }
     chosen = link;
-    holder.replaceChildren(card.cloneNode(true));
+    holder.replaceChildren(shownCard(link));
     panel.hidden = false;
     for (const mark of document.querySelectorAll(`.spot[href="#${link}"], .dot[data-link="${link}"]`)) {
       mark.classList.add("chosen");

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import csv
+import html
+import json
+import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +18,9 @@ from typer.testing import CliRunner
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 
 
-def test_match_places_the_targets_of_one_strip_and_draws_them(tmp_path: Path):
-    out, overlay = tmp_path / "places.csv", tmp_path / "overlay"
-    arguments = ["match", str(MINI), "--strip", "s01", "--out", str(out), "--overlay", str(overlay)]
+def test_match_places_the_targets_of_one_strip(tmp_path: Path):
+    out = tmp_path / "places.csv"
+    arguments = ["match", str(MINI), "--strip", "s01", "--out", str(out)]
     outcome = CliRunner().invoke(app, [*arguments, "--workers", "1"])
     assert outcome.exit_code == 0, outcome.output
     with out.open(encoding="utf-8") as file:
@@ -24,8 +28,32 @@ def test_match_places_the_targets_of_one_strip_and_draws_them(tmp_path: Path):
     placed = [row for row in rows if row["outcome"] == "placed"]
     assert {row["strip_id"] for row in rows} == {"s01"}
     assert len(placed) >= 10
-    assert len(list(overlay.glob("*.png"))) == len(placed)
     assert all(float(row["sigma_sample_px"]) < 0.1 for row in placed)
+
+
+def test_the_page_of_candidates_shows_each_with_its_pictures_and_reason(tmp_path: Path):
+    dump = shutil.copytree(MINI, tmp_path / "dump")
+    for name, spoil in (("s01-t01", lambda a: a // 40 + 100), ("s01-t02", lambda a: a[::-1])):
+        with rasterio.open(dump / f"chips/{name}.tif", "r+") as chip:
+            values = chip.read(1)
+            chip.write(spoil(values).astype(values.dtype), 1)
+    out, page = tmp_path / "places.csv", tmp_path / "targets.html"
+    arguments = ["match", str(dump), "--strip", "s01", "--out", str(out), "--page", str(page)]
+    outcome = CliRunner().invoke(app, [*arguments, "--workers", "1"])
+    assert outcome.exit_code == 0, outcome.output
+    with out.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    text = page.read_text(encoding="utf-8")
+    more = json.loads(re.search(r'id="more-cards">(.*?)</script>', text).group(1))
+    cards = more | dict(re.findall(r'<article id="(t\d+)"(.*?)</article>', text, re.DOTALL))
+    assert len(cards) == len(rows) and "s01-t02" in {row["target_id"] for row in rows if row["reason"]}
+    for n, row in enumerate(rows):
+        card = html.unescape(cards[f"t{n}"])
+        assert row["target_id"] in card and row["reason"] in card
+        assert card.count("data:image/png") == 4  # chip, strip, difference, correlation
+        if row["outcome"] == "placed":
+            assert f'data-source="{out.name}" data-key="correlation.{n}"' in card
+            assert f"{float(row['correlation']):.3f}" in card
 
 
 def test_suggested_targets_are_a_list_that_a_dump_can_have(tmp_path: Path):

@@ -27,7 +27,7 @@ from boresight.pipeline.report.findings import (
     clouds,
     spread,
 )
-from boresight.pipeline.report.unmatched import _pictures
+from boresight.pipeline.report.unmatched import pictures_at
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
 
@@ -242,11 +242,9 @@ def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allow
     dump, result = finished
     found = calibrate_dump(open_dump(dump), store=store_of(result))
     task, matched = found.tasks[0], found.matched[0]
-    one = SimpleNamespace(task=task, model=pushbroom_of(task))
-    name, ccd = str(matched.target_id[0]), int(matched.ccd[0])
+    model, name, ccd = pushbroom_of(task), str(matched.target_id[0]), int(matched.ccd[0])
     sample, line = matched.xy_px[0].tolist()
-    row = {"target_id": name, "ccd": ccd, "sample_px": sample, "line_px": line}
-    pictures = _pictures(one, row, surface_of(task.terrain))
+    pictures = pictures_at(task, model, name, ccd, matched.xy_px[0], surface_of(task.terrain))
     template, found = (
         cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
         for png in (pictures.template_png, pictures.found_png)
@@ -254,7 +252,7 @@ def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allow
     (chip,) = [file for file in task.chips if file.target_id == name]
     with rasterio.open(chip.path) as opened:
         side_m = opened.width * opened.transform.a
-    at = one.model.ground_points(ccd, sample + np.array([0.0, 100.0]), np.full(2, line), ConstantHeight(0.0))
+    at = model.ground_points(ccd, sample + np.array([0.0, 100.0]), np.full(2, line), ConstantHeight(0.0))
     side_px = side_m / (np.linalg.norm(at[1] - at[0]) / 100.0)
     assert 64.0 < side_px < 120.0  # so that a wrong factor of 2 shows
     # At most 96 px are shown; the chip is rotated, and pixels are not square, by some per cent.

@@ -346,7 +346,8 @@ def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(addres
 
     seen = asyncio.run(walk())
     (one,), (other,) = rejected.to_dict("records"), unmatched.to_dict("records")
-    assert one["target_id"] in seen["card"] and one["reason"] in seen["card"] and seen["pictures"] == 4
+    assert one["target_id"] in seen["card"] and one["reason"] in seen["card"]
+    assert seen["pictures"] == 6  # chip, strip, difference, correlation; chip and strip one over the other
     assert f"{one['residual_m']:.2f} m" in seen["card"] and f"{one['sigmas']:.2f}" in seen["card"]
     assert float(seen["view"].split()[2]) < 200  # of 1000: it came closer
     x, y, width, height, top, inner = seen["spot"]
@@ -413,10 +414,25 @@ def test_tables_are_sorted_filtered_and_searched(address, faulty):
                 "document.querySelector('#target-table select').dispatchEvent(new Event('change'))"
             )
             seen.append(await browser.value(rows.format(column)))
+        for gallery in (
+            "[data-gallery]').click()",
+            "[data-search]').value = 'no such target'",
+            "[data-search]').value = ''",
+        ):
+            await browser.value(f"document.querySelector('#target-table {gallery}")
+            await browser.value(
+                "document.querySelector('#target-table select').dispatchEvent(new Event('change'))"
+            )
+            seen.append(
+                await browser.value("document.querySelectorAll('#target-table .gallery article').length")
+            )
+        seen.append(await browser.value("document.querySelectorAll('#target-table .overlay img').length"))
         assert browser.complaints() == []
         return seen
 
-    upwards, downwards, rejected, every, searched = asyncio.run(use())
+    upwards, downwards, rejected, every, searched, *pictured = asyncio.run(use())
+    assert pictured[:3] == [1, 0, min(25, len(ground))]  # cards of the rows that the table shows
+    assert pictured[3] == 2 * len(ground[ground.state.isin(["used", "rejected"])])
     known = sorted(ground.residual_m.dropna())
     assert [text for text in upwards if text != "–"] == [f"{value:.2f}" for value in known]
     assert [text for text in downwards if text != "–"] == [f"{value:.2f}" for value in known[::-1]]
