@@ -224,7 +224,7 @@ def test_callers_mistakes_are_named() -> None:
         bs.identify(EXPOSURE, fov_deg=176)
     with pytest.raises(ValueError, match="one size"):
         bs.calibrate_star_camera([np.ones((64, 64)), np.ones((64, 65))])
-    with pytest.raises(ValueError, match="no strip nine"):
+    with pytest.raises(ValueError, match="strips: found 'nine', expected ids among"):
         bs.match_targets(MINI, strips=["nine"])
     with pytest.raises(bs.RawDataError, match=r"dump\.toml"):
         bs.calibrate(ROOT / "docs")
@@ -296,7 +296,7 @@ def test_one_frame_may_be_given_as_arrays_and_sigmas_one_by_one() -> None:
 
 def test_a_simulated_dump_opens(tmp_path: Path) -> None:
     changes = ["strips.count=1", "targets.per_strip=1"]
-    with pytest.raises(ValueError, match="not an empty folder"):
+    with pytest.raises(ValueError, match="expected a new or empty folder"):
         bs.simulate("mini", MINI, changes=changes)
     with pytest.raises(ValueError, match="scenario 'nowhere'"):
         bs.simulate("nowhere", tmp_path / "dump")
