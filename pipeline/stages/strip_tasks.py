@@ -76,9 +76,13 @@ def strip_tasks(
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
         margin, R_si, cov_s = run.exposure_margin_s, attitudes_in_s(head, near, heads[0], mountings), None
+        gyro = dump.heads[0].gyro_around(times, dump.orbit)
+        if gyro is None and dump.heads[0].gyro is not None:
+            reason = f"its gyro has no rows, or a gap, between the attitudes around strip {strip.strip_id}"
+            omitted.append(Entry(dump.heads[0].subject, Reason.NOT_COVERED, f"{reason}: not used there"))
         if head.head.is_smoothed:
             rows = rows_of_heads(dump, times, mountings, head.head.name)
-            track = smoothed_track(rows, dump.orbit, UNKNOWN_ALIGNMENT_RAD)
+            track = smoothed_track(rows, dump.orbit, UNKNOWN_ALIGNMENT_RAD, gyro)
             R_si, cov_s = track.R_si_nodes, track.cov_s
         task = StripTask(
             strip=strip,
