@@ -36,8 +36,10 @@ def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
     assert np.allclose(mean[:, :, 2], truth, rtol=0.1)
     deviation = (np.log(found)[:, :, :, 2] - np.log(truth)) / np.array(sigma)[:, :, :2]
     assert 0.5 < np.sqrt(np.mean(deviation**2)) < 1.5
+    assert np.all(fit.told_apart[:, 2] > 0.9)  # each line of sight is across that of the other head
     # Across it the two heads are separated by the assumption alone that they are alike: 30 %.
     assert np.allclose(mean[:, 0, :2], WHITE[:, :2], rtol=0.35)
+    assert np.all(fit.told_apart[:, :2] < 0.6)
 
 
 def test_one_head_tells_its_noise_above_the_frequencies_of_the_motion() -> None:
