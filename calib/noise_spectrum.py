@@ -274,7 +274,7 @@ def _with_means(
     by_axis = _variance_of_means(x, count, signal.step_s)
     predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
     white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
-    constant = _constant(signal, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
+    constant = _constant(signal, x, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
     noise = tuple(
         AttitudeNoise(
             white_rad=np.exp(one[:, 0]),
@@ -319,14 +319,14 @@ def _variance_of_means(x: Floats, count: int, step_s: float) -> Floats:
     return np.asarray((np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1]) * series) / count)
 
 
-def _constant(signal: Signal, excess2: Floats) -> Floats:
-    """Variances (H, 3) that explain what the scatter of means has beyond the model, none negative."""
-    H, D, _ = signal.enters.shape
-    columns = np.einsum("hda,hda->dha", signal.enters, signal.enters).reshape(D, 3 * H)
-    # Of equally good solutions the smallest: heads share what their axes cannot tell apart.
-    weak = 1e-3 * np.eye(3 * H)
-    found, _ = nnls(np.vstack([columns, weak]), np.concatenate([np.maximum(excess2, 0.0), np.zeros(3 * H)]))
-    return found.reshape(H, 3)
+def _constant(signal: Signal, x: Floats, excess2: Floats) -> Floats:
+    """Variances (H, 3) that explain what the scatter of means (D,) has beyond the model: the same part, as it
+    is in the mean of all components, of the variance of every axis. A few means of differences cannot tell
+    more, and an axis without any would be trusted far too much.
+    """
+    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
+    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
+    return max(float(np.mean(excess2 / level)), 0.0) * of_axes
 
 
 def _binned(parts: Sequence[Floats], signal: Signal, centres: Floats) -> Floats:

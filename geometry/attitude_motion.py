@@ -59,7 +59,7 @@ class Stretch:
 
     @property
     def sizes(self) -> Floats:
-        """Sizes of the motion, in units of the stated error: of any size, or none where a gyro tells it."""
+        """Sizes (A,) of the motion, in stated errors: all, or zero alone where a gyro tells it."""
         return np.zeros(1) if self.by_gyro else SIZES
 
     def _modes(self) -> Iterator[tuple[Floats, Floats]]:

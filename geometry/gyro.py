@@ -117,12 +117,13 @@ class GyroRecord:
         return GyroRows(t_s=at, R_sz=self.R_sz[rows], R_oi=nominal.R_oi(at), noise=self.noise)
 
     def in_axes(self, R_hs: Rotation) -> GyroRecord:
-        """The same about the axes of another frame h, fixed to s."""
+        """The record about the axes of another frame h, fixed to s."""
         return replace(self, R_sz=R_hs * self.R_sz * R_hs.inv())
 
     def turned(self, t_s: Floats) -> Rotation | None:
-        """R_sz at instants (K,), increasing, by a spline; None where they are not covered, or no step of the
-        gyro is as short as theirs.
+        """The rotations R_sz at instants (K,), increasing, by a spline.
+
+        None where the rows do not cover the instants, or are fewer.
         """
         before = np.searchsorted(self.t_s, t_s[0], side="right") - 1
         rows = slice(max(int(before), 0), int(np.searchsorted(self.t_s, t_s[-1])) + 1)

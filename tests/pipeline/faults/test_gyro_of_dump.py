@@ -79,6 +79,6 @@ def test_a_gyro_that_stops_between_attitudes_is_not_used_and_that_is_said(flight
     text = (flight.root / "gyro.csv").read_text().splitlines()
     (flight.root / "gyro.csv").write_text("\n".join([*text[:5], *text[11:]]))
     found = calibrate_dump(flight.with_gyro(R_GS.inv()))
-    said = [one.reason for one in found.omissions if "gyro" in one.reason]
+    said = [one.detail for one in found.omissions if "gyro" in one.detail]
     assert len(said) == 1
     assert "strip s01" in said[0]
