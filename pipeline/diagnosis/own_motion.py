@@ -40,6 +40,7 @@ FAR_SIGMAS, FAR_RAD = 5.0, np.radians(0.1)  # between two heads: of their mounti
 APART = 4.0  # times the scatter about them, by which instants are in two groups
 ALLOWED = 6.0  # of the logarithm, by which chance makes one stretch of rows likelier with a smooth error
 LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes against a gyro, that are tried
+LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
 
 
@@ -180,14 +181,9 @@ def _lag(of_head: Attitudes) -> float:
 
 
 def _late(of_head: Attitudes, late_s: float) -> Finding:
-    source, subject = of_head.head.head.source, of_head.head.head.subject
-    file, field = (
-        (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
-    )
     when = "early" if late_s > 0.0 else "late"
-    text = f"dated {1e3 * abs(late_s):.3g} ms {when} against the gyro: check {field} in {file}."
-    told = _about_gyro("times of attitudes", text, field, -1e3 * late_s)
-    return replace(told, item=subject.words, subjects=(subject,), file=file, field=field)
+    text = f"dated {1e3 * abs(late_s):.3g} ms {when} against the gyro: check {{}}."
+    return _times_of(of_head, text, -1e3 * late_s)
 
 
 def _about_gyro(cause: str, text: str, field: str, size_ms: float = np.nan) -> Finding:
@@ -217,7 +213,7 @@ def _are_apart(one: Attitudes, other: Attitudes) -> bool:
 
 def _of_head(of_head: Attitudes) -> list[Finding]:
     every = np.arange(len(of_head.t_s))
-    told = _excess(of_head, every)
+    told = _excess(of_head, every) or _uneven(of_head)
     if told is None and max(_gains(of_head, every).values(), default=-1.0) < 0.0:
         return []  # no row whose absence would gain; of two that are wrong one hides the other in part
     groups, in_order, gained = _exchanged(of_head)
@@ -378,6 +374,57 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
     rivals = [cause for cause in others if cause != told.cause]
     text = f"{told.text[:-1]}; or {' or '.join(rivals)}." if rivals else told.text
     return replace(told, text=text, rivals=tuple(f"{cause}, {told.item}" for cause in rivals)), gains[best]
+
+
+def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
+    """The finding about instants with which the attitudes are far less likely than with evenly spaced ones:
+    a few rows that are as uneven as their times could be a motion, but not one that even times undo.
+    """
+    t_s, rows, found = of_head.t_s, np.arange(len(of_head.t_s)), [(0.0, 0.0)]
+    now = _likelihood(of_head, rows)
+    for even in _even_instants(of_head):
+        if (off_s := float(np.sqrt(np.mean((even - t_s) ** 2)))) > LEAST_UNEVEN_S:
+            found.append((_likelihood(replace(of_head, t_s=even), rows) - now, off_s))
+    gain, off_s = max(found)
+    if gain < _limit(of_head):
+        return None
+    step_s = _common_step(t_s, off_s)
+    multiples = f", all of them multiples of {step_s:.4g} s" if step_s else ""
+    text = f"evenly spaced they fit, as stated they scatter by {1e3 * off_s:.3g} ms{multiples}: check {{}}."
+    return _times_of(of_head, text, 1e3 * off_s), gain
+
+
+def _even_instants(of_head: Attitudes) -> list[Floats]:
+    """Instants (K,) that are evenly spaced along every stretch: with rows missing where a step is long, and
+    with none missing.
+    """
+    found = [of_head.t_s.copy(), of_head.t_s.copy()]
+    for part in of_head.stretches(np.arange(len(of_head.t_s))):
+        steps = np.diff(part.t_s)
+        for even, of_steps in zip(found, (np.maximum(np.round(steps / np.median(steps)), 1.0), steps**0.0)):
+            number = np.concatenate([[0.0], np.cumsum(of_steps)])
+            even[part.rows] = np.polyval(np.polyfit(number, part.t_s, 1), number)
+    return found
+
+
+def _times_of(of_head: Attitudes, text: str, size_ms: float) -> Finding:
+    """About the times of all rows of a head; `text` has a place for field and file."""
+    source, subject = of_head.head.head.source, of_head.head.head.subject
+    solved = isinstance(source, SolvedAttitudes)
+    file, field = (
+        (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
+    )
+    return Finding(
+        cause=f"times of {_what(of_head)}",
+        item=subject.words if solved else "all exposures",
+        subjects=(subject,) if solved else (),
+        text=text.format(f"{field} in {file}"),
+        value=size_ms,
+        unit="ms",
+        file=file,
+        field=field,
+        refutes=True,
+    )
 
 
 def _what(of_head: Attitudes) -> str:

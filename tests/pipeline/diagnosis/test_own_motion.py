@@ -244,6 +244,28 @@ def test_what_is_told_does_not_depend_on_axes_or_on_the_origin_of_time(seed):
     assert told.value == pytest.approx(again.value, rel=1e-6)  # of instants that are rounded to 1e-13 s
 
 
+def restated(record, t_s):
+    stars = tuple(exposure_without_stars(one.exposure_id, t) for one, t in zip(record.stars, t_s.tolist()))
+    return replace(record, stars=stars)
+
+
+@pytest.mark.parametrize("rate", [0.061, 0.38, 0.82])
+@pytest.mark.parametrize("step_s", [0.15, 0.4])
+def test_even_instants_that_are_cut_or_early_are_named_in_a_single_strip(step_s, rate):
+    """Twelve rows, which a free motion follows: with evenly spaced instants there is none."""
+    t_s = step_s * np.arange(12)
+    for stated in (np.floor(8.0 * t_s) / 8.0, t_s - 0.05 * (np.arange(12) % 3 == 0)):
+        (told,) = against_own_motion([restated(record_of(1, rate, strips=1, rows=12, step_s=step_s), stated)])
+        assert told.cause == "times of attitudes" and told.refutes
+
+
+def test_exposures_that_were_uneven_have_no_finding():
+    for seed in range(20):
+        late = np.random.default_rng(seed).uniform(0.0, 0.05, 12)
+        record = record_of(seed, 0.38, strips=1, rows=12, late_s=late)
+        assert against_own_motion([restated(record, 0.2 * np.arange(12) + late)]) == []
+
+
 # --- With a gyro
 
 FAST = {"wobble_arcsec": 90.0, "wobble_s": 0.3, "rows": 20, "with_gyro": True}  # period of 1.9 s
