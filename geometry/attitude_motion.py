@@ -34,7 +34,7 @@ FACTORS = np.exp(np.linspace(0.0, 10.0, 41))  # s of the errors, from as stated 
 WILD = 1e3  # 1-sigma of a row that says nothing, in units of the stated error
 
 
-def motion_modes(turns: Floats, noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
+def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
     """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
     (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
     modes (S, M, K) of unit variance by noise, M = K - D.
@@ -68,8 +68,8 @@ class Stretch:
         lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
         shapes = [np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS]
         shapes.append(ahead**2 * (ahead / 3.0 + lag / 2.0))
-        for y, noise, own in zip(self.turns.T, self.noise, self.own):
-            yield motion_modes(y, noise, own**2 * np.array(shapes), np.vander(t, 3))
+        for noise, own in zip(self.noise, self.own):
+            yield motion_modes(noise, own**2 * np.array(shapes), np.vander(t, 3))
 
     def log_likelihoods(self) -> Floats:
         """(3, F) about each axis with errors larger by each of the `FACTORS`, the motion as fits best."""
