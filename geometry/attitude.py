@@ -237,7 +237,7 @@ class AttitudeTrack:
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
         return Rotation.from_rotvec(rotvec) * self._R_so_middle
 
-    def errors_s(self, t_s: ArrayLike, covariance_s: Array) -> Array:
+    def errors_s(self, t_s: ArrayLike, covariance_s: Array | None = None) -> Array:
         """Rotation (N, 3, 3 K) about the axes of s, at instants (N,), by each of 3 K independent errors, 1
         sigma, of the K exposures that the track was made from, of covariance (K, 3, K, 3), rad²; of smoothed
         attitudes by their own.
@@ -245,6 +245,7 @@ class AttitudeTrack:
         t = np.asarray(t_s, dtype=float)
         if self.smoothed_errors is not None:
             return self.smoothed_errors(t)
+        assert covariance_s is not None
         weights = interpolation_weights(self.t_s, t, self.interpolation, self.points) @ self._share
         K = len(covariance_s)
         values, vectors = np.linalg.eigh(covariance_s.reshape(3 * K, 3 * K))
