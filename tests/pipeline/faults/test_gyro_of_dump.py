@@ -1,11 +1,12 @@
 """A gyro in a dump, from its file to matrix and places."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fault_dumps import scenario_of, sound_dump
+from fault_dumps import FIXTURES, scenario_of, sound_dump
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -16,6 +17,8 @@ from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_csv
+from boresight.simulator.mission_records import Mission
+from boresight.simulator.scenario import builtin_scenario
 
 R_GS = Rotation.from_euler("xyz", [20.0, 70.0, -50.0], degrees=True)
 WALK_ARCSEC = 0.05
@@ -46,9 +49,31 @@ class Flight:
         return open_dump(self.root)
 
 
+def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(tmp_path: Path) -> None:
+    mission, root = fly(builtin_scenario("mini"), 1), tmp_path / "mini"
+    shutil.copytree(FIXTURES / "mini", root)
+    write_gyro(root, mission)
+    head, *rows = (root / "exposures.csv").read_text().splitlines()
+    few = [row for k, row in enumerate(rows) if k % (len(rows) // 3) in (2, 11)]
+    (root / "exposures.csv").write_text("\n".join([head, *few]) + "\n")
+    flight = Flight(root, mission.truth.R_cs)
+    without, found = calibrate_dump(flight.with_gyro(None)), calibrate_dump(flight.with_gyro(R_GS.inv()))
+    assert [one.cause for one in without.verdict.findings] == ["motion between exposures"]
+    assert not found.verdict.findings and len(found.stars) == 6
+    assert np.all(sigma(found) < 0.95 * sigma(without))
+    error = theta_between(found.estimate.R_cs, flight.R_cs)
+    assert error @ np.linalg.solve(found.estimate.cov_theta, error) < chi2(df=3).ppf(0.999)
+
+
 @pytest.fixture
 def flight(tmp_path: Path) -> Flight:
     root, mission = sound_dump("points", 2, tmp_path), fly(scenario_of("points"), 2)
+    write_gyro(root, mission)
+    return Flight(root, mission.truth.R_cs)
+
+
+def write_gyro(root: Path, mission: Mission) -> None:
+    """The true turns from exposure to exposure, with a bias and a random walk."""
     true = [mission.truth.exposure(one.exposure_id) for one in mission.exposures]
     t_s, R_si = np.array([one.t_s for one in true]), Rotation.concatenate([one.R_si for one in true])
     dt = np.diff(t_s)[:, None]
@@ -59,7 +84,6 @@ def flight(tmp_path: Path) -> Flight:
     turns[dt[:, 0] > 1.0] = 0.0  # between the strips nothing is known
     rows = zip(mission.epoch.utc_from_seconds(t_s), [[0.0] * 3, *turns.tolist()])
     write_csv(root / "gyro.csv", ["utc", *"xyz"], [[t, *turn] for t, turn in rows])
-    return Flight(root, mission.truth.R_cs)
 
 
 def sigma(found: DumpCalibration) -> np.ndarray:
