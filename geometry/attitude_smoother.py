@@ -89,40 +89,35 @@ class _Nodes:
         every = np.sort(np.concatenate([head.t_s for head in heads] + ([gyro.t_s] if gyro else [])))
         first = every[_group_starts(every, MERGED * min(step, gyro.step_s if gyro else step))]
         t_s = np.concatenate([[first[0] - step], first, [first[-1] + step]])
-        axes = [np.flatnonzero(head.noise.correlated_rad > 0.0) for head in heads]
-        last = MOTION + sum(map(len, axes))
-        D, m = last + MOTION * (gyro is not None), 1 + 3 * len(heads)
+        R_so, axes = middle.as_matrix(), [np.flatnonzero(head.noise.correlated_rad > 0.0) for head in heads]
+        turns = [(head.R_so * middle.inv()).as_rotvec() for head in heads]
+        rows = [
+            (head.t_s, turn, head.noise.R_sn.as_matrix()[:, own], np.linalg.inv(head.covariance_s))
+            for head, turn, own in zip(heads, turns, axes)
+        ]
+        if gyro:
+            own_s = np.tile(gyro.noise.white_rad**2 * np.eye(3), (len(gyro.t_s), 1, 1))
+            told = gyro.path(heads[0].t_s, turns[0], middle)
+            rows.append((gyro.t_s, told, np.zeros((3, 0)), np.linalg.inv(own_s)))
+        D, m = MOTION * (2 if gyro else 1) + sum(map(len, axes)), 1 + 3 * len(heads)
         information, by_rows = np.zeros((len(t_s), D, D)), np.zeros((len(t_s), D, m))
-        squares, R_so = np.zeros((m, m)), middle.as_matrix()
-        turns = [(head.R_so * middle.inv()).as_rotvec() @ R_so for head in heads]
-        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0], rcond=None)[0]
-
-        def add(t: Floats, turn: Floats, own: Floats, first: int, W: Floats, head: int | None) -> None:
-            nonlocal squares
+        squares, column = np.zeros((m, m)), MOTION
+        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0] @ R_so, rcond=None)[0]
+        for h, (t, turn, own, W) in enumerate(rows):
             at = np.searchsorted(t_s, t, side="right") - 1
             H, y = np.zeros((len(at), 3, D)), np.zeros((len(at), 3, m))
-            for n, share in enumerate(_step(t - t_s[at])[:, 0].T):
-                H[:, :, 3 * n : 3 * n + 3] = share[:, None, None] * R_so
-                if head is None:  # the error of a gyro is, about the axes of o, one more motion
-                    H[:, :, first + 3 * n : first + 3 * n + 3] = share[:, None, None] * R_so
-            y[:, :, 0] = (turn - _step(t - t_s[0])[:, 0] @ trend) @ R_so.T
-            if head is not None:
-                H[:, :, first : first + own.shape[1]] = own
-                y[:, :, 1 + 3 * head : 4 + 3 * head] = np.eye(3)
+            H[:, :, :MOTION] = np.kron(_step(t - t_s[at])[:, :1], R_so)
+            y[:, :, 0] = turn - _step(t - t_s[0])[:, 0] @ trend @ R_so.T
+            if h < len(heads):
+                H[:, :, column : column + own.shape[1]] = own
+                y[:, :, 1 + 3 * h : 4 + 3 * h] = np.eye(3)
+                column += own.shape[1]
+            else:  # the error of a gyro is, about the axes of o, one more motion
+                H[:, :, column:] = H[:, :, :MOTION]
             HtW = np.swapaxes(H, 1, 2) @ W
             np.add.at(information, at, HtW @ H)
             np.add.at(by_rows, at, HtW @ y)
             squares += np.tensordot(y, W @ y, axes=([0, 1], [0, 1]))
-
-        column = MOTION
-        for h, (head, own, turn) in enumerate(zip(heads, axes, turns)):
-            W: Floats = np.asarray(np.linalg.inv(head.covariance_s), dtype=float)
-            add(head.t_s, turn, head.noise.R_sn.as_matrix()[:, own], column, W, h)
-            column += len(own)
-        if gyro:
-            told = gyro.path(heads[0].t_s, turns[0] @ R_so.T, middle) @ R_so
-            white: Floats = np.full((len(told), 1, 1), gyro.noise.white_rad**-2.0) * np.eye(3)
-            add(gyro.t_s, told, R_so, last, white, None)
         return cls(
             t_s=t_s,
             begins=np.arange(len(t_s)) == 0,
