@@ -41,6 +41,7 @@ APART = 4.0  # times the scatter about them, by which instants are in two groups
 ALLOWED = 6.0  # of the logarithm, by which chance makes one stretch of rows likelier with a smooth error
 LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes against a gyro, that are tried
 LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
+LEAST_SHARE = 0.25  # of rows whose instants are off
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
 
 
@@ -383,7 +384,9 @@ def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
     t_s, rows, found = of_head.t_s, np.arange(len(of_head.t_s)), [(0.0, 0.0)]
     now = _likelihood(of_head, rows)
     for even in _even_instants(of_head):
-        if (off_s := float(np.sqrt(np.mean((even - t_s) ** 2)))) > LEAST_UNEVEN_S:
+        off = np.abs(even - t_s)
+        off_s = float(np.sqrt(np.mean(off**2)))
+        if off_s > LEAST_UNEVEN_S and np.mean(off > 0.3 * off.max()) > LEAST_SHARE:  # not single rows
             found.append((_likelihood(replace(of_head, t_s=even), rows) - now, off_s))
     gain, off_s = max(found)
     if gain < _limit(of_head):

@@ -259,6 +259,14 @@ def test_even_instants_that_are_cut_or_early_are_named_in_a_single_strip(step_s,
         assert told.cause == "times of attitudes" and told.refutes
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_single_row_dated_early_is_named_singly(seed):
+    t_s = 0.2 * np.arange(20)
+    record = restated(record_of(seed, 0.38, strips=1, rows=20), t_s - 0.05 * (np.arange(20) == 7))
+    (told,) = against_own_motion([record])
+    assert told.item == "exposure STR7-000007"
+
+
 def test_exposures_that_were_uneven_have_no_finding():
     for seed in range(20):
         late = np.random.default_rng(seed).uniform(0.0, 0.05, 12)
