@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,11 +22,14 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
 __all__ = ["ErrorShare", "uncertainty_budget"]
 
+Noise = TypeVar("Noise", AttitudeNoise, GyroNoise)
+OF_GYRO = ("random_walk_rad", "bias_walk_rad_s", "bias_rad_s", "white_rad")  # sizes of its errors
 STEP = 1e-3  # relative change of a variance: what it leaves out is of its own size, a thousandth of a share
 
 
@@ -82,8 +86,11 @@ def uncertainty_budget(
 
 
 def _noisier(noise: AttitudeNoise) -> AttitudeNoise:
-    root = np.sqrt(1.0 + STEP)
-    names = ("white_rad", "correlated_rad", "constant_rad")
+    return _larger(noise, ("white_rad", "correlated_rad", "constant_rad"))
+
+
+def _larger(noise: Noise, names: Sequence[str]) -> Noise:
+    root = float(np.sqrt(1.0 + STEP))
     return replace(noise, **{name: root * getattr(noise, name) for name in names})
 
 
@@ -95,7 +102,8 @@ def _attitudes(strip: StripSightings) -> StripSightings:
         for one in strip.others
     )
     fitted = replace(strip.attitudes, covariance_s=(1.0 + STEP) * strip.attitudes.covariance_s)
-    return replace(strip, attitudes=fitted, noise=_noisier(strip.noise), others=others)
+    gyro = strip.gyro and replace(strip.gyro, noise=_larger(strip.gyro.noise, OF_GYRO))
+    return replace(strip, attitudes=fitted, noise=_noisier(strip.noise), others=others, gyro=gyro)
 
 
 def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:

@@ -71,6 +71,10 @@ class NoiseFit:
 
     heads: tuple[AttitudeNoise, ...] = array("H", "fitted noise; constant part from means of pieces")
     sigma_log: Floats = array("H, 3, 3", "1-sigma of log(w), log(a), log(τ) of each head and axis")
+    told_apart: Floats = array(
+        "H, 3",
+        "part, 0 to 1, of how the variances of axes that are taken to be alike differ that the record tells",
+    )
     white_statistic: float = scalar("twice the log likelihood lost by white noise alone")
     white_dof: int = scalar("parameters that white noise alone does without")
     mean_s: float = scalar("length of the pieces whose means were compared")
@@ -135,10 +139,11 @@ def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
 
     white = minimize(white_loss, 0.5 * np.log(variance).ravel(), jac=True)
     white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
-    sigma_log = _errors(loss, x.ravel()).reshape(H, 3, 3)
-    return _with_means(
-        signal, x, sigma_log, (float(found.fun), float(white.fun)), white_density, mean_s, parts
-    )
+    covariance = _errors(loss, x.ravel())
+    sigma_log = np.sqrt(np.diag(covariance)).reshape(H, 3, 3)
+    losses = float(found.fun), float(white.fun)
+    told = _told_apart(x, covariance)
+    return _with_means(signal, x, sigma_log, told, losses, white_density, mean_s, parts)
 
 
 def allan_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
@@ -229,18 +234,35 @@ def _unlike(x: Floats, start: Floats) -> tuple[float, Floats]:
 
 
 def _errors(loss: Callable[[Floats], tuple[float, Floats]], x: Floats) -> Floats:
-    """1-sigma of the parameters by the curvature of minus the logarithm of their probability."""
+    """Covariance of the parameters by the curvature of minus the logarithm of their probability."""
     h = 1e-3
     hessian = np.array([loss(x + step)[1] - loss(x - step)[1] for step in h * np.eye(len(x))]) / (2.0 * h)
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
-    covariance = (vectors / np.maximum(values, 1.0)) @ vectors.T  # the prior's curvature is larger than 1
-    return np.sqrt(np.diag(covariance))
+    return np.asarray((vectors / np.maximum(values, 1.0)) @ vectors.T)  # the prior's curvature is above 1
+
+
+def _told_apart(x: Floats, covariance: Floats) -> Floats:
+    """Part (H, 3) of what `_unlike` allows the variance of each axis to differ from those that it takes to be
+    alike that the `covariance` of the parameters (H, 3, 3) no longer leaves open; 1 where none is.
+    """
+    H, told = len(x), np.ones(x.shape[:2])
+    of_white = 1.0 / (1.0 + np.exp(2.0 * (x[..., 1] - x[..., 0]))).ravel()
+    shares = np.stack([of_white, 1.0 - of_white, 0.0 * of_white], axis=1)
+    by_parameters = np.einsum("km,mp->kmp", np.eye(3 * H), shares).reshape(3 * H, 9 * H)
+    for axes in ([0, 1], [2]):
+        alike = np.arange(3 * H).reshape(H, 3)[:, axes].ravel()
+        apart = (np.eye(len(alike)) - 1.0 / len(alike)) @ by_parameters[alike]
+        if len(alike) > 1:
+            left, allowed = np.diag(apart @ covariance @ apart.T), ALIKE**2 * np.sum(apart**2, axis=1)
+            told[:, axes] = (1.0 - left / allowed).reshape(H, len(axes))
+    return np.clip(told, 0.0, 1.0)
 
 
 def _with_means(
     signal: Signal,
     x: Floats,
     sigma_log: Floats,
+    told_apart: Floats,
     losses: tuple[float, float],
     white_density: Floats,
     mean_s: float,
@@ -252,7 +274,7 @@ def _with_means(
     by_axis = _variance_of_means(x, count, signal.step_s)
     predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
     white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
-    constant = _constant(signal, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
+    constant = _constant(signal, x, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
     noise = tuple(
         AttitudeNoise(
             white_rad=np.exp(one[:, 0]),
@@ -267,6 +289,7 @@ def _with_means(
     return NoiseFit(
         heads=noise,
         sigma_log=sigma_log,
+        told_apart=told_apart,
         white_statistic=2.0 * (losses[1] - losses[0]),
         white_dof=2 * x.shape[0] * 3,
         mean_s=count * signal.step_s,
@@ -296,14 +319,14 @@ def _variance_of_means(x: Floats, count: int, step_s: float) -> Floats:
     return np.asarray((np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1]) * series) / count)
 
 
-def _constant(signal: Signal, excess2: Floats) -> Floats:
-    """Variances (H, 3) that explain what the scatter of means has beyond the model, none negative."""
-    H, D, _ = signal.enters.shape
-    columns = np.einsum("hda,hda->dha", signal.enters, signal.enters).reshape(D, 3 * H)
-    # Of equally good solutions the smallest: heads share what their axes cannot tell apart.
-    weak = 1e-3 * np.eye(3 * H)
-    found, _ = nnls(np.vstack([columns, weak]), np.concatenate([np.maximum(excess2, 0.0), np.zeros(3 * H)]))
-    return found.reshape(H, 3)
+def _constant(signal: Signal, x: Floats, excess2: Floats) -> Floats:
+    """Variances (H, 3) that explain what the scatter of means (D,) has beyond the model: the same part, as it
+    is in the mean of all components, of the variance of every axis. A few means of differences cannot tell
+    more, and an axis without any would be trusted far too much.
+    """
+    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
+    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
+    return max(float(np.mean(excess2 / level)), 0.0) * of_axes
 
 
 def _binned(parts: Sequence[Floats], signal: Signal, centres: Floats) -> Floats:

@@ -3,7 +3,7 @@ inputs change it.
 
 Of a single head whose attitudes come from stars, the attitude relative to the nominal motion is interpolated
 between the exposures, by Lagrange polynomials; their errors phi_k stay unknowns, and so does the motion that
-the interpolation misses. Of heads that solve attitudes themselves, and of several, the rows of all are
+the interpolation misses. Of heads that solve attitudes, of several, and with a gyro, the rows of all are
 smoothed (`geometry.attitude_smoother`). There the unknowns are the independent parts of what is left unknown,
 and the constant errors of the heads; the rows tell something of these and of the alignments.
 """
@@ -53,16 +53,16 @@ class PassAttitude:
 
 
 def is_smoothed(strip: StripSightings) -> bool:
-    """Whether the attitudes of a strip are smoothed: of several heads, or solved by the head itself."""
+    """Whether the attitudes of a strip are smoothed: of several heads, with a gyro, or solved by the head."""
     solved = bool(strip.exposures) and not any(len(one.hip) for one in strip.exposures)
-    return strip.interpolation == "lagrange" and (bool(strip.others) or solved)
+    return strip.interpolation == "lagrange" and (bool(strip.others) or strip.gyro is not None or solved)
 
 
 def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Floats:
     """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed."""
     stated = 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
-    rows = [rows for strip in strips if len((rows := _rows_of(strip, settings))[0].t_s)]
-    return most_likely_motion(rows, stated) if rows else np.full(3, stated)
+    rows = [(rows, s.gyro) for s in strips if len((rows := _rows_of(s, settings))[0].t_s)]
+    return most_likely_motion(*zip(*rows), stated=stated) if rows else np.full(3, stated)
 
 
 def attitude_of(
@@ -132,7 +132,7 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     told: Floats = np.zeros((0, 1 + 3 * len(heads)))
     dof = 0
     if inside.any():
-        found = SmoothedAttitude.of(rows, q)
+        found = SmoothedAttitude.of(rows, q, strip.gyro)
         R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
         part = found.root_s(t_s[inside])
         root = np.zeros((J, 3, -(-part.shape[2] // IN_STEPS_OF) * IN_STEPS_OF))

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import MovedInput
 from boresight.geometry.attitude import ConstantRate
+from boresight.geometry.gyro import GyroRows, longest_without_gap
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import (
     ExposureAttitudes,
@@ -130,6 +131,7 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
         attitudes=ExposureAttitudes.together([_attitudes(strip) for strip in strips]).take(rows),
         others=tuple(_record_of(head, strips) for head in heads),
+        gyro=_gyro_of(strips),
         joined=tuple(part for strip in strips for part in strip.parts),
     )
     same = all(np.array_equal(_times(strip), _times(strips[0])) for strip in strips)
@@ -148,6 +150,7 @@ def _about_one_motion(scan: StripSightings) -> StripSightings:
         R_oi_exposures=motion.R_oi(times),
         R_oi_targets=motion.R_oi(scan.ground.t_s),
         others=tuple(replace(one, R_oi=motion.R_oi(one.t_s)) for one in scan.others),
+        gyro=scan.gyro and replace(scan.gyro, R_oi=motion.R_oi(scan.gyro.t_s)),
     )
 
 
@@ -160,6 +163,21 @@ def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:
     """Attitudes of one head around strips, each once."""
     record = HeadAttitudes.together([one for strip in strips for one in strip.others if one.head == head])
     return record.take(_first_of_each(record.t_s))
+
+
+def _gyro_of(strips: Sequence[StripSightings]) -> GyroRows | None:
+    """Rows of the gyro around strips, each once, as long as they have no gap."""
+    parts = [strip.gyro for strip in strips if strip.gyro is not None]
+    if not parts:
+        return None
+    every = replace(
+        parts[0],
+        t_s=np.concatenate([part.t_s for part in parts]),
+        R_sz=rotations_together([part.R_sz for part in parts]),
+        R_oi=rotations_together([part.R_oi for part in parts]),
+    )
+    once = every.take(_first_of_each(every.t_s))
+    return once.take(longest_without_gap(once.t_s))
 
 
 def _first_of_each(t_s: Floats) -> Ints:

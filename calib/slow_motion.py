@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
+from boresight.geometry.attitude_motion import motion_modes
 from boresight.geometry.record import Floats, array, record
 from boresight.geometry.sightings import StripSightings
 
@@ -133,13 +134,10 @@ def _log_likelihood(strip: StripSightings, amplitudes: Floats, times_s: Floats) 
     noise[np.arange(len(t)), :, np.arange(len(t)), :] += own
     shapes = np.exp(-0.5 * (t[:, None] - t[None, :]) ** 2 / times_s[:, None, None] ** 2)  # (T, K, K)
     trend = np.column_stack([np.ones_like(t), t - t.mean()])
-    rest = np.linalg.qr(trend, mode="complete")[0][:, 2:].T  # (K - 2, K): what constant and rate leave
     for axis in np.linalg.eigh(own.mean(axis=0))[1].T:  # about which the stars' errors are independent
-        of_axis = np.einsum("a,kalb,b->kl", axis, noise, axis)
-        white = np.linalg.solve(np.linalg.cholesky(rest @ of_axis @ rest.T), rest)
-        values, vectors = np.linalg.eigh(white @ shapes @ white.T)  # (T, K - 2), (T, K - 2, K - 2)
-        y2 = np.einsum("tkn,k->tn", vectors, white @ (turns @ axis)) ** 2
-        moved = amplitudes[:, None, None] ** 2 * np.maximum(values, 0.0)
+        values, modes = motion_modes(np.einsum("a,kalb,b->kl", axis, noise, axis), shapes, trend)
+        y2 = (modes @ (turns @ axis)) ** 2
+        moved = amplitudes[:, None, None] ** 2 * values
         variance = NOISES[:, None, None, None] ** 2 + moved
         found -= 0.5 * (np.log(variance) + y2 / variance).sum(axis=3)
     return found

@@ -10,6 +10,7 @@ Rotations R_si take GCRS to the star camera, or any other frame s. TAI seconds s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import field
 from typing import Literal, Protocol
 
@@ -183,6 +184,11 @@ class AttitudeTrack:
         default="lagrange",
     )
     is_smoothed: bool = scalar("whether errors of neighbouring attitudes are alike", default=False)
+    smoothed_errors: Callable[[Array], Array] | None = scalar(
+        "of smoothed attitudes: rotation (N, 3, A) about the axes of s at instants (N,), by independent "
+        "errors of unit variance, rad",
+        default=None,
+    )
     _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)
     _rotvec_s: Array = field(
@@ -231,11 +237,15 @@ class AttitudeTrack:
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
         return Rotation.from_rotvec(rotvec) * self._R_so_middle
 
-    def errors_s(self, t_s: ArrayLike, covariance_s: Array) -> Array:
+    def errors_s(self, t_s: ArrayLike, covariance_s: Array | None = None) -> Array:
         """Rotation (N, 3, 3 K) about the axes of s, at instants (N,), by each of 3 K independent errors, 1
-        sigma, of the K exposures that the track was made from, of covariance (K, 3, K, 3), rad².
+        sigma, of the K exposures that the track was made from, of covariance (K, 3, K, 3), rad²; of smoothed
+        attitudes by their own.
         """
         t = np.asarray(t_s, dtype=float)
+        if self.smoothed_errors is not None:
+            return self.smoothed_errors(t)
+        assert covariance_s is not None
         weights = interpolation_weights(self.t_s, t, self.interpolation, self.points) @ self._share
         K = len(covariance_s)
         values, vectors = np.linalg.eigh(covariance_s.reshape(3 * K, 3 * K))

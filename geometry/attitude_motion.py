@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.record import Floats, Ints, array, record
+from boresight.geometry.gyro import GyroRecord
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["FACTORS", "Stretch", "motion_modes", "stretches"]
 
@@ -33,7 +34,7 @@ FACTORS = np.exp(np.linspace(0.0, 10.0, 41))  # s of the errors, from as stated 
 WILD = 1e3  # 1-sigma of a row that says nothing, in units of the stated error
 
 
-def motion_modes(turns: Floats, noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
+def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
     """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
     (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
     modes (S, M, K) of unit variance by noise, M = K - D.
@@ -54,6 +55,12 @@ class Stretch:
     rate: Floats = array("3", "by which attitudes of a later instant are turned, rad/s")
     t_s: Floats = array("K", "instants, TAI seconds since the epoch")
     own: Floats = array("3", "1-sigma of the error of a row by itself, rad")
+    by_gyro: bool = scalar("whether the turns are attitudes less those that a gyro sums up", default=False)
+
+    @property
+    def sizes(self) -> Floats:
+        """Sizes (A,) of the motion, in stated errors: all, or zero alone where a gyro tells it."""
+        return np.zeros(1) if self.by_gyro else SIZES
 
     def _modes(self) -> Iterator[tuple[Floats, Floats]]:
         """Of each axis (`motion_modes`)."""
@@ -61,23 +68,34 @@ class Stretch:
         lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
         shapes = [np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS]
         shapes.append(ahead**2 * (ahead / 3.0 + lag / 2.0))
-        for y, noise, own in zip(self.turns.T, self.noise, self.own):
-            yield motion_modes(y, noise, own**2 * np.array(shapes), np.vander(t, 3))
+        for noise, own in zip(self.noise, self.own):
+            yield motion_modes(noise, own**2 * np.array(shapes), np.vander(t, 3))
 
     def log_likelihoods(self) -> Floats:
         """(3, F) about each axis with errors larger by each of the `FACTORS`, the motion as fits best."""
         every = []
         for (variance, modes), y in zip(self._modes(), self.turns.T):
-            of_mode = FACTORS[:, None, None, None] ** 2 + SIZES[:, None, None] ** 2 * variance
+            of_mode = FACTORS[:, None, None, None] ** 2 + self.sizes[:, None, None] ** 2 * variance
             fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
             every.append(fit.max(axis=(1, 2)))
         return np.array(every)
+
+    def smooth_fit(self) -> tuple[float, float]:
+        """Logarithm of the likelihood with a motion as fits best, and without any; errors about each axis are
+        as stated or larger.
+        """
+        best, none, sizes = 0.0, 0.0, np.concatenate([[0.0], SIZES])
+        for (variance, modes), y in zip(self._modes(), self.turns.T):
+            of_mode = FACTORS[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
+            fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
+            best, none = best + float(fit.max()), none + float(fit[:, 0].max())
+        return best, none
 
     def gains_without(self) -> Floats:
         """(K,) by how much the attitudes are likelier, as a logarithm, if one row says nothing."""
         gains = np.zeros(len(self.t_s))
         for (variance, modes), y, own in zip(self._modes(), self.turns.T, self.own):
-            of_mode = 1.0 + SIZES[:, None, None] ** 2 * variance  # (A, S, M)
+            of_mode = 1.0 + self.sizes[:, None, None] ** 2 * variance  # (A, S, M)
             z = modes @ y
             fit = -0.5 * (np.log(of_mode) + z**2 / of_mode).sum(axis=2)
             by_row = np.einsum("smk,sm,asm->ask", modes, z, 1.0 / of_mode)
@@ -94,7 +112,7 @@ class Stretch:
         at, z = np.zeros(len(self.t_s)), np.zeros((len(self.t_s),) * 2)
         for (variance, modes), y, own, rate in zip(self._modes(), self.turns.T, self.own, self.rate):
             factor = 1.0 + (spread_s * rate / own) ** 2
-            of_mode = factor + SIZES[:, None, None] ** 2 * variance
+            of_mode = factor + self.sizes[:, None, None] ** 2 * variance
             fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=2)
             size, shape = np.unravel_index(np.argmax(fit), fit.shape)
             weighted = modes[shape].T / (of_mode[size, shape] - factor + 1.0)
@@ -104,33 +122,47 @@ class Stretch:
 
 
 def stretches(
-    t_s: Floats, R_si: Rotation, covariance_s: Floats, noise: AttitudeNoise | None, rows: Ints
+    t_s: Floats,
+    R_si: Rotation,
+    covariance_s: Floats,
+    noise: AttitudeNoise | None,
+    rows: Ints,
+    gyro: GyroRecord | None = None,
 ) -> Iterator[Stretch]:
     """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
-    what the noise of the head has in common from row to row.
+    what the noise of the head has in common from row to row; where a gyro covers them, against that.
     """
     step = np.diff(t_s[rows])
     parts = np.split(rows, np.flatnonzero(step > GAP * np.median(step)) + 1) if len(step) else []
     for part in parts:
         for here in np.array_split(part, -(-len(part) // MOST_ROWS)):
             if len(here) >= FEWEST_ROWS:
-                yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise)
+                yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise, gyro)
 
 
 def _stretch(
-    rows: Ints, t_s: Floats, R_si: Rotation, covariance_s: Floats, noise: AttitudeNoise | None
+    rows: Ints,
+    t_s: Floats,
+    R_si: Rotation,
+    covariance_s: Floats,
+    noise: AttitudeNoise | None,
+    gyro: GyroRecord | None,
 ) -> Stretch:
     motion = ConstantRate.fitted(t_s, R_si)
-    D = R_si * motion.R_oi(t_s).inv()
+    turned, middle = gyro and gyro.turned(t_s), len(t_s) // 2
+    D = R_si * (turned * turned[middle].inv() * R_si[middle] if turned else motion.R_oi(t_s)).inv()
     variance, axes = np.linalg.eigh(covariance_s.mean(axis=0))
     full = noise.coloured_covariance_s(t_s) if noise else np.zeros((len(rows), 3, len(rows), 3))
     each = np.arange(len(rows))
     full[each, :, each, :] += covariance_s
+    if gyro and turned:
+        full += gyro.noise.covariance(t_s)[:, None, :, None] * np.eye(3)[:, None, :]
     return Stretch(
         rows=rows,
-        turns=(D * D[len(D) // 2].inv()).as_rotvec() @ axes,
+        turns=(D * D[middle].inv()).as_rotvec() @ axes,
         noise=np.einsum("ax,kalb,bx->xkl", axes, full, axes),
         rate=-motion.omega_o @ axes,
         t_s=t_s,
         own=np.sqrt(variance),
+        by_gyro=bool(turned),
     )

@@ -7,10 +7,11 @@ exp(-|t - t'| / τ), and one that is constant over the pass, b_h about the axes 
 
     dx = v dt,   dv = white noise of density q,   a row of head h:  y = R_so x + R_sn g_h + b_h + white noise.
 
-The states at the rows' instants are a Markov chain, their information matrix is block tridiagonal, and its
-Cholesky factor costs time in proportion to the rows. Between two rows x is the cubic through x and v of both,
-but for a bridge of known covariance. All is linear in the constants, which stay open: the rows tell the
-states given b, their change by b, and something about b itself. Angles in radians, times in seconds.
+A gyro is one more head, whose error and bias begin anywhere and grow as `geometry.gyro` says. The states
+at the rows' instants are a Markov chain, their information matrix is block tridiagonal, and its Cholesky
+factor costs time in proportion to the rows. Between two rows x is the cubic through x and v of both, but for
+a bridge of known covariance. All is linear in the constants, which stay open: the rows tell the states given
+b, their change by b, and something about b itself. Angles in radians, times in seconds.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.gyro import GyroNoise, GyroRows
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion", "smoothed_track"]
@@ -64,42 +66,54 @@ class HeadRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Nodes:
-    """What the rows of H heads say of the states at N nodes, D each: x, v, errors g of all heads."""
+    """What the rows of H heads say of the states at N nodes, D each: x, v, errors g of all heads, error and
+    bias of a gyro.
+    """
 
     t_s: Floats  # (N,) instants
     begins: Bools  # (N,) nodes that begin a pass, whose state nothing before tells
     information: Floats  # (N, D, D) on the states
     by_rows: Floats  # (N, D, 1 + 3 H) right-hand sides: by the rows, by the constants of each head
     squares: Floats  # (1 + 3 H, 1 + 3 H) weighted sums of squares of the same
-    variance: Floats  # (D - MOTION,) of the errors g
-    time_s: Floats  # (D - MOTION,) their correlation times
+    variance: Floats  # of the errors g
+    time_s: Floats  # their correlation times
+    drift: GyroNoise | None  # of the gyro
     trend: Floats  # (ORDER, 3) rotation and rate at the first node that are taken out of the rows
     step_s: float  # usual step of the head of the fewest rows
     white2: float  # usual variance of the white part, rad²
 
     @classmethod
-    def of(cls, heads: Sequence[HeadRows], middle: Rotation) -> _Nodes:
+    def of(cls, heads: Sequence[HeadRows], middle: Rotation, gyro: GyroRows | None = None) -> _Nodes:
         """Nodes at the rows, and one step before and after; `middle` is an attitude R_so near all of them."""
-        every = np.sort(np.concatenate([head.t_s for head in heads]))
         step = max((float(np.median(np.diff(h.t_s))) for h in heads if len(h.t_s) > 1), default=ALONE_S)
-        first = every[_group_starts(every, MERGED * step)]
+        every = np.sort(np.concatenate([head.t_s for head in heads] + ([gyro.t_s] if gyro else [])))
+        first = every[_group_starts(every, MERGED * min(step, gyro.step_s if gyro else step))]
         t_s = np.concatenate([[first[0] - step], first, [first[-1] + step]])
-        axes = [np.flatnonzero(head.noise.correlated_rad > 0.0) for head in heads]
-        D, m, column = MOTION + sum(map(len, axes)), 1 + 3 * len(heads), MOTION
+        R_so, axes = middle.as_matrix(), [np.flatnonzero(head.noise.correlated_rad > 0.0) for head in heads]
+        turns = [(head.R_so * middle.inv()).as_rotvec() for head in heads]
+        rows = [
+            (head.t_s, turn, head.noise.R_sn.as_matrix()[:, own], np.linalg.inv(head.covariance_s))
+            for head, turn, own in zip(heads, turns, axes)
+        ]
+        if gyro:
+            own_s = np.tile(gyro.noise.white_rad**2 * np.eye(3), (len(gyro.t_s), 1, 1))
+            told = gyro.path(heads[0].t_s, turns[0], middle)
+            rows.append((gyro.t_s, told, np.zeros((3, 0)), np.linalg.inv(own_s)))
+        D, m = MOTION * (2 if gyro else 1) + sum(map(len, axes)), 1 + 3 * len(heads)
         information, by_rows = np.zeros((len(t_s), D, D)), np.zeros((len(t_s), D, m))
-        squares, R_so = np.zeros((m, m)), middle.as_matrix()
-        turns = [(head.R_so * middle.inv()).as_rotvec() @ R_so for head in heads]
-        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0], rcond=None)[0]
-        for h, (head, own, turn) in enumerate(zip(heads, axes, turns)):
-            at = np.searchsorted(t_s, head.t_s, side="right") - 1
+        squares, column = np.zeros((m, m)), MOTION
+        trend = np.linalg.lstsq(_step(heads[0].t_s - t_s[0])[:, 0], turns[0] @ R_so, rcond=None)[0]
+        for h, (t, turn, own, W) in enumerate(rows):
+            at = np.searchsorted(t_s, t, side="right") - 1
             H, y = np.zeros((len(at), 3, D)), np.zeros((len(at), 3, m))
-            for n, share in enumerate(_step(head.t_s - t_s[at])[:, 0].T):
-                H[:, :, 3 * n : 3 * n + 3] = share[:, None, None] * R_so
-            H[:, :, column : column + len(own)] = head.noise.R_sn.as_matrix()[:, own]
-            y[:, :, 0] = (turn - _step(head.t_s - t_s[0])[:, 0] @ trend) @ R_so.T
-            y[:, :, 1 + 3 * h : 4 + 3 * h] = np.eye(3)
-            column += len(own)
-            W = np.linalg.inv(head.covariance_s)
+            H[:, :, :MOTION] = np.kron(_step(t - t_s[at])[:, :1], R_so)
+            y[:, :, 0] = turn - _step(t - t_s[0])[:, 0] @ trend @ R_so.T
+            if h < len(heads):
+                H[:, :, column : column + own.shape[1]] = own
+                y[:, :, 1 + 3 * h : 4 + 3 * h] = np.eye(3)
+                column += own.shape[1]
+            else:  # the error of a gyro is, about the axes of o, one more motion
+                H[:, :, column:] = H[:, :, :MOTION]
             HtW = np.swapaxes(H, 1, 2) @ W
             np.add.at(information, at, HtW @ H)
             np.add.at(by_rows, at, HtW @ y)
@@ -112,6 +126,7 @@ class _Nodes:
             squares=squares,
             variance=np.concatenate([h.noise.correlated_rad[own] ** 2 for h, own in zip(heads, axes)]),
             time_s=np.concatenate([h.noise.correlation_time_s[own] for h, own in zip(heads, axes)]),
+            drift=gyro.noise if gyro else None,
             trend=trend,
             step_s=step,
             white2=float(np.median(np.trace(heads[0].covariance_s, axis1=1, axis2=2)) / 3.0),
@@ -143,28 +158,34 @@ def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
     N, D, _ = nodes.information.shape
     goes = ~nodes.begins[1:]
     dt = np.diff(nodes.t_s)[goes, None]
-    F, Q_inverse = _step(dt[:, 0]), _spread(dt[:, 0], INVERSE, -1.0)
-    g = np.arange(MOTION, D)
+    F, first = _step(dt[:, 0]), np.flatnonzero(nodes.begins)[:, None]
+    loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
+    walks = [(0, _spread(dt[:, 0], INVERSE, -1.0)[..., None] / q, loose2)]
+    if nodes.drift is not None:
+        of_gyro = np.linalg.inv(nodes.drift.spread(dt[:, 0]))[..., None] * np.ones(3)
+        bias2 = np.where(np.arange(MOTION) < 3, loose2, nodes.drift.bias_rad_s**2)
+        walks.append((D - MOTION, of_gyro, bias2))
+    g = MOTION + np.arange(len(nodes.variance))
     decay = np.exp(-dt / nodes.time_s)
     spread = -np.expm1(-2.0 * dt / nodes.time_s) * nodes.variance
     diagonal, below = np.zeros((N, D, D)), np.zeros((N - 1, D, D))
     before, after = np.flatnonzero(goes)[:, None], np.flatnonzero(goes)[:, None] + 1
-    told, back = np.swapaxes(F, 1, 2) @ Q_inverse @ F, -Q_inverse @ F
-    for i, k in np.ndindex(ORDER, ORDER):
-        rows, columns = np.arange(3) + 3 * i, np.arange(3) + 3 * k
-        diagonal[before, rows, columns] += told[:, i, k, None] / q
-        diagonal[after, rows, columns] += Q_inverse[:, i, k, None] / q
-        below[before, rows, columns] = back[:, i, k, None] / q
+    size = -np.log(spread).sum() - len(first) * np.log(nodes.variance).sum()
+    for column, Q_inverse, begin2 in walks:
+        back = -np.einsum("nija,njk->nika", Q_inverse, F)
+        told = -np.einsum("nji,njka->nika", F, back)
+        for i, k in np.ndindex(ORDER, ORDER):
+            rows, columns = column + np.arange(3) + 3 * i, column + np.arange(3) + 3 * k
+            diagonal[before, rows, columns] += told[:, i, k]
+            diagonal[after, rows, columns] += Q_inverse[:, i, k]
+            below[before, rows, columns] = back[:, i, k]
+        own = column + np.arange(MOTION)
+        diagonal[first, own, own] += 1.0 / begin2
+        size += np.linalg.slogdet(np.moveaxis(Q_inverse, 3, 1))[1].sum() - len(first) * np.log(begin2).sum()
     diagonal[before, g, g] += decay**2 / spread
     diagonal[after, g, g] += 1.0 / spread
     below[before, g, g] = -decay / spread
-    first = np.flatnonzero(nodes.begins)[:, None]
-    loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
-    diagonal[first, np.arange(MOTION), np.arange(MOTION)] += 1.0 / loose2
     diagonal[first, g, g] += 1.0 / nodes.variance
-    size = 3.0 * np.linalg.slogdet(INVERSE)[1] * len(dt) - 3.0 * ORDER**2 * np.log(dt).sum()
-    size -= ORDER * len(dt) * np.log(q).sum() + np.log(spread).sum()
-    size -= len(first) * (np.log(nodes.variance).sum() + np.log(loose2).sum())
     return diagonal, below, float(size)
 
 
@@ -215,17 +236,19 @@ def _solved(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, Floats, float]:
     return factor, states.reshape(N, D, m), left, -0.5 * float(size + chi2)
 
 
-def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> Floats:
+def most_likely_motion(
+    passes: Sequence[Sequence[HeadRows]], gyros: Sequence[GyroRows | None] = (), *, stated: float = 0.0
+) -> Floats:
     """Densities q (3,) of the rates' random walks, rad²/s³, given the rows of passes of one
-    satellite, with a wide prior about a `stated` one; 0: none.
+    satellite, with a wide prior about a `stated` one; 0: none. `gyros`: of each pass, or of none.
     """
     share = max(MOST_NODES // len(passes), 8)
-    chosen = passes[:: -(-len(passes) * 8 // MOST_NODES)]
-    groups = dict[bytes, list[_Nodes]]()  # of passes with the same heads
-    for one in (_centred(heads, share) for heads in chosen):
-        groups.setdefault(
-            np.concatenate([one.by_rows.shape[1:], one.variance, one.time_s]).tobytes(), []
-        ).append(one)
+    every_one = list(zip(passes, gyros or [None] * len(passes)))
+    chosen = every_one[:: -(-len(passes) * 8 // MOST_NODES)]
+    groups = dict[tuple[object, ...], list[_Nodes]]()  # of passes with the same heads
+    for one in (_centred(heads, share, gyro) for heads, gyro in chosen):
+        kind = (one.by_rows.shape[1:], one.drift, *one.variance.tolist(), *one.time_s.tolist())
+        groups.setdefault(kind, []).append(one)
     nodes = _Nodes.together(max(groups.values(), key=lambda group: sum(len(one.t_s) for one in group)))
 
     def posterior(q: Floats) -> float:
@@ -245,7 +268,7 @@ def most_likely_motion(passes: Sequence[Sequence[HeadRows]], stated: float) -> F
     return q
 
 
-def _centred(heads: Sequence[HeadRows], most: int) -> _Nodes:
+def _centred(heads: Sequence[HeadRows], most: int, gyro: GyroRows | None) -> _Nodes:
     """Nodes of the middle of a pass, the heads brought together in the mean."""
     t_s = heads[0].t_s
     here = t_s[max((len(t_s) - most) // 2, 0) :][:most]
@@ -255,7 +278,8 @@ def _centred(heads: Sequence[HeadRows], most: int) -> _Nodes:
     around = [np.array([np.interp(p.t_s, parts[0].t_s, turns[0][:, k]) for k in range(3)]).T for p in parts]
     off = [np.mean(turn - one, axis=0) for turn, one in zip(turns, around)]
     moved = [replace(p, R_so=Rotation.from_rotvec(-by) * p.R_so) for p, by in zip(parts, off)]
-    return _Nodes.of(moved, middle)
+    near = gyro and gyro.within(here[0] - gyro.step_s, here[-1] + gyro.step_s)
+    return _Nodes.of(moved, middle, near)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,10 +297,10 @@ class SmoothedAttitude:
     dof: int  # its degrees of freedom
 
     @classmethod
-    def of(cls, heads: Sequence[HeadRows], q: Floats) -> SmoothedAttitude:
-        """The attitude by the rows of H heads, the first with at least one; `q` (3,) as above."""
+    def of(cls, heads: Sequence[HeadRows], q: Floats, gyro: GyroRows | None = None) -> SmoothedAttitude:
+        """By the rows of H heads, the first with at least one, and of a gyro; `q` (3,) as above."""
         middle = heads[0].R_so[len(heads[0].t_s) // 2]
-        nodes = _Nodes.of(heads, middle)
+        nodes = _Nodes.of(heads, middle, gyro)
         factor, states, left, _ = _solved(nodes, q)
         N, D, _ = states.shape
         L, below = _blocks(factor, N, D)
@@ -289,7 +313,7 @@ class SmoothedAttitude:
         seen = slice(3, None)  # a constant that all heads have in common is not seen
         root = np.sqrt(np.maximum(values[seen], DIFFUSE_RAD**-2))
         r, T = (vectors[:, seen].T @ left[1:, 0]) / root, root[:, None] * vectors[:, seen].T
-        rows = sum(len(head.t_s) for head in heads)
+        rows = sum(len(head.t_s) for head in heads) + (len(gyro.t_s) - ORDER if gyro else 0)
         of_motion = states[:, :MOTION] * np.where(np.arange(states.shape[2]), -1.0, 1.0)
         of_motion[:, :, 0] += (_step(nodes.t_s - nodes.t_s[0]) @ nodes.trend).reshape(N, MOTION)
         return cls(
@@ -422,12 +446,17 @@ def _pinned(s: Floats, dt: Floats) -> Floats:
 
 
 def smoothed_track(
-    heads: Sequence[HeadRows], nominal: NominalMotion, sigma_alignment_rad: float = 0.0
+    heads: Sequence[HeadRows],
+    nominal: NominalMotion,
+    sigma_alignment_rad: float = 0.0,
+    gyro: GyroRows | None = None,
+    t_s: Floats | None = None,
 ) -> AttitudeTrack:
-    """The attitudes of the first of some heads, at its own instants, by the rows of all; alignments of the
-    others are known to `sigma_alignment_rad`, 1-sigma.
+    """The attitudes in the axes of the first of some heads by the rows of all, at instants (K,): by default
+    its own. Alignments of the others are known to `sigma_alignment_rad`, 1-sigma.
     """
-    found, t_s = SmoothedAttitude.of(heads, most_likely_motion([heads], 0.0)), heads[0].t_s
+    found = SmoothedAttitude.of(heads, most_likely_motion([heads], [gyro]), gyro)
+    t_s = heads[0].t_s if t_s is None else t_s
     of_heads = [(head.noise.R_sn.as_matrix() * head.noise.constant_rad**2) for head in heads]
     known = block_diag(*(V @ head.noise.R_sn.as_matrix().T for V, head in zip(of_heads, heads)))
     known[3:, 3:] += sigma_alignment_rad**2 * np.eye(len(known) - 3)
@@ -436,7 +465,14 @@ def smoothed_track(
     left, by_constants = known - gain @ T @ known, found.by_constants(t_s)
     R_so = Rotation.from_rotvec(by_constants @ (gain @ r)) * found.R_so(t_s)
     covariance = found.covariance_s(t_s) + by_constants @ left @ np.swapaxes(by_constants, 1, 2)
-    return AttitudeTrack(t_s, R_so * nominal.R_oi(t_s), nominal, covariance, is_smoothed=True)
+    values, vectors = np.linalg.eigh(left)
+    of_constants = vectors * np.sqrt(np.maximum(values, 0.0))
+
+    def errors(at: Floats) -> Floats:
+        return np.concatenate([found.root_s(at), found.by_constants(at) @ of_constants], axis=2)
+
+    R_si = R_so * nominal.R_oi(t_s)
+    return AttitudeTrack(t_s, R_si, nominal, covariance, is_smoothed=True, smoothed_errors=errors)
 
 
 def _blocks(factor: Floats, N: int, D: int) -> tuple[Floats, Floats]:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
+from boresight.geometry.gyro import GyroRows
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar, shape_of
 
 __all__ = [
@@ -213,6 +214,7 @@ class StripSightings:
     )
     noise: AttitudeNoise = scalar("errors of the attitudes beside their covariances", default=NO_NOISE)
     others: tuple[HeadAttitudes, ...] = scalar("attitudes of the other heads", default=())
+    gyro: GyroRows | None = scalar("what a gyro tells around the strip", default=None)
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
     carrier: str = scalar(
         "head that measured the exposures' attitudes, turned to frame s; empty: the reference head",
@@ -253,6 +255,7 @@ class StripSightings:
             exposures=tuple(replace(one, t_s=one.t_s + seconds) for one in self.exposures),
             ground=replace(self.ground, t_s=self.ground.t_s + seconds),
             others=tuple(replace(one, t_s=one.t_s + seconds) for one in self.others),
+            gyro=self.gyro and replace(self.gyro, t_s=self.gyro.t_s + seconds),
         )
 
     def __post_init__(self) -> None:

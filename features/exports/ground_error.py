@@ -15,8 +15,12 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.results.check_point_test import StripMoves, predicted_covariance
 from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
-from boresight.pipeline.results.strip_model import Calibrated, StripModel, exposures_around
-from boresight.pipeline.results.validate import attitude_covariance_s
+from boresight.pipeline.results.strip_model import (
+    Calibrated,
+    StripModel,
+    attitude_errors_s,
+    exposures_around,
+)
 
 __all__ = ["GroundError", "ground_error"]
 
@@ -45,7 +49,7 @@ def ground_error(
     seen = np.isfinite(p_e).all(axis=1) & (t_s >= model.track.span_s[0]) & (t_s <= model.track.span_s[1])
     t_s, p_e = t_s[seen], p_e[seen]
     near = exposures_around(result, dump, model.strip, calibrated.exposure_margin_s)
-    attitude_s = model.track.errors_s(t_s, attitude_covariance_s(near, result, dump))
+    attitude_s = attitude_errors_s(model.track, result, dump, near, t_s)
     moves = ground_moves(dump.orbit, result.R_cs * model.track.R_si(t_s), t_s, p_e)
     moving = StripMoves(moves, result.R_cs.as_matrix() @ attitude_s)
     covariance = predicted_covariance([moving], common_covariance(result, dump.orbit.earth), dump)

@@ -33,7 +33,7 @@ def noise_lines(found: HeadNoise) -> list[str]:
     """The noise of each head about its own axes, the test of white noise, and the scatter of means."""
     fit = found.fit
     lines = [f"{'arcsec about the axes of':26s}" + "".join(f"{axis:>16s}" for axis in "xyz")]
-    for name, noise, sigma in zip(found.names, fit.heads, fit.sigma_log):
+    for name, noise, sigma, told in zip(found.names, fit.heads, fit.sigma_log, fit.told_apart):
         rows = (
             ("white", noise.white_rad / ARCSEC, sigma[:, 0]),
             ("correlated", noise.correlated_rad / ARCSEC, sigma[:, 1]),
@@ -44,8 +44,12 @@ def noise_lines(found: HeadNoise) -> list[str]:
             f"  {what:24s}" + "".join(f"{f'{v:.2f} ± {v * s:.2f}':>16s}" for v, s in zip(values, sigmas))
             for what, values, sigmas in rows
         ]
+        if len(found.names) > 1:
+            lines.append(f"  {'told apart, %':24s}" + "".join(f"{100.0 * part:16.0f}" for part in told))
         constant = "".join(f"{value / ARCSEC:16.2f}" for value in noise.constant_rad)
         lines.append(f"  {f'constant over {fit.mean_s:.0f} s':24s}{constant}")
+    if len(found.names) > 1:
+        lines.append("what is not told apart is taken to be alike: of two heads the sum is measured")
     p = float(chdtrc(fit.white_dof, max(fit.white_statistic, 0.0)))
     verdict = "refuted" if p < 1e-4 else "not refuted"
     lines.append(f"white noise alone: {verdict} (likelihood ratio {fit.white_statistic:.1f}, p {p:.1e})")
@@ -88,8 +92,9 @@ def noise_json(found: HeadNoise) -> dict[str, Any]:
             "correlation_time_s": noise.correlation_time_s.tolist(),
             "constant_arcsec": (noise.constant_rad / ARCSEC).tolist(),
             "sigma_log": sigma.tolist(),
+            "told_apart": told.tolist(),
         }
-        for name, noise, sigma in zip(found.names, fit.heads, fit.sigma_log)
+        for name, noise, sigma, told in zip(found.names, fit.heads, fit.sigma_log, fit.told_apart)
     ]
     return {
         "heads": heads,

@@ -77,6 +77,8 @@ def import_sentinel2_command(
     names = BANDS if "all" in band else tuple(dict.fromkeys(band))
     bands = [read_sentinel2(datastrip, gipp, name) for name in names]
     mission = sentinel2_mission(bands, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
+    if attitudes == "raw" and bands[0].gyros is not None and mission.gyro is None:
+        say("the gyros do not turn as the operator's corrected attitudes do: not imported")
     return _written(out, mission, points, object_id)
 
 
@@ -143,6 +145,7 @@ def _written(out: Path, mission: ImportedMission, points: Path | None, object_id
         say(f"no measured points: write them to {out / 'points.csv'} before `boresight calibrate`")
     count = 0 if text is None else sum(1 for _ in csv.reader(text.splitlines())) - 1
     heads = ", ".join(f"{head.name} ({len(head.t_s)} attitudes)" for head in mission.heads)
+    heads += f", gyro ({len(mission.gyro.t_s)} rows)" if mission.gyro else ""
     summary = f"{mission.mission}: {heads}, {len(mission.strips)} CCDs, {count} points -> {out}"
     return Answer(text="\n".join([summary, *noise]), files=(out / "dump.toml",))
 

@@ -20,10 +20,18 @@ from boresight.pipeline.files.oem_text import orbit_message
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
 
-__all__ = ["ImportedHead", "ImportedMission", "ImportedStrip", "white_noise_rad", "write_imported"]
+__all__ = [
+    "ImportedGyro",
+    "ImportedHead",
+    "ImportedMission",
+    "ImportedStrip",
+    "white_noise_rad",
+    "write_imported",
+]
 
 # File of an imported dump that holds measured image points, if any are given.
 POINTS = "points.csv"
+GYRO = "gyro.csv"
 
 
 @record(kw_only=True)
@@ -38,6 +46,18 @@ class ImportedHead:
     white_rad: Floats = array("3", "1-sigma of the white noise of the attitudes about the axes of s, assumed")
     is_measured: bool = scalar("attitudes as a star camera gave them, whose record shows their noise")
     interpolation: Interpolation = scalar("of the operator's software")
+
+
+@record(kw_only=True)
+class ImportedGyro:
+    """A gyro, about axes that `R_sg` takes to frame s of the first head."""
+
+    t_s: Floats = array("K", "TAI seconds since the epoch")
+    turns_g: Floats = array("K, 3", "angles turned since the row before, rad; the first: 0")
+    R_sg: Rotation = scalar("its axes to frame s")
+    random_walk_rad: float = scalar("1-sigma of an angle after one second, about each axis")
+    bias_walk_rad_s: float = scalar("1-sigma by which the bias changes in one second")
+    white_rad: float = scalar("resolution of an angle")
 
 
 @record(kw_only=True)
@@ -63,6 +83,7 @@ class ImportedMission:
     heads: tuple[ImportedHead, ...] = scalar("sources of attitudes")
     cameras: dict[str, LookAngleCamera] = scalar("look directions by id of the camera; of one alone, empty")
     strips: tuple[ImportedStrip, ...] = scalar("one record a CCD")
+    gyro: ImportedGyro | None = scalar("rotations between the attitudes", default=None)
     errors: dict[str, float] = scalar("table [errors] of dump.toml")
     earth_orientation: EarthOrientationTable | None = scalar("the operator's own; None: the bundled one")
 
@@ -109,6 +130,9 @@ def write_imported(
             "sigma_rad": head.sigma_installation_rad.tolist(),
         }
         write_toml(root / f"installation_{head.name}.toml", installation)
+    if mission.gyro is not None:
+        turns = zip(utc(mission.gyro.t_s), (mission.gyro.turns_g / ARCSEC).tolist())
+        write_csv(root / GYRO, ["utc", *"xyz"], ([t, *(round(v, 7) for v in row)] for t, row in turns))
     for name, camera in mission.cameras.items():
         _camera(root, name, camera)
     strips = (
@@ -135,6 +159,7 @@ def _head(mission: ImportedMission) -> dict[str, Any]:
         **head_of_dump(mission.mission, mission.created_by),
         "files": files,
         **({"cameras": cameras} if cameras else {}),
+        **({"gyro": _gyro(mission.gyro)} if mission.gyro else {}),
         "errors": mission.errors,
         "light": {"light_time": False, "aberration": False, "refraction": False},
         "star_cameras": [
@@ -154,6 +179,21 @@ def _head(mission: ImportedMission) -> dict[str, Any]:
             }
             for head in mission.heads
         ],
+    }
+
+
+def _gyro(gyro: ImportedGyro) -> dict[str, Any]:
+    sizes = {
+        "random_walk_arcsec": gyro.random_walk_rad,
+        "bias_walk_arcsec_s": gyro.bias_walk_rad_s,
+        "white_arcsec": gyro.white_rad,
+    }
+    return {
+        "file": GYRO,
+        "quantity": "angles",
+        "unit": "arcsec",
+        "quaternion_sg": gyro.R_sg.as_quat().tolist(),
+        **{name: float(f"{size / ARCSEC:.4g}") for name, size in sizes.items()},
     }
 
 

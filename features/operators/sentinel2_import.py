@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from boresight.features.operators.imported_mission import (
+    ImportedGyro,
     ImportedHead,
     ImportedMission,
     ImportedStrip,
@@ -23,6 +26,8 @@ __all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
 
 AttitudeLevel = Literal["raw", "corrected", "refined"]
 CORRECTED, REFINED = "CORRECTED", "REFINED"  # names of the heads of the operator's attitudes
+AXIS_LENGTH, WALK_ARCSEC = 0.01, 0.2  # of a gyro's axis, off by at most; noise of one at most
+BIAS_WALK_ARCSEC_S, WHITE_ARCSEC = 1e-3, 1e-3  # assumed: a record of 90 s shows none; one count
 SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six years
 ERRORS = {  # what the datastrip does not state; the user may state better
     "clock_s": 1e-6,  # QUALITY_INDEX of the time correlation is 0.1 µs, GPS_TIME has microseconds
@@ -99,8 +104,42 @@ def sentinel2_mission(
             for band, camera in zip(bands, ids)
             for ccd, t in enumerate(band.t_first_row_s)
         ),
+        gyro=_gyro(strip, strip.R_ps[heads_of[0].name]) if attitudes == "raw" and heads_of else None,
         errors={"position_m": round(strip.sigma_position_m, 3), **ERRORS},
         earth_orientation=table,
+    )
+
+
+def _gyro(strip: Sentinel2, R_ps: Rotation) -> ImportedGyro | None:
+    """The gyros, about the axes of the piloting frame; `R_ps` takes those of the first head to it.
+
+    The datastrip states no axes: they are those with which the angles between rows are the rotations of the
+    operator's corrected attitudes, a bias of each gyro apart. What remains of the one combination of four
+    gyros that no rotation changes shows their noise. None where that is not as small as a gyro's.
+    """
+    gyros, corrected = strip.gyros, strip.corrected
+    if gyros is None:
+        return None
+    at = np.flatnonzero((gyros.t_s > corrected.t_s[0]) & (gyros.t_s < corrected.t_s[-1]))
+    turned = (corrected.R_is[:-1].inv() * corrected.R_is[1:]).as_rotvec()
+    path = CubicSpline(corrected.t_s, np.concatenate([np.zeros((1, 3)), np.cumsum(turned, axis=0)]))
+    steps, true = np.diff(gyros.angles_rad[at], axis=0), np.diff(path(gyros.t_s[at]), axis=0)
+    dt = np.diff(gyros.t_s[at])[:, None]
+    found = np.linalg.lstsq(np.column_stack([true, dt]), steps, rcond=None)[0]
+    axes, bias = found[:3].T, found[3]
+    unseen = np.linalg.svd(axes)[0][:, 3]
+    noise = float(np.std((steps - dt * bias) @ unseen / np.sqrt(dt[:, 0]), ddof=1))
+    to_body = np.linalg.pinv(axes)
+    if np.abs(np.linalg.norm(axes, axis=1) - 1.0).max() > AXIS_LENGTH or noise > WALK_ARCSEC * ARCSEC:
+        return None
+    turns = (np.diff(gyros.angles_rad, axis=0) - np.diff(gyros.t_s)[:, None] * bias) @ to_body.T
+    return ImportedGyro(
+        t_s=gyros.t_s,
+        turns_g=np.concatenate([np.zeros((1, 3)), turns]),
+        R_sg=R_ps.inv(),
+        random_walk_rad=noise * float(np.sqrt(np.mean(np.sum(to_body**2, axis=1)))),
+        bias_walk_rad_s=BIAS_WALK_ARCSEC_S * ARCSEC,
+        white_rad=WHITE_ARCSEC * ARCSEC,
     )
 
 

@@ -43,6 +43,9 @@ _ANCILLARY = "Satellite_Ancillary_Data_Info"
 _POINTS = f"{_ANCILLARY}/Ephemeris/GPS_Points_List/GPS_Point"  # states of the orbit
 _CORRECTED = f"{_ANCILLARY}/Attitudes/Corrected_Attitudes/Values"  # attitudes that the operator uses
 _TRACKERS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/STR_List/STR"  # attitudes of each star tracker
+_GYROS = f"{_ANCILLARY}/Attitudes/Raw_Attitudes/IMU_List/IMU"  # angles about the axis of each gyro
+_GYRO_AXES = 4
+_COUNT_RAD = 4.989e-9  # of RAW_ANGLE: with it the axes that attitudes show have length 1 to 0.02 %
 _SENSOR = "Image_Data_Info/Sensor_Configuration"  # times and TDI
 # Element of a datastrip's metadata that says whether its model is refined.
 _STATE = "Image_Data_Info/Geometric_Info/Refined_Corrections_List/Refined_Corrections/MSI_State"
@@ -76,6 +79,14 @@ class Refining:
         return Rotation.from_euler("YXZ", np.column_stack([y, x, z]))
 
 
+@record
+class GyroAngles:
+    """Angles that gyros have summed up about four axes, which the datastrip does not state."""
+
+    t_s: Floats = array("K", "TAI seconds since the epoch, increasing")
+    angles_rad: Floats = array("K, 4", "RAW_ANGLE about the axis of each gyro")
+
+
 @record(kw_only=True)
 class Sentinel2:
     """One band of a datastrip as its operator describes it. The detectors 01 ... 12 are CCDs 0 ... 11."""
@@ -93,6 +104,7 @@ class Sentinel2:
     sigma_position_m: float = scalar("rms of POSITION_ERRORS, per axis")
     corrected: AttitudeRecord = scalar("corrected attitudes; frame s is the piloting frame")
     trackers: dict[str, AttitudeRecord] = scalar("raw attitudes by the name of the star tracker")
+    gyros: GyroAngles | None = scalar("IMU_List, where there is one")
     R_ps: dict[str, Rotation] = scalar("mounting in the operator's file, star tracker to piloting frame")
     mounting_angles_rad: Floats = array("3", "PILOTING_TO_MSI_FRAME about x, y, z")
     refining: Refining | None = scalar("the operator's own correction, where there is one")
@@ -156,6 +168,7 @@ def read_sentinel2(datastrip: Path, gipp: Path, band: str) -> Sentinel2:
         sigma_position_m=sigma_m,
         corrected=_attitudes(corrected, epoch, file, "QUATERNION_VALIDITY", "true"),
         trackers=trackers,
+        gyros=_gyros(root, epoch, file),
         R_ps={name: _tracker_mounting(model, name, model_file) for name in trackers},
         mounting_angles_rad=_mounting_angles(model, model_file),
         refining=_refining(root, t_middle, file),
@@ -272,6 +285,24 @@ def _attitudes(rows: list[Element], epoch: Epoch, file: str, key: str, good: str
         raise RawDataError(file, "QUATERNION_VALUES", found, "two or more of length 1")
     t_s = _increasing(_gps_seconds(valid, epoch, file), "GPS_TIME of attitudes", file)
     return AttitudeRecord(t_s, rotation_to_gcrs("EME2000") * Rotation.from_quat(quaternions))
+
+
+def _gyros(root: Element, epoch: Epoch, file: str) -> GyroAngles | None:
+    """The angles of all gyros at the instants at which every one is valid; None where the list is empty."""
+    gyros = root.findall(_GYROS)
+    if not gyros:
+        return None
+    gyros = elements_of(root, _GYROS, file, _GYRO_AXES, _GYRO_AXES)
+    of_all = [[row for row in gyro.findall("Value") if row.findtext("VALIDITY") == "true"] for gyro in gyros]
+    dates = [[text_of(row, "GPS_TIME", file) for row in rows] for rows in of_all]
+    common = sorted(set.intersection(*map(set, dates)))
+    if len(common) < 8:
+        raise RawDataError(file, "IMU_List", f"{len(common)} instants of all gyros", "8 or more")
+    counts = [[dict(zip(of_gyro, rows))[date] for date in common] for of_gyro, rows in zip(dates, of_all)]
+    angles = np.array([[numbers_of(row, "RAW_ANGLE", file, 1)[0] for row in rows] for rows in counts]).T
+    steps = (np.diff(angles, axis=0, prepend=angles[:1]) + 2.0**31) % 2.0**32 - 2.0**31  # 32 bits roll over
+    t_s = epoch.seconds_from_gps_dates(common)
+    return GyroAngles(_increasing(t_s, "GPS_TIME of IMU_List", file), _COUNT_RAD * np.cumsum(steps, axis=0))
 
 
 def _increasing(t_s: Floats, where: str, file: str) -> Floats:

@@ -214,9 +214,10 @@ def _assumed_noise(head: Head) -> Finding:
 
 
 def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Iterator[Finding]:
-    """That no strip has exposures enough to show how the satellite moves between them; `strips` with fitted
-    attitudes.
+    """That no strip without a gyro has exposures enough to show how the satellite moves between them;
+    `strips` with fitted attitudes.
     """
+    strips = [strip for strip in strips if strip.gyro is None]
     if settings.sigma_motion_rad and strips and not motion_is_shown(strips):
         most = max(len(strip.exposures) for strip in strips)
         yield Finding(

@@ -4,24 +4,27 @@ Before anything else is looked at, the attitudes of every head are held against 
 make (`geometry.attitude_motion`). Where they are likelier with larger errors than stated, the proportion of
 these from axis to axis tells the cause: errors of the instants, errors of all axes alike, or the stated ones
 several times. Single rows that do not fit are reported singly, and as exchanged where two of them fit in each
-other's place. A slow error, or a lag of all rows, is motion too: others tell of it.
+other's place. A slow error, or a lag of all rows, is motion too: others tell of it. Where a gyro covers the
+rows, that is the motion, and what else is smooth contradicts it: a lag of the attitudes, or a wrong gyro.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
 from boresight.geometry.attitude_motion import FACTORS, Stretch, stretches
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.gyro import GyroRecord
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 
 __all__ = ["against_own_motion"]
@@ -35,6 +38,10 @@ MOST_ALONE, MOST_NAMED = 12, 4  # rows that may be wrong alone; names in one fin
 ALIKE = 3.0  # of that logarithm, within which another kind of error explains as much
 FAR_SIGMAS, FAR_RAD = 5.0, np.radians(0.1)  # between two heads: of their mountings, and by wrong times beside
 APART = 4.0  # times the scatter about them, by which instants are in two groups
+ALLOWED = 6.0  # of the logarithm, by which chance makes one stretch of rows likelier with a smooth error
+LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes against a gyro, that are tried
+LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
+LEAST_SHARE = 0.25  # of rows whose instants are off
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
 
 
@@ -85,11 +92,12 @@ class Attitudes:
     names: tuple[str, ...] = array("K", "exposures")
     t_s: Floats = array("K", "instants, TAI seconds since the epoch")
     R_si: Rotation = array("K", "GCRS to the head")
+    gyro: GyroRecord | None = scalar("a gyro, in the axes of the head", default=None)
     covariance_s: Floats = array("K, 3, 3", "of each by itself, rad²")
 
     @classmethod
-    def of(cls, head: HeadSightings) -> Attitudes:
-        """Those of a head."""
+    def of(cls, head: HeadSightings, reference: Head) -> Attitudes:
+        """Those of a head; the reference head has the gyro."""
         usable = np.flatnonzero(head.attitudes.usable)
         return cls(
             head=head,
@@ -97,12 +105,21 @@ class Attitudes:
             t_s=np.array([head.stars[k].t_s for k in usable]),
             R_si=Rotation.from_matrix(head.attitudes.R_si[usable].reshape(-1, 3, 3)),
             covariance_s=head.attitudes.covariance_s[usable],
+            gyro=reference.gyro and reference.gyro.in_axes(head.head.R_cs0.inv() * reference.R_cs0),
         )
 
     def stretches(self, rows: Ints) -> list[Stretch]:
         """Stretches of some rows (K,)."""
         noise = self.head.head.noise if self.is_solved else None
-        return list(stretches(self.t_s, self.R_si, self.covariance_s, noise, rows))
+        return list(stretches(self.t_s, self.R_si, self.covariance_s, noise, rows, self.gyro))
+
+    def against_gyro(self, late_s: float = 0.0) -> dict[int, tuple[float, float]]:
+        """Of stretches that the gyro covers, by their first row: how likely they are with a smooth error as
+        fits best and without any, as logarithms, if every row was `late_s` later than stated.
+        """
+        told = self.gyro and replace(self.gyro, t_s=self.gyro.t_s - late_s)
+        parts = replace(self, gyro=told).stretches(np.arange(len(self.t_s)))
+        return {int(part.rows[0]): part.smooth_fit() for part in parts if part.by_gyro}
 
     @property
     def is_solved(self) -> bool:
@@ -112,10 +129,76 @@ class Attitudes:
 
 def against_own_motion(heads: Sequence[HeadSightings]) -> list[Finding]:
     """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite."""
-    every = [Attitudes.of(head) for head in heads]
+    every = [Attitudes.of(head, heads[0].head) for head in heads]
     if any(_are_apart(every[0], other) for other in every[1:]):
         return []  # a file or a convention is wrong, and errors are about other axes than stated
+    if every[0].gyro is not None and (of_gyro := _of_gyro(every)):
+        return of_gyro
     return [finding for of_head in every for finding in _of_head(of_head)]
+
+
+def _of_gyro(every: Sequence[Attitudes]) -> list[Finding]:
+    """What smooth differences from a gyro tell: a lag of a head, or of the gyro where all heads have it; or
+    that the gyro is wrong, where no lag explains them.
+    """
+    late = {one.head.head.name: _lag(one) for one in every if _beyond_chance(one.against_gyro()) > CERTAIN}
+    if not late:
+        return []
+    if any(np.isnan(size) for size in late.values()):
+        text = "does not turn as the attitudes do: check quaternion_sg, unit and quantity in dump.toml."
+        return [_about_gyro("a gyro", text, "quaternion_sg")]
+    if len(late) == len(every) > 1:
+        size_ms = 1e3 * float(np.mean(list(late.values())))
+        when = "late" if size_ms > 0.0 else "early"
+        text = f"dated {abs(size_ms):.3g} ms {when} against all heads: check the times in its file."
+        return [_about_gyro("times of a gyro", text, "file", size_ms)]
+    return [_late(one, late[one.head.head.name]) for one in every if one.head.head.name in late]
+
+
+def _beyond_chance(fits: Mapping[int, tuple[float, float]]) -> float:
+    """By how much smooth errors make all stretches likelier than chance does, as a logarithm."""
+    return sum(max(best - none - ALLOWED, 0.0) for best, none in fits.values())
+
+
+def _lag(of_head: Attitudes) -> float:
+    """By how many seconds rows must be later than stated to turn as the gyro does; NaN where that does not
+    explain them.
+    """
+    stated = of_head.against_gyro()
+
+    def gain(late_s: float) -> float:
+        fits = of_head.against_gyro(late_s)
+        return (
+            sum(none - stated[row][1] for row, (_, none) in fits.items())
+            if 2 * len(fits) > len(stated)
+            else 0.0
+        )
+
+    tried = np.concatenate([-LAGS_S[::-1], [0.0], LAGS_S])
+    best = int(np.clip(np.argmax([gain(size) for size in tried.tolist()]), 1, len(tried) - 2))
+    around = tried[[best - 1, best + 1]]
+    size = float(minimize_scalar(lambda late_s: -gain(late_s), bounds=around, method="bounded").x)
+    return size if gain(size) > 0.0 and _beyond_chance(of_head.against_gyro(size)) <= CERTAIN else np.nan
+
+
+def _late(of_head: Attitudes, late_s: float) -> Finding:
+    when = "early" if late_s > 0.0 else "late"
+    text = f"dated {1e3 * abs(late_s):.3g} ms {when} against the gyro: check {{}}."
+    return _times_of(of_head, text, -1e3 * late_s)
+
+
+def _about_gyro(cause: str, text: str, field: str, size_ms: float = np.nan) -> Finding:
+    unit = "ms" if np.isfinite(size_ms) else ""
+    return Finding(
+        cause=cause,
+        item="gyro",
+        text=text,
+        value=size_ms,
+        unit=unit,
+        file="dump.toml",
+        field=f"gyro.{field}",
+        refutes=True,
+    )
 
 
 def _are_apart(one: Attitudes, other: Attitudes) -> bool:
@@ -131,7 +214,7 @@ def _are_apart(one: Attitudes, other: Attitudes) -> bool:
 
 def _of_head(of_head: Attitudes) -> list[Finding]:
     every = np.arange(len(of_head.t_s))
-    told = _excess(of_head, every)
+    told = _excess(of_head, every) or _uneven(of_head)
     if told is None and max(_gains(of_head, every).values(), default=-1.0) < 0.0:
         return []  # no row whose absence would gain; of two that are wrong one hides the other in part
     groups, in_order, gained = _exchanged(of_head)
@@ -279,7 +362,8 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
         gains.append(float(total[best]))
         sizes.append(float(sizes_si[best]))
         largest.append(float(max(of_part[best].max() for of_part in factors)))
-    if np.median([len(part.rows) for part in parts]) < FEWEST_FAST:
+    by_gyro = all(part.by_gyro for part in parts)
+    if not by_gyro and np.median([len(part.rows) for part in parts]) < FEWEST_FAST:
         fast = max(gain for kind, gain in zip(EXCESSES, gains) if kind.as_motion)
         gains = [0.0 if kind.as_motion else gain - fast for kind, gain in zip(EXCESSES, gains)]
     best = int(np.argmax(gains))
@@ -291,6 +375,59 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
     rivals = [cause for cause in others if cause != told.cause]
     text = f"{told.text[:-1]}; or {' or '.join(rivals)}." if rivals else told.text
     return replace(told, text=text, rivals=tuple(f"{cause}, {told.item}" for cause in rivals)), gains[best]
+
+
+def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
+    """The finding about instants with which the attitudes are far less likely than with evenly spaced ones:
+    a few rows that are as uneven as their times could be a motion, but not one that even times undo.
+    """
+    t_s, rows, found = of_head.t_s, np.arange(len(of_head.t_s)), [(0.0, 0.0)]
+    now = _likelihood(of_head, rows)
+    for even in _even_instants(of_head):
+        off = np.abs(even - t_s)
+        off_s = float(np.sqrt(np.mean(off**2)))
+        if off_s > LEAST_UNEVEN_S and np.mean(off > 0.3 * off.max()) > LEAST_SHARE:  # not single rows
+            found.append((_likelihood(replace(of_head, t_s=even), rows) - now, off_s))
+    gain, off_s = max(found)
+    if gain < _limit(of_head):
+        return None
+    step_s = _common_step(t_s, off_s)
+    multiples = f", all of them multiples of {step_s:.4g} s" if step_s else ""
+    text = f"evenly spaced they fit, as stated they scatter by {1e3 * off_s:.3g} ms{multiples}: check {{}}."
+    return _times_of(of_head, text, 1e3 * off_s), gain
+
+
+def _even_instants(of_head: Attitudes) -> list[Floats]:
+    """Instants (K,) that are evenly spaced along every stretch: with rows missing where a step is long, and
+    with none missing.
+    """
+    found = [of_head.t_s.copy(), of_head.t_s.copy()]
+    for part in of_head.stretches(np.arange(len(of_head.t_s))):
+        steps = np.diff(part.t_s)
+        for even, of_steps in zip(found, (np.maximum(np.round(steps / np.median(steps)), 1.0), steps**0.0)):
+            number = np.concatenate([[0.0], np.cumsum(of_steps)])
+            even[part.rows] = np.polyval(np.polyfit(number, part.t_s, 1), number)
+    return found
+
+
+def _times_of(of_head: Attitudes, text: str, size_ms: float) -> Finding:
+    """About the times of all rows of a head; `text` has a place for field and file."""
+    source, subject = of_head.head.head.source, of_head.head.head.subject
+    solved = isinstance(source, SolvedAttitudes)
+    file, field = (
+        (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
+    )
+    return Finding(
+        cause=f"times of {_what(of_head)}",
+        item=subject.words if solved else "all exposures",
+        subjects=(subject,) if solved else (),
+        text=text.format(f"{field} in {file}"),
+        value=size_ms,
+        unit="ms",
+        file=file,
+        field=field,
+        refutes=True,
+    )
 
 
 def _what(of_head: Attitudes) -> str:

@@ -304,6 +304,33 @@ class HeadFile(_Strict):
             )
 
 
+class GyroFile(_Strict):
+    """[gyro] in dump.toml: its file, the axes of its rows, and its errors, the same about every axis"""
+
+    file: RelativePath
+    quantity: Literal["rates", "angles"]  # at the instant of a row, or turned since the row before
+    unit: Literal["rad", "deg", "arcsec"]  # of angles; of rates: in one second
+    time_scale: Literal["UTC", "TAI", "GPS"] = "UTC"
+    quaternion_sg: Annotated[
+        list[Annotated[float, Field(ge=-1.01, le=1.01)]],
+        Field(min_length=4, max_length=4, description="axes of its rows to frame s, scalar last"),
+    ]
+    random_walk_arcsec: float = within(1e-6, 1e3, "angle random walk: 1-sigma after one second")
+    bias_walk_arcsec_s: float = within(1e-9, 1e3, "1-sigma by which the bias changes in one second")
+    bias_arcsec_s: Annotated[
+        float | None, Field(ge=1e-9, le=1e4, description="1-sigma of the bias; left out: not known at all")
+    ] = None
+    white_arcsec: Annotated[float, within(0.0, 1e3, "1-sigma of an angle by itself, its resolution")] = 0.0
+
+    @model_validator(mode="after")
+    def _is_rotation(self) -> Self:
+        if abs((length := math.hypot(*self.quaternion_sg)) - 1.0) > DIRECTION_LENGTH:
+            raise ValueError(
+                f"quaternion_sg has length {length:.6g}, 1 within {DIRECTION_LENGTH:g} is needed"
+            )
+        return self
+
+
 class CameraFile(_Strict):
     """One table of [[cameras]] in dump.toml: one of several remote-sensing cameras"""
 
@@ -339,6 +366,7 @@ class DumpFile(_Strict):
     light: Light = Light()
     spice: SpiceFile | None = None
     star_cameras: Annotated[list[HeadFile], Field(max_length=16)] = []
+    gyro: GyroFile | None = None
     cameras: Annotated[list[CameraFile], Field(max_length=64)] = []
     ground_references: Annotated[list[GroundReferenceFile], Field(max_length=1000)] = []
 
@@ -366,6 +394,7 @@ class DumpFile(_Strict):
             if (name := getattr(camera, key)) is not None
         }
         kernels = self.spice.kernels if self.spice else []
+        files |= {"gyro.file": self.gyro.file} if self.gyro else {}
         return files | heads | cameras | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
 
     @model_validator(mode="after")

@@ -7,6 +7,7 @@ without `[[star_cameras]]` has one head of images. Images are not decoded here.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import Interpolation
+from boresight.geometry.attitude import Interpolation, NominalMotion
 from boresight.geometry.attitude_aberration import AberrationRemoved, with_all_aberration
 from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.gyro import GyroRecord, GyroRows
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
@@ -31,6 +33,7 @@ from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dates import seconds_of
+from boresight.pipeline.files.gyro_file import read_gyro
 from boresight.pipeline.files.spice_attitudes import read_ck
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
@@ -127,6 +130,7 @@ class Head:
     noise: AttitudeNoise = scalar("errors of its attitudes beside those of its stars")
     noise_is_assumed: bool = scalar("that noise is neither stated nor estimated", default=False)
     interpolation: Interpolation = scalar("between its attitudes")
+    gyro: GyroRecord | None = scalar("of the reference head: a gyro, about its axes", default=None)
     source: StarImages | StarCentroids | SolvedAttitudes = scalar("what the head delivers")
 
     @property
@@ -144,6 +148,10 @@ class Head:
     def is_smoothed(self) -> bool:
         """Whether its attitudes are smoothed: solved by itself, not interpolated in an operator's way."""
         return isinstance(self.source, SolvedAttitudes) and self.interpolation == "lagrange"
+
+    def gyro_around(self, t_s: Floats, nominal: NominalMotion) -> GyroRows | None:
+        """What the gyro tells around attitudes at instants (K,), as `GyroRecord.around`."""
+        return None if self.gyro is None else self.gyro.around(t_s, nominal)
 
     @property
     def n_exposures(self) -> int:
@@ -173,7 +181,12 @@ def open_heads(
             camera=head.files.star_camera,
             exposures=head.files.exposures,
         )
-    return tuple(_each(*(partial(_head, root, *item, epoch, table, kernels) for item in stated.items())))
+    reads = [partial(_head, root, *item, epoch, table, kernels) for item in stated.items()]
+    if head.gyro is None:
+        return tuple(_each(*reads))
+    path = path_inside(root, head.gyro.file, file="dump.toml", field="gyro.file")
+    *heads, gyro = _each(*reads, partial(read_gyro, path, head.gyro, epoch))
+    return (replace(heads[0], gyro=gyro), *heads[1:])
 
 
 def _head(

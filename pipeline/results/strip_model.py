@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
-from boresight.geometry.attitude_smoother import smoothed_track
+from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Ints, array, record, scalar
+from boresight.geometry.record import Ints, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -31,6 +31,8 @@ from boresight.pipeline.stages.head import rows_of_heads
 __all__ = [
     "Calibrated",
     "StripModel",
+    "attitude_errors_s",
+    "attitude_track",
     "exposures_around",
     "open_calibrated",
     "pushbroom_with",
@@ -49,7 +51,6 @@ class Calibrated:
 
     result: SavedResult = scalar("finished result")
     dump: Dump = scalar("dump from which it was made")
-    attitude_covariance_s: Array = array("K, 3, 3", "of the result's exposures, frame s, rad²")
     effects: LightEffects = scalar("effects that the calibration took into account")
     sigma_terrain_m: float = scalar("1 sigma of the heights, m; 0 without a terrain model (unknown)")
     exposure_margin_s: float = scalar("exposures within this time of a strip belong to it, s")
@@ -78,7 +79,6 @@ def open_calibrated(
     return Calibrated(
         result=saved,
         dump=opened,
-        attitude_covariance_s=saved.covariance_s,
         effects=opened.light,
         sigma_terrain_m=terrain_sigma_m(opened),
         exposure_margin_s=run.exposure_margin_s,
@@ -104,27 +104,41 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
     if len(near) < 2:
         reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
         raise DataNotSufficientError(reason)
-    covariance = calibrated.attitude_covariance_s[near]
-    if dump.heads[0].is_smoothed:
-        mountings = _mountings(calibrated)
-        track = smoothed_track(rows_of_heads(dump, result.t_exposures_s[near], mountings), dump.orbit)
-    else:
-        track = AttitudeTrack(
-            result.t_exposures_s[near],
-            result.R_si[near],
-            dump.orbit,
-            covariance,
-            interpolation=dump.heads[0].interpolation,
-        )
+    track = attitude_track(result, dump, near)
     return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs, calibrated.effects), track)
 
 
-def _mountings(calibrated: Calibrated) -> dict[str, Rotation]:
+def attitude_track(result: SavedResult, dump: Dump, near: Ints) -> AttitudeTrack:
+    """Attitude through exposures (K,) of a result: smoothed where the calibration smooths it, too."""
+    t_s, head = result.t_exposures_s[near], dump.heads[0]
+    gyro = head.gyro_around(t_s, dump.orbit)
+    if head.is_smoothed:
+        rows = rows_of_heads(dump, t_s, _mountings(result, dump))
+    elif gyro is not None and head.interpolation == "lagrange":
+        R_so = result.R_si[near] * dump.orbit.R_oi(t_s).inv()
+        rows = [HeadRows(t_s=t_s, R_so=R_so, covariance_s=result.covariance_s[near], noise=head.noise)]
+    else:
+        own = result.covariance_s[near]
+        return AttitudeTrack(t_s, result.R_si[near], dump.orbit, own, interpolation=head.interpolation)
+    every = t_s if gyro is None else np.unique(np.concatenate([rows[0].t_s, gyro.t_s]))
+    return smoothed_track(rows, dump.orbit, gyro=gyro, t_s=every)
+
+
+def attitude_errors_s(track: AttitudeTrack, result: SavedResult, dump: Dump, near: Ints, t_s: Array) -> Array:
+    """Rotation (N, 3, A) about the axes of s, at instants (N,), by independent errors, 1 sigma, of the
+    attitudes of exposures (K,) through which a track goes.
+    """
+    covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
+    each = np.arange(len(near))
+    covariance[each, :, each, :] += result.covariance_s[near]
+    return track.errors_s(t_s, covariance)
+
+
+def _mountings(result: SavedResult, dump: Dump) -> dict[str, Rotation]:
     """Installation matrices of the dump's heads, those of the result where it has several."""
-    stated = {head.name: head.R_cs0 for head in calibrated.dump.heads}
-    found = calibrated.result.installation.get("heads") or []
-    own = {calibrated.dump.heads[0].name: calibrated.result.R_cs}
-    return stated | own | {one["name"]: Rotation.from_matrix(one["R_cs"]) for one in found}
+    stated = {head.name: head.R_cs0 for head in dump.heads} | {dump.heads[0].name: result.R_cs}
+    found = result.installation.get("heads") or []
+    return stated | {one["name"]: Rotation.from_matrix(one["R_cs"]) for one in found}
 
 
 def whole_strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:

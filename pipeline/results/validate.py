@@ -32,9 +32,15 @@ from boresight.pipeline.results.check_point_test import (
 from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedResult
-from boresight.pipeline.results.strip_model import exposures_around, pushbroom_with, run_settings_of
+from boresight.pipeline.results.strip_model import (
+    attitude_errors_s,
+    attitude_track,
+    exposures_around,
+    pushbroom_with,
+    run_settings_of,
+)
 
-__all__ = ["CheckPoints", "TruthErrors", "attitude_covariance_s", "true_installation", "validation_of"]
+__all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 
 
 class TrueInstallationFile(BaseModel):
@@ -134,7 +140,7 @@ def _check(
         if len(near) < 2:
             without += len(here)
             continue
-        track = _track(near, result, dump)
+        track = attitude_track(result, dump, near)
         model = pushbroom_with(track, strips[strip_id], dump, R_cs, dump.light)
         seen = _with_attitude(here, model, track)
         without += len(here) - len(seen)
@@ -150,11 +156,11 @@ def _check(
             found += [point for point, known in zip(those, good.tolist()) if known]
             t_s.append(model.instants_of_lines(ccd, np.array([point.line for point in those])[good]))
             places_e.append(computed_e[good])
-        t_found, covariance_s = np.concatenate(t_s), attitude_covariance_s(near, result, dump)
+        t_found = np.concatenate(t_s)
         moving.append(
             StripMoves(
                 ground_moves(dump.orbit, R_cs * track.R_si(t_found), t_found, np.concatenate(places_e)),
-                R_cs.as_matrix() @ track.errors_s(t_found, covariance_s),
+                R_cs.as_matrix() @ attitude_errors_s(track, result, dump, near, t_found),
             )
         )
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
@@ -196,20 +202,6 @@ def _exposures(strip: Strip, result: SavedResult, dump: Dump) -> Ints:
     """Rows of the result's exposures around a strip, by the margin of its settings."""
     margin_s = run_settings_of(result, "installation.json").exposure_margin_s
     return exposures_around(result, dump, strip, margin_s)
-
-
-def _track(near: Ints, result: SavedResult, dump: Dump) -> AttitudeTrack:
-    """Attitude through those exposures."""
-    t_s, interpolation = result.t_exposures_s[near], dump.heads[0].interpolation
-    return AttitudeTrack(t_s, result.R_si[near], dump.orbit, interpolation=interpolation)
-
-
-def attitude_covariance_s(near: Ints, result: SavedResult, dump: Dump) -> Floats:
-    """Covariance (K, 3, K, 3) of the errors of those exposures' attitudes, rad²."""
-    each = np.arange(len(near))
-    covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
-    covariance[each, :, each, :] += result.covariance_s[near]
-    return covariance
 
 
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> tuple[Floats, Floats]:

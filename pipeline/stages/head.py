@@ -14,8 +14,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
-from boresight.geometry.attitude_smoother import HeadRows
+from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Bools, Floats, array, record, scalar
@@ -37,9 +38,17 @@ from boresight.pipeline.stages.exposure import (
     star_tasks,
 )
 
-__all__ = ["HeadSightings", "around_strips", "covered_instants", "rows_of_heads", "sight_head"]
+__all__ = [
+    "HeadSightings",
+    "around_strips",
+    "before_calibration",
+    "covered_instants",
+    "rows_of_heads",
+    "sight_head",
+]
 
 INSTANT_S = 1e-7  # instants that are one and the same
+UNKNOWN_ALIGNMENT_RAD = 0.1  # 1-sigma of alignments that the rows themselves tell better
 
 
 @record(kw_only=True)
@@ -112,12 +121,29 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
     )
 
 
+def before_calibration(
+    dump: Dump, t_s: Floats, mountings: Mapping[str, Rotation], carrier: str, nominal: NominalMotion
+) -> AttitudeTrack:
+    """Attitudes at those of a carrier (K,), in frame s, by the rows of all heads and the gyro, while only the
+    rows tell their alignments.
+    """
+    rows = rows_of_heads(dump, t_s, mountings, carrier, nominal)
+    gyro = dump.heads[0].gyro_around(t_s, nominal)
+    return smoothed_track(rows, nominal, UNKNOWN_ALIGNMENT_RAD, gyro)
+
+
 def rows_of_heads(
-    dump: Dump, t_s: Floats, mountings: Mapping[str, Rotation], carrier: str = ""
+    dump: Dump,
+    t_s: Floats,
+    mountings: Mapping[str, Rotation],
+    carrier: str = "",
+    nominal: NominalMotion | None = None,
 ) -> list[HeadRows]:
     """Attitudes that the carrier, else the reference head, has solved from the first of instants (K,) to the
-    last, and those of all other such heads, in frame s of the reference head by the matrices of all.
+    last, and those of all other such heads, in frame s of the reference head by the matrices of all, relative
+    to a nominal motion; None: the orbit's.
     """
+    nominal = nominal or dump.orbit
     by_name = {head.name: head for head in dump.heads if head.is_smoothed}
     first, R_cs = by_name.pop(carrier or dump.heads[0].name), mountings[dump.heads[0].name]
     rows = []
@@ -133,7 +159,7 @@ def rows_of_heads(
         rows.append(
             HeadRows(
                 t_s=of_head.t_s[at],
-                R_so=R_sh * R_hi * dump.orbit.R_oi(of_head.t_s[at]).inv(),
+                R_so=R_sh * R_hi * nominal.R_oi(of_head.t_s[at]).inv(),
                 covariance_s=A @ own @ A.T,
                 noise=replace(head.noise, R_sn=R_sh * head.noise.R_sn),
             )

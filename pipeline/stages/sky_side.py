@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.slow_motion import FEWEST_SHOW
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineCamera
@@ -25,7 +26,7 @@ from boresight.pipeline.stages.coverage import (
     stated_mountings,
     turn_to_reference,
 )
-from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import (
     NamedStars,
     SkyTask,
@@ -132,6 +133,7 @@ def _tasks(
     for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
+        R_si, covariance_c = _attitudes(dump, heads, head, near)
         tasks.append(
             SkyTask(
                 strip=strip,
@@ -140,8 +142,8 @@ def _tasks(
                 bit_depth=dump.remote_bit_depth,
                 orbit=orbit_around(dump.orbit, first - margin, last + margin),
                 t_attitude_s=times,
-                R_si=attitudes_in_s(head, near, heads[0], stated_mountings(heads)),
-                covariance_c=_attitude_covariance_c(head, near),
+                R_si=R_si,
+                covariance_c=covariance_c,
                 R_cs0=dump.R_cs0,
                 settings=settings.sky_strips,
                 carrier=head.head.name,
@@ -151,12 +153,20 @@ def _tasks(
     return tasks, omitted
 
 
-def _attitude_covariance_c(head: HeadSightings, rows: Ints) -> Floats:
-    """Covariance (K, 3, K, 3) of the errors of a head's attitudes, with what they have in common, axes of c
-    by its pre-launch matrix, rad².
+def _attitudes(
+    dump: Dump, heads: Sequence[HeadSightings], head: HeadSightings, rows: Ints
+) -> tuple[Rotation, Floats]:
+    """Attitudes R_si (K,) of a head, and the covariance (K, 3, K, 3) of their errors, axes of c by the
+    pre-launch matrices, rad²; smoothed where the calibration smooths them.
     """
+    t_s, mountings = np.array([head.stars[k].t_s for k in rows]), stated_mountings(heads)
+    R_si, to_c = attitudes_in_s(head, rows, heads[0], mountings), head.head.R_cs0.as_matrix()
+    if head.head.is_smoothed:
+        nominal = ConstantRate.fitted(t_s, R_si)
+        track = before_calibration(dump, t_s, mountings, head.head.name, nominal)
+        root_c = dump.R_cs0.as_matrix() @ track.errors_s(t_s)
+        return track.R_si_nodes, np.einsum("kap,lbp->kalb", root_c, root_c)
     each = np.arange(len(rows))
-    covariance = head.head.noise.coloured_covariance_s(np.array([head.stars[k].t_s for k in rows]))
+    covariance = head.head.noise.coloured_covariance_s(t_s)
     covariance[each, :, each, :] += head.attitudes.covariance_s[rows]
-    to_c = head.head.R_cs0.as_matrix()
-    return np.asarray(np.einsum("ab,kblc,dc->kald", to_c, covariance, to_c))
+    return R_si, np.asarray(np.einsum("ab,kblc,dc->kald", to_c, covariance, to_c))

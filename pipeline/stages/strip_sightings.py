@@ -43,6 +43,7 @@ def strip_sightings(
         attitudes=reference.attitudes.take(rows),
         noise=reference.head.noise,
         others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
+        gyro=reference.head.gyro_around(t_attitude_s, nominal),
         interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
         earth=earth,
     )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
-from boresight.geometry.attitude_smoother import smoothed_track
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
@@ -27,7 +26,7 @@ from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
-from boresight.pipeline.stages.head import HeadSightings, rows_of_heads, sight_head
+from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
@@ -48,7 +47,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-UNKNOWN_ALIGNMENT_RAD = 0.1  # 1-sigma of alignments that the rows themselves tell better
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
 
 
@@ -76,9 +74,11 @@ def strip_tasks(
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
         margin, R_si, cov_s = run.exposure_margin_s, attitudes_in_s(head, near, heads[0], mountings), None
+        if dump.heads[0].gyro is not None and dump.heads[0].gyro_around(times, dump.orbit) is None:
+            reason = f"its gyro has no rows, or a gap, between the attitudes around strip {strip.strip_id}"
+            omitted.append(Entry(dump.heads[0].subject, Reason.NOT_COVERED, f"{reason}: not used there"))
         if head.head.is_smoothed:
-            rows = rows_of_heads(dump, times, mountings, head.head.name)
-            track = smoothed_track(rows, dump.orbit, UNKNOWN_ALIGNMENT_RAD)
+            track = before_calibration(dump, times, mountings, head.head.name, dump.orbit)
             R_si, cov_s = track.R_si_nodes, track.cov_s
         task = StripTask(
             strip=strip,

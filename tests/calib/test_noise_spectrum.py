@@ -15,6 +15,7 @@ from boresight.calib.head_tracks import SMOOTHING_S, HeadTrack, carried_to, comm
 from boresight.calib.noise_spectrum import (
     Signal,
     _unlike,
+    _variance_of_means,
     allan_deviation,
     difference_signal,
     fit_noise,
@@ -36,8 +37,27 @@ def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
     assert np.allclose(mean[:, :, 2], truth, rtol=0.1)
     deviation = (np.log(found)[:, :, :, 2] - np.log(truth)) / np.array(sigma)[:, :, :2]
     assert 0.5 < np.sqrt(np.mean(deviation**2)) < 1.5
+    assert np.all(fit.told_apart[:, 2] > 0.9)  # each line of sight is across that of the other head
     # Across it the two heads are separated by the assumption alone that they are alike: 30 %.
     assert np.allclose(mean[:, 0, :2], WHITE[:, :2], rtol=0.35)
+    assert np.all(fit.told_apart[:, :2] < 0.6)
+
+
+def test_what_lasts_longer_than_a_strip_makes_means_of_every_axis_uncertain() -> None:
+    """Three means, as of 97 s in pieces of 26 s, leave many splits between six axes: none may be trusted."""
+    variance = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        pair, total = tracks(rng), np.sqrt(WHITE**2 + CORRELATED**2) * ARCSEC
+        piece = (np.arange(ROWS) * STEP // 26.0).astype(int)
+        slow = 0.4 * total[:, None] * rng.standard_normal((2, piece[-1] + 1, 3))
+        a, b = (Rotation.from_rotvec(c[piece]) * one.R_hi for one, c in zip(pair, slow))
+        fit = fit_noise(difference_signal(a, [(b, R_SH)], pieces_of(T)), 26.0)
+        log = [[n.white_rad, n.correlated_rad, n.correlation_time_s] for n in fit.heads]
+        of_means = _variance_of_means(np.log(np.swapaxes(log, 1, 2)), 260, STEP)
+        constant = np.array([n.constant_rad for n in fit.heads])
+        variance.append((of_means + constant**2) / (0.4 * total) ** 2)
+    assert np.all(np.abs(np.log(np.mean(variance, axis=0))) < np.log(2.0))
 
 
 def test_one_head_tells_its_noise_above_the_frequencies_of_the_motion() -> None:

@@ -125,7 +125,7 @@ def test_stated_covariance_holds_for_a_motion_whose_size_the_rows_show() -> None
             covariance_s=np.tile(noise.white_covariance_s, (len(t), 1, 1)),
             noise=noise,
         )
-        found = SmoothedAttitude.of([rows], most_likely_motion([[rows]], 0.0))
+        found = SmoothedAttitude.of([rows], most_likely_motion([[rows]]))
         off = (found.R_so(middle) * Rotation.from_rotvec(true_middle).inv()).as_rotvec()[0]
         nees += off @ np.linalg.solve(found.covariance_s(middle)[0], off)
     low, high = chi2(df=3 * runs).ppf([0.0005, 0.9995])

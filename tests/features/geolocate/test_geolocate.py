@@ -115,13 +115,12 @@ def only(calibrated, part):
         }
     )
     cov_theta = calibrated.result.cov_theta if part == "matrix" else 1e-30 * np.eye(3)
-    n = len(calibrated.attitude_covariance_s)
+    n = len(calibrated.result.covariance_s)
     covariance = np.diag([4e-12, 9e-12, 4e-10]) if part == "attitude" else 1e-30 * np.eye(3)
     return replace(
         calibrated,
-        result=replace(calibrated.result, cov_theta=cov_theta),
+        result=replace(calibrated.result, cov_theta=cov_theta, covariance_s=np.tile(covariance, (n, 1, 1))),
         dump=replace(calibrated.dump, errors=errors),
-        attitude_covariance_s=np.tile(covariance, (n, 1, 1)),
         sigma_terrain_m=5.0 if part == "terrain" else 0.0,
     )
 

@@ -118,6 +118,7 @@ def test_every_printed_number_is_that_for_programs(noise):
             values = np.array(head[key])
             printed = np.reshape(next(per_head)[-6:], (3, 2))
             assert np.allclose(printed, np.column_stack([values, values * sigma[:, k]]), atol=0.0051)
+        assert np.allclose(next(per_head)[-3:], 100.0 * np.array(head["told_apart"]), atol=0.51)
         constant = next(per_head)
         assert np.allclose(constant[-3:], head["constant_arcsec"], atol=0.0051) and constant[0] == 11.0
     for key in ("scatter_arcsec", "predicted_arcsec", "predicted_white_arcsec"):

@@ -2,18 +2,19 @@
 
 import gzip
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from boresight.features.exports.refining import fit_correction
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom, refined_camera
 from boresight.features.operators.sentinel2_import import sentinel2_mission
-from boresight.features.operators.sentinel2_product import read_sentinel2
+from boresight.features.operators.sentinel2_product import AttitudeRecord, GyroAngles, read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.geodesy import ecef_from_geodetic
@@ -76,6 +77,48 @@ def test_bands_of_a_real_datastrip_are_the_cameras_of_one_dump(tmp_path):
             at = np.array([0.0, 1295.5])
             ours, theirs = (one.directions_from_pixels(ccd, at) for one in (view.line_camera, band.camera))
             np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12)
+
+
+@needs_real_data
+def test_the_gyros_of_a_real_datastrip_turn_as_its_trackers_do(tmp_path):
+    strip = read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, "B04")
+    write_imported(tmp_path / "raw", sentinel2_mission([strip], "test"))
+    heads = open_cameras(tmp_path / "raw", sky_alone=True)[0].heads
+    gyro = heads[0].gyro
+    assert gyro is not None and 0.01 < gyro.noise.random_walk_rad / ARCSEC < 0.04
+    for head in heads:  # the axes were found with another record, the corrected one
+        t, rows, R_hs = gyro.t_s[3:-3], head.source.rows, head.R_cs0.inv() * heads[0].R_cs0
+        R_hz, R_hi = gyro.in_axes(R_hs).turned(t), Slerp(rows.t_s, rows.R_si)(t)
+        off = (R_hi * (R_hz * R_hz[40].inv() * R_hi[40]).inv()).as_rotvec()
+        off -= np.vander(t, 2) @ np.linalg.lstsq(np.vander(t, 2), off, rcond=None)[0]  # a bias
+        assert np.all(off.std(axis=0) / ARCSEC < [1.3, 1.3, 10.0])  # the noise of one row of a tracker
+
+
+def test_the_axes_of_gyros_are_those_that_the_corrected_attitudes_show(files):
+    strip = read_sentinel2(files / "S2A_OPER_MTD_L1B_DS_TEST.xml", files, "B04")
+    assert strip.gyros is None and sentinel2_mission([strip], "test").gyro is None
+    rng, t, walk = np.random.default_rng(5), 0.1 * np.arange(900), 0.02 * ARCSEC
+    angle = 1e-4 * np.stack([np.sin(t / 7.0), np.cos(t / 5.0), np.sin(t / 9.0)], axis=1)
+    angle += np.outer(t, [0.0, -1.04e-3, 0.0])
+    R_is = [Rotation.identity()]
+    for step in np.diff(angle, axis=0):
+        R_is.append(R_is[-1] * Rotation.from_rotvec(step))
+    axes = Rotation.random(rng=rng).apply(
+        np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+    )
+    at = slice(5, 895, 10)
+    errors = np.cumsum(walk * rng.standard_normal((89, 4)), axis=0) + np.outer(
+        t[at], [1e-6, -2e-6, 3e-6, 0.0]
+    )
+    gyros = GyroAngles(t[at], angle[at] @ axes.T + errors)
+    corrected = AttitudeRecord(t, Rotation.concatenate(R_is))
+    found = sentinel2_mission([replace(strip, corrected=corrected, gyros=gyros)], "test").gyro
+    off = found.turns_g[1:] - np.diff(angle[at], axis=0)
+    assert np.all((off - off.mean(axis=0)).std(axis=0) < 1.5 * walk)
+    assert found.random_walk_rad == pytest.approx(np.sqrt(0.75) * walk, rel=0.3)  # of four axes, about three
+    assert (found.R_sg * strip.R_ps["STR1"]).magnitude() < 1e-12
+    wrong = GyroAngles(gyros.t_s, 1.5 * gyros.angles_rad)
+    assert sentinel2_mission([replace(strip, corrected=corrected, gyros=wrong)], "test").gyro is None
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.gyro import GyroNoise, GyroRecord
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
 from boresight.pipeline.diagnosis.own_motion import against_own_motion
@@ -21,7 +22,9 @@ N, STEP_S = 26, 2.4
 TIMES_S = 311.0 + STEP_S * np.arange(N)
 NAMES = [f"x{k:02d}" for k in range(N)]
 ORBIT = SimpleNamespace(R_oi=lambda t_s: Rotation.from_rotvec(np.outer(t_s, [2e-4, -1.0e-3, 3e-4])))
-HEAD = SimpleNamespace(source=None, noise=None, noise_is_assumed=False, R_cs0=Rotation.identity())
+HEAD = SimpleNamespace(
+    name="STR7", source=None, noise=None, noise_is_assumed=False, R_cs0=Rotation.identity(), gyro=None
+)
 MOUNTING = Rotation.from_euler("xyz", [-35.0, 70.0, 115.0], degrees=True)
 
 
@@ -127,7 +130,34 @@ NOISE = AttitudeNoise(
 ROWS = SolvedAttitudes(rows=None, file="STR7.csv", aberration_removed="none", line_of_sight_s=np.eye(3)[2])
 
 
-def record_of(seed, rate, *, strips=3, rows=14, late_s=0.0, scatter=1.0, step_s=0.2, wobble_arcsec=40.0):
+GYRO = GyroNoise(
+    random_walk_rad=0.02 * ARCSEC, bias_walk_rad_s=1e-3 * ARCSEC, bias_rad_s=1e-3, white_rad=0.001 * ARCSEC
+)
+
+
+def gyro_of(true, t_s, rng) -> GyroRecord:
+    """A gyro that has a bias and a random walk, from before the first of instants to after the last."""
+    at = np.arange(t_s[0] - 2.0, t_s[-1] + 2.0, 0.05)
+    steps = GYRO.random_walk_rad * np.sqrt(0.05) * rng.normal(size=(len(at), 3)) + 0.05 * 2e-6
+    R_si = true(at)
+    return GyroRecord(
+        t_s=at, R_sz=Rotation.from_rotvec(np.cumsum(steps, axis=0)) * R_si * R_si[0].inv(), noise=GYRO
+    )
+
+
+def record_of(
+    seed,
+    rate,
+    *,
+    strips=3,
+    rows=14,
+    late_s=0.0,
+    scatter=1.0,
+    step_s=0.2,
+    wobble_arcsec=40.0,
+    wobble_s=1.7,
+    with_gyro=False,
+):
     """Attitudes of strips with errors of NOISE: a rotation about any axis 50 to 85 degrees from the line
     of sight, about which a head is eight times worse, and a slow oscillation on top.
     `late_s` (K,) is by how much later than stated each attitude was taken.
@@ -137,16 +167,23 @@ def record_of(seed, rate, *, strips=3, rows=14, late_s=0.0, scatter=1.0, step_s=
     axis = NOISE.R_sn.apply(
         Rotation.from_euler("zy", rng.uniform([0.0, 0.9], [6.2, 1.5])).apply([0.0, 0.0, 1.0])
     )
-    at = t_s + np.broadcast_to(late_s, t_s.shape)
-    slow = wobble_arcsec * ARCSEC * np.outer(np.sin(at / 1.7 + rng.uniform(0.0, 6.0)), rng.normal(size=3))
-    R_si = Rotation.from_rotvec(slow) * Rotation.from_rotvec(np.outer(at, np.radians(rate) * axis)) * MOUNTING
+    phase, size = rng.uniform(0.0, 6.0), wobble_arcsec * ARCSEC * rng.normal(size=3)
+
+    def true(at):
+        slow = np.outer(np.sin(at / wobble_s + phase), size)
+        steady = Rotation.from_rotvec(np.outer(at, np.radians(rate) * axis))
+        return Rotation.from_rotvec(slow) * steady * MOUNTING
+
+    R_si = true(t_s + np.broadcast_to(late_s, t_s.shape))
     full = NOISE.coloured_covariance_s(t_s)
     full[np.arange(len(t_s)), :, np.arange(len(t_s)), :] += scatter**2 * NOISE.white_covariance_s
     drawn = rng.multivariate_normal(np.zeros(3 * len(t_s)), full.reshape(3 * len(t_s), -1)).reshape(-1, 3)
     stars = tuple(exposure_without_stars(f"STR7-{k:06d}", t) for k, t in enumerate(t_s.tolist()))
     subject = Subject(Kind.HEAD, head="STR7")
+    gyro = gyro_of(true, t_s, rng) if with_gyro else None
+    head = SimpleNamespace(**{**vars(HEAD), "source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro})
     return HeadSightings(
-        head=SimpleNamespace(source=ROWS, noise=NOISE, noise_is_assumed=False, subject=subject),
+        head=head,
         stars=stars,
         attitudes=solved_attitudes(
             Rotation.from_rotvec(drawn) * R_si, np.tile(NOISE.white_covariance_s, (len(t_s), 1, 1))
@@ -205,3 +242,66 @@ def test_what_is_told_does_not_depend_on_axes_or_on_the_origin_of_time(seed):
     (told,), (again,) = against_own_motion([record]), against_own_motion([moved])
     assert (told.cause, told.text) == (again.cause, again.text)
     assert told.value == pytest.approx(again.value, rel=1e-6)  # of instants that are rounded to 1e-13 s
+
+
+def restated(record, t_s):
+    stars = tuple(exposure_without_stars(one.exposure_id, t) for one, t in zip(record.stars, t_s.tolist()))
+    return replace(record, stars=stars)
+
+
+@pytest.mark.parametrize("rate", [0.061, 0.38, 0.82])
+@pytest.mark.parametrize("step_s", [0.15, 0.4])
+def test_even_instants_that_are_cut_or_early_are_named_in_a_single_strip(step_s, rate):
+    """Twelve rows, which a free motion follows: with evenly spaced instants there is none."""
+    t_s = step_s * np.arange(12)
+    for stated in (np.floor(8.0 * t_s) / 8.0, t_s - 0.05 * (np.arange(12) % 3 == 0)):
+        (told,) = against_own_motion([restated(record_of(1, rate, strips=1, rows=12, step_s=step_s), stated)])
+        assert told.cause == "times of attitudes" and told.refutes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_single_row_dated_early_is_named_singly(seed):
+    t_s = 0.2 * np.arange(20)
+    record = restated(record_of(seed, 0.38, strips=1, rows=20), t_s - 0.05 * (np.arange(20) == 7))
+    (told,) = against_own_motion([record])
+    assert told.item == "exposure STR7-000007"
+
+
+def test_exposures_that_were_uneven_have_no_finding():
+    for seed in range(20):
+        late = np.random.default_rng(seed).uniform(0.0, 0.05, 12)
+        record = record_of(seed, 0.38, strips=1, rows=12, late_s=late)
+        assert against_own_motion([restated(record, 0.2 * np.arange(12) + late)]) == []
+
+
+# --- With a gyro
+
+FAST = {"wobble_arcsec": 90.0, "wobble_s": 0.3, "rows": 20, "with_gyro": True}  # period of 1.9 s
+
+
+@pytest.mark.parametrize("late_s", [-0.05, 0.05])
+@pytest.mark.parametrize("seed", range(5))
+def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_s):
+    (told,) = against_own_motion([record_of(seed, 0.061, late_s=late_s, **FAST)])
+    assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
+    assert told.value == pytest.approx(-1e3 * late_s, abs=5.0) and told.refutes
+
+
+def test_sound_attitudes_beside_a_gyro_have_no_finding():
+    found = [against_own_motion([record_of(seed, 0.061, **FAST | {"rows": 8})]) for seed in range(30)]
+    assert found == [[]] * 30
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_gyro_about_other_axes_is_named(seed):
+    sound = record_of(seed, 0.061, **FAST)
+    gyro = sound.head.gyro.in_axes(Rotation.from_euler("x", 90.0, degrees=True))
+    wrong = replace(sound, head=SimpleNamespace(**{**vars(sound.head), "gyro": gyro}))
+    (told,) = against_own_motion([wrong])
+    assert (told.cause, told.field) == ("a gyro", "gyro.quaternion_sg")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_beside_a_gyro_rows_that_scatter_are_told_of_the_head(seed):
+    (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, **FAST | {"rows": 7})])
+    assert told.item == "head STR7" and told.refutes

@@ -141,7 +141,6 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
     calibrated = Calibrated(
         result=saved,
         dump=dump,
-        attitude_covariance_s=track.cov_s,
         effects=LightEffects(),
         sigma_terrain_m=0.0,
         exposure_margin_s=1.0,
