@@ -35,7 +35,7 @@ from scipy.special import chdtrc, chdtri, chndtr
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.heads import aligned, carried
-from boresight.calib.hypotheses import Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
+from boresight.calib.hypotheses import USUAL, Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -53,6 +53,7 @@ from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import matrix_of_each, prepare_strips, tangent_axes, turned
 from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Subject
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -264,7 +265,17 @@ def examine(
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
     names = estimate.cameras
     pixels = [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names]
-    stated = {"inputs": moved, "pivots": pivots, "target_files": target_files, "cameras": names}
+    usual = {
+        "mounting_arcsec": settings.sigma_mounting_rad / ARCSEC,
+        "position_m": max(USUAL["position_m"], settings.sigma_position_m),
+    }
+    stated = {
+        "inputs": moved,
+        "pivots": pivots,
+        "target_files": target_files,
+        "cameras": names,
+        "usual": usual,
+    }
     one = _adjustment(estimate, passes, settings, star_camera, table_of, pixel_rad=pixels, **stated)
     tests = _tests(one, limits)
     findings, chosen, last, noise = _causes(one, tests, limits)
@@ -615,13 +626,13 @@ def _finding(
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
     others = _rivals(h, [one.table[n] for n in rivals if n != best])
-    excluded = _excluded(one, best, trials, rivals, before) if not others else None
+    excluded = "" if others else _excluded(one, best, trials, rivals, before)
     parts = [f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others]
     while len(f"{h.cause} {h.item} {text}{''.join(parts)}".split()) > MOST_WORDS and len(parts) > 1:
         parts, others = parts[:-1], others[:-1]
     text += "".join(parts)
-    if excluded and len(f"{h.cause} {h.item} {text}; not {_named(excluded)}".split()) <= MOST_WORDS:
-        text += f"; not {_named(excluded)}"
+    if excluded and len(f"{h.cause} {h.item} {text}{excluded}".split()) <= MOST_WORDS:
+        text += excluded
     return Finding(
         **{name: getattr(h, name) for name in STATED if name not in ("cause", "item")},
         cause=h.cause,
@@ -648,15 +659,21 @@ def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def _excluded(
     one: _Adjustment, best: int, trials: Mapping[int, _Fit], rivals: Sequence[int], before: _Fit
-) -> Hypothesis | None:
-    """The cause of another kind that explains most of what the `best` one does, but for what excludes it."""
+) -> str:
+    """The cause of another kind that explains most of what the `best` one does, but for what excludes it:
+    other residuals, or its size beside that of a usual error, which is told where it is stated.
+    """
     gain = {n: before.criterion - fit.criterion for n, fit in trials.items()}
+    cause, usual_of = one.table[best].cause, one.table[best].usual_of
     others = [
-        n
-        for n in trials
-        if n not in rivals and one.table[n].cause != one.table[best].cause and 2.0 * gain[n] > gain[best]
+        n for n in trials if n not in rivals and one.table[n].cause != cause and 2.0 * gain[n] > gain[best]
     ]
-    return one.table[max(others, key=lambda n: gain[n])] if others else None
+    if not others:
+        return ""
+    most = max(others, key=lambda n: gain[n])
+    by_size = usual_of and gain[most] > gain[best] - AMBIGUOUS
+    why = f", {usual_of} being {one.table[best].usual:g}" if by_size else ""
+    return f"; not {_named(one.table[most])}{why}"
 
 
 def _named(h: Hypothesis) -> str:

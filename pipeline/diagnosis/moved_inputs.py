@@ -91,6 +91,7 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> MovedIn
         words=("too late", "too early"),
         file=solved or "exposures.csv",
         field="utc" if solved else "utc_mid",
+        usual=10.0,
         turns_s=turns,
     )
 
@@ -197,6 +198,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             file="orbit",
             field="velocity, date and frame",
             most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
+            usual=1e-3,
             directions_i=directions,
             turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},
         )
@@ -227,6 +229,7 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
             file=dump.star_catalogue.file,
             field=field,
             most=200.0,
+            usual=25.0,
             directions_i=directions,
         )
 
