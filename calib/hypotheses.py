@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import SIZES, InputError, MovedInput
-from boresight.calib.star_camera_error import StarEffects
+from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
@@ -24,59 +24,43 @@ from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["USUAL", "Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
-# One thousandth: of a second, or of a radian, in units of hypotheses.
-MILLI = 1e-3
-# One hundredth, in units of hypotheses.
-PERCENT = 1e-2
+MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
-CAMERA, STAR, MOVES = (
-    "remote_camera.toml",
-    "star_camera.toml",
-    "temperatures and manoeuvres",
-)  # what findings tell to look at
+STRIPS, CAMERA, STAR = "strips.csv", "remote_camera.toml", "star_camera.toml"
 ATTITUDES, TARGETS = "{attitudes}", "{targets}"  # files of the dump that state these
-VECTORS = "v_stars, v_targets"
+MOVES, VECTORS = "temperatures and manoeuvres", "v_stars, v_targets"
 LATE, LONG = ("too late", "too early"), ("too long", "too short")
-AHEAD, RIGHT = ("too far ahead", "too far back"), ("too far right", "too far left")
-HIGH, EAST, NORTH = (
-    ("too high", "too low"),
-    ("too far east", "too far west"),
-    ("too far north", "too far south"),
-)
 STABILITY, POSITION = "mounting_arcsec", "position_m"  # keys under [errors], which state usual sizes
 USUAL = {STABILITY: 10.0, POSITION: 3.0}  # an orbit is seldom known by less
-X, Y, Z = "about x of c", "about y of c", "about z of c"
 ErrorKind = tuple[str, float | str, float, str, str, tuple[str, str]]
-# Parts of the star camera's model (`star_camera_error.PARTS`), as rows of `ERRORS`.
-STAR_CAMERA: dict[str, ErrorKind] = {
-    "focal length of the star camera": ("%", 0.05, 1.0, STAR, "focal_length_mm", LONG),
-    "principal point of the star camera, column": ("px", 1.0, 1.0, STAR, "principal_point_px", SIZES),
-    "principal point of the star camera, row": ("px", 1.0, 1.0, STAR, "principal_point_px", SIZES),
-    "radial distortion of the star camera": ("px at its corner", 1.0, 1.0, STAR, "q1_per_mm2", SIZES),
-}
-# Kinds of errors: unit; usual size in it, set by hand or by a key under [errors]; how much rarer it is than
-# what is stated wrong by hand; file and field that state it; a positive and a negative size in words. A size
-# x is less likely than a usual one by the factor 1 + x / usual. Heights and datums are off by tens of metres.
+# Kinds of errors, all directions of one alike unless they have rows of their own: unit; usual size in it, set
+# by hand or by a key under [errors]; how much rarer it is than what is stated wrong by hand; file and field
+# that state it; a positive and a negative size in words. A size x is less likely than a usual one by the
+# factor 1 + x / usual. Heights and datums are off by tens of metres.
 ERRORS: dict[str, ErrorKind] = {
-    "clock of the rows": ("ms", 10.0, 1.0, "strips.csv", "utc_first_row", LATE),
-    "clock of the rows, curved": ("ms", 1.0, 30.0, "strips.csv", "times", LATE),
-    "row period": ("%", 0.05, 1.0, "strips.csv", "row_period_s", LONG),
-    "lines of a strip": ("rows", 1.0, 30.0, "strips.csv", "file", ("missing", "too many")),
-    "orbit or targets, along the track": ("m", POSITION, 1.0, f"orbit, {TARGETS}", "", AHEAD),
-    "orbit or targets, across the track": ("m", POSITION, 1.0, f"orbit, {TARGETS}", "", RIGHT),
-    "orbit or targets, height": ("m", 30.0, 1.0, f"orbit, {TARGETS}", "", HIGH),
-    "datum of the targets, east": ("m", 30.0, 3.0, TARGETS, "", EAST),
-    "datum of the targets, north": ("m", 30.0, 3.0, TARGETS, "", NORTH),
+    "clock of the rows": ("ms", 10.0, 1.0, STRIPS, "utc_first_row", LATE),
+    "clock of the rows, curved": ("ms", 1.0, 30.0, STRIPS, "times", LATE),
+    "row period": ("%", 0.05, 1.0, STRIPS, "row_period_s", LONG),
+    "lines of a strip": ("rows", 1.0, 30.0, STRIPS, "file", ("missing", "too many")),
+    "orbit or targets, along the track": (
+        *("m", POSITION, 1.0, f"orbit, {TARGETS}", ""),
+        ("too far ahead", "too far back"),
+    ),
+    "orbit or targets, across the track": (
+        *("m", POSITION, 1.0, f"orbit, {TARGETS}", ""),
+        ("too far right", "too far left"),
+    ),
+    "orbit or targets, height": ("m", 30.0, 1.0, f"orbit, {TARGETS}", "", ("too high", "too low")),
+    "datum of the targets, east": ("m", 30.0, 3.0, TARGETS, "", ("too far east", "too far west")),
+    "datum of the targets, north": ("m", 30.0, 3.0, TARGETS, "", ("too far north", "too far south")),
     "datum of the targets, height": ("m", 30.0, 3.0, TARGETS, "", SIZES),
-    "attitude or mounting, across the track": ("″", STABILITY, 1.0, f"{ATTITUDES}, orbit", "", SIZES),
-    "attitude or mounting, along the track": ("″", STABILITY, 1.0, f"{ATTITUDES}, orbit", "", SIZES),
-    "attitude or mounting, about the line of sight": ("″", STABILITY, 1.0, f"{ATTITUDES}, orbit", "", SIZES),
-    **{f"mounting moved, {axis}": ("″", STABILITY, 30.0, MOVES, "", SIZES) for axis in (X, Y, Z)},
-    **{f"mounting drifts, {axis}": ("″", 1.0, 30.0, MOVES, "", SIZES) for axis in (X, Y, Z)},
-    **{f"mounting bends, {axis}": ("″", 1.0, 30.0, MOVES, "", SIZES) for axis in (X, Y, Z)},
+    "attitude or mounting": ("″", STABILITY, 1.0, f"{ATTITUDES}, orbit", "", SIZES),
+    "mounting moved": ("″", STABILITY, 30.0, MOVES, "", SIZES),
+    "mounting drifts": ("″", 1.0, 30.0, MOVES, "", SIZES),
+    "mounting bends": ("″", 1.0, 30.0, MOVES, "", SIZES),
     "place of the CCDs, along the track": ("px", 0.5, 1.0, CAMERA, "x_offset_mm", SIZES),
     "place of the CCDs, across the track": ("px", 0.5, 1.0, CAMERA, "y_first_mm", SIZES),
     "place of a CCD, along the track": ("px", 0.5, 1.0, CAMERA, "x_offset_mm", SIZES),
@@ -85,18 +69,16 @@ ERRORS: dict[str, ErrorKind] = {
     "length of a CCD": ("px", 0.5, 30.0, CAMERA, "pixel_pitch_um", SIZES),
     "bend of a CCD": ("px", 0.5, 30.0, CAMERA, "look directions", SIZES),
     "focal length of the remote-sensing camera": ("%", 0.05, 1.0, CAMERA, "focal_length_m", LONG),
-    "image of a CCD, lines": ("px", 0.5, 1.0, "strips.csv", "file", SIZES),
-    "image of a CCD, samples": ("px", 0.5, 1.0, "strips.csv", "file", SIZES),
-    **STAR_CAMERA,
-    # About vectors of frames.
-    **{f"attitude of a frame, {axis}": ("″", 10.0, 1.0, VECTORS, "", SIZES) for axis in (X, Y, Z)},
-    **{
-        f"attitude and aberration of all frames, {axis}": ("″", 10.0, 1.0, VECTORS, "", SIZES)
-        for axis in (X, Y, Z)
-    },
-    "origin of the look vectors, x of c": ("″", 1.0, 1.0, "w_c", "", SIZES),
-    "origin of the look vectors, y of c": ("″", 1.0, 1.0, "w_c", "", SIZES),
+    "image of a CCD": ("px", 0.5, 1.0, STRIPS, "file", SIZES),
+    "focal length of the star camera": ("%", 0.05, 1.0, STAR, "focal_length_mm", LONG),
+    "principal point of the star camera": ("px", 1.0, 1.0, STAR, "principal_point_px", SIZES),
+    "radial distortion of the star camera": ("px at its corner", 1.0, 1.0, STAR, "q1_per_mm2", SIZES),
+    # Of vectors of frames.
+    "attitude of a frame": ("″", 10.0, 1.0, VECTORS, "", SIZES),
+    "attitude and aberration of all frames": ("″", 10.0, 1.0, VECTORS, "", SIZES),
+    "origin of the look vectors": ("″", 1.0, 1.0, "w_c", "", SIZES),
 }
+ABOUT_AXES = ("about x of c", "about y of c", "about z of c")
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
@@ -120,6 +102,16 @@ class Hypothesis(InputError):
     def price(self, size: float) -> float:
         """Minus twice the logarithm of how likely this error is in this size, beside a usual one."""
         return 2.0 * float(np.log1p(abs(size) / self.usual) + np.log(self.rarity))
+
+    @property
+    def named(self) -> str:
+        """Cause and item."""
+        return f"{self.cause}, {self.item}"
+
+    @property
+    def kind(self) -> str:
+        """Cause without its direction."""
+        return self.cause.partition(",")[0]
 
     @property
     def remedy(self) -> str:
@@ -209,12 +201,12 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
         for axis in (0, 1)
     ]
     # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
-    found = list(_in_each(every, [*origin, *_turns(of, "attitude and aberration of all frames", (X, Y, Z))]))
+    found = list(_in_each(every, [*origin, *_turns(of, "attitude and aberration of all frames", ABOUT_AXES)]))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [replace(_focal_length(of), file="w_c", field="")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
-        found += _in_each(frames, _turns(of, "attitude of a frame", (X, Y, Z)))
+        found += _in_each(frames, _turns(of, "attitude of a frame", ABOUT_AXES))
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -225,7 +217,8 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
 
 def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
     """A row of `ERRORS` at all targets: where it is, a place says."""
-    unit, usual, rarity, file, field_name, words = ERRORS[cause]
+    row = ERRORS.get(cause) or ERRORS[cause.partition(",")[0]]
+    unit, usual, rarity, file, field_name, words = row
     key, usual = (usual, of.usual[usual]) if isinstance(usual, str) else ("", usual)
     attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
     return Hypothesis(
@@ -375,14 +368,14 @@ def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A jump of the mounting from one pass to the next, which stays."""
-    yield from _in_each(_later_passes(of), _turns(of, "mounting moved", (X, Y, Z)))
+    yield from _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
 
 
 def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A drift, or a bend, of the mounting over a pass: in each of them alike, or in one."""
     places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
     for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
-        turns = _turns(of, f"mounting {what}", (X, Y, Z))
+        turns = _turns(of, f"mounting {what}", ABOUT_AXES)
         yield from _in_each(places, [replace(one, change_c=profile[:, None] * one.change_c) for one in turns])
 
 
@@ -491,11 +484,12 @@ def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
     every = _all("all exposures", of)
-    for k, cause in enumerate(STAR_CAMERA):
+    for k, part in enumerate(PARTS):
+        what, comma, which = part.partition(",")
         change = [
             cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
             for one, effect in zip(of.prepared, of.effects)
         ]
         change_c = (of.C @ np.concatenate(change))[:, :, 0]
-        error = _error(of, cause, change_c)
+        error = _error(of, f"{what} of the star camera{comma}{which}", change_c)
         yield from (replace(one, star_part=k) for one in _in_each(every, [error]))
