@@ -30,7 +30,7 @@ MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
 STRIPS, CAMERA, STAR = "strips.csv", "remote_camera.toml", "star_camera.toml"
-ATTITUDES, TARGETS = "{attitudes}", "{targets}"  # files of the dump that state these
+TARGETS, ORBIT = "{targets}", "orbit, {targets}"  # files of the dump that state these
 MOVES, VECTORS = "temperatures and manoeuvres", "v_stars, v_targets"
 LATE, LONG = ("too late", "too early"), ("too long", "too short")
 STABILITY, POSITION = "mounting_arcsec", "position_m"  # keys under [errors], which state usual sizes
@@ -45,19 +45,13 @@ ERRORS: dict[str, ErrorKind] = {
     "clock of the rows, curved": ("ms", 1.0, 30.0, STRIPS, "times", LATE),
     "row period": ("%", 0.05, 1.0, STRIPS, "row_period_s", LONG),
     "lines of a strip": ("rows", 1.0, 30.0, STRIPS, "file", ("missing", "too many")),
-    "orbit or targets, along the track": (
-        *("m", POSITION, 1.0, f"orbit, {TARGETS}", ""),
-        ("too far ahead", "too far back"),
-    ),
-    "orbit or targets, across the track": (
-        *("m", POSITION, 1.0, f"orbit, {TARGETS}", ""),
-        ("too far right", "too far left"),
-    ),
-    "orbit or targets, height": ("m", 30.0, 1.0, f"orbit, {TARGETS}", "", ("too high", "too low")),
+    "orbit or targets, along the track": ("m", POSITION, 1.0, ORBIT, "", ("too far ahead", "too far back")),
+    "orbit or targets, across the track": ("m", POSITION, 1.0, ORBIT, "", ("too far right", "too far left")),
+    "orbit or targets, height": ("m", 30.0, 1.0, ORBIT, "", ("too high", "too low")),
     "datum of the targets, east": ("m", 30.0, 3.0, TARGETS, "", ("too far east", "too far west")),
     "datum of the targets, north": ("m", 30.0, 3.0, TARGETS, "", ("too far north", "too far south")),
     "datum of the targets, height": ("m", 30.0, 3.0, TARGETS, "", SIZES),
-    "attitude or mounting": ("″", STABILITY, 1.0, f"{ATTITUDES}, orbit", "", SIZES),
+    "attitude or mounting": ("″", STABILITY, 1.0, "{attitudes}, orbit", "", SIZES),
     "mounting moved": ("″", STABILITY, 30.0, MOVES, "", SIZES),
     "mounting drifts": ("″", 1.0, 30.0, MOVES, "", SIZES),
     "mounting bends": ("″", 1.0, 30.0, MOVES, "", SIZES),

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import erfa
 import numpy as np
@@ -37,13 +38,7 @@ AXES = (
     ("radial", ("too far down", "too far up")),
 )
 EQUINOXES = (1.0, 25.0, -25.0, -50.0)  # years from that of the ICRS, to which precession is taken as linear
-Switch = Callable[[LightEffects, bool], LightEffects]
-# How each effect of light is switched, by its key in `[conventions]`.
-EFFECTS: Mapping[str, Switch] = {
-    "light_time": lambda effects, on: replace(effects, light_time=on),
-    "aberration": lambda effects, on: replace(effects, aberration=on),
-    "refraction": lambda effects, on: replace(effects, refraction=on),
-}
+EFFECTS = ("light_time", "aberration", "refraction")  # of light, by their keys in `[conventions]`
 
 
 def moved_inputs(
@@ -266,8 +261,9 @@ def _of_ground(
         task = tasks[strip.strip_id]
         place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
         p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
-        for key, switched in EFFECTS.items():
-            on, off = (seen(p_e, strip, switched(task.effects, modelled)) for modelled in (True, False))
+        for key in EFFECTS:
+            switched: tuple[dict[str, Any], ...] = {key: True}, {key: False}
+            on, off = (seen(p_e, strip, replace(task.effects, **one)) for one in switched)
             light[key][strip.strip_id] = on - off
         lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
         above = ecef_from_geodetic(lat, lon, (1.0 + PERCENT) * height_m, WGS84)
