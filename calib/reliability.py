@@ -672,7 +672,7 @@ def _excluded(
     one: _Adjustment, best: int, trials: Mapping[int, _Fit], rivals: Sequence[int], before: _Fit
 ) -> str:
     """The cause of another kind that explains most of what the `best` one does, but for what excludes it:
-    other residuals, or its size beside that of a usual error, which is told where it is stated.
+    other residuals, or its size beside that of a usual error; then with the key that states it.
     """
     gain = {n: before.criterion - fit.criterion for n, fit in trials.items()}
     cause, usual_of = one.table[best].cause, one.table[best].usual_of
