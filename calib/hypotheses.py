@@ -8,60 +8,75 @@ and minimal detectable errors all follow from it (`reliability`); a further kind
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import SIZES, InputError, MovedInput
-from boresight.calib.star_camera_error import StarEffects
+from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
+__all__ = ["USUAL", "Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
 
-# One thousandth: of a second, or of a radian, in units of hypotheses.
-MILLI = 1e-3
-# One hundredth, in units of hypotheses.
-PERCENT = 1e-2
+MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
 # km away, or a CCD 10 000 pixels, changes the looks by more than the linear form holds for.
 LARGEST = {"times": 3.0, "%": 33.0, "m": 1e5, "px": 1e4}
-# Usual size of an error, in its unit, and how much rarer it is than what is stated wrong by hand (set by
-# hand), by the beginning of its cause; the first row that fits counts. A size x is less likely than a usual
-# one by the factor 1 + x / usual. The mounting and attitudes are as stable as a structure that warms and
-# cools; an orbit's velocity is known as its positions are; heights and datums are mistaken by tens of metres.
-USUAL: dict[str, tuple[float, float]] = {
-    "clock of the exposures": (10.0, 1.0),
-    "clock of the rows, curved": (1.0, 30.0),
-    "clock of the rows": (10.0, 1.0),
-    "row period": (0.05, 1.0),
-    "lines of a strip": (1.0, 30.0),
-    "orbit or targets, height": (30.0, 1.0),
-    "orbit or targets": (3.0, 1.0),
-    "datum": (30.0, 3.0),
-    "velocity of the orbit": (1e-3, 1.0),
-    "attitude": (10.0, 1.0),
-    "mounting moved": (10.0, 30.0),
-    "mounting": (1.0, 30.0),
-    "length of a CCD": (0.5, 30.0),
-    "bend of a CCD": (0.5, 30.0),
-    "place of": (0.5, 1.0),
-    "rotation of a CCD": (0.5, 1.0),
-    "image of a CCD": (0.5, 1.0),
-    "focal length": (0.05, 1.0),
-    "catalogue": (25.0, 1.0),
+STRIPS, CAMERA, STAR = "strips.csv", "remote_camera.toml", "star_camera.toml"
+TARGETS, ORBIT = "{targets}", "orbit, {targets}"  # files of the dump that state these
+MOVES, VECTORS = "temperatures and manoeuvres", "v_stars, v_targets"
+LATE, LONG = ("too late", "too early"), ("too long", "too short")
+STABILITY, POSITION = "mounting_arcsec", "position_m"  # keys under [errors], which state usual sizes
+USUAL = {STABILITY: 10.0, POSITION: 3.0}  # an orbit is seldom known by less
+ErrorKind = tuple[str, float | str, float, str, str, tuple[str, str]]
+# Kinds of errors, all directions of one alike unless they have rows of their own: unit; usual size in it, set
+# by hand or by a key under [errors]; how much rarer it is than what is stated wrong by hand; file and field
+# that state it; a positive and a negative size in words. A size x is less likely than a usual one by the
+# factor 1 + x / usual. Heights and datums are off by tens of metres.
+ERRORS: dict[str, ErrorKind] = {
+    "clock of the rows": ("ms", 10.0, 1.0, STRIPS, "utc_first_row", LATE),
+    "clock of the rows, curved": ("ms", 1.0, 30.0, STRIPS, "times", LATE),
+    "row period": ("%", 0.05, 1.0, STRIPS, "row_period_s", LONG),
+    "lines of a strip": ("rows", 1.0, 30.0, STRIPS, "file", ("missing", "too many")),
+    "orbit or targets, along the track": ("m", POSITION, 1.0, ORBIT, "", ("too far ahead", "too far back")),
+    "orbit or targets, across the track": ("m", POSITION, 1.0, ORBIT, "", ("too far right", "too far left")),
+    "orbit or targets, height": ("m", 30.0, 1.0, ORBIT, "", ("too high", "too low")),
+    "datum of the targets, east": ("m", 30.0, 3.0, TARGETS, "", ("too far east", "too far west")),
+    "datum of the targets, north": ("m", 30.0, 3.0, TARGETS, "", ("too far north", "too far south")),
+    "datum of the targets, height": ("m", 30.0, 3.0, TARGETS, "", SIZES),
+    "attitude or mounting": ("″", STABILITY, 1.0, "{attitudes}, orbit", "", SIZES),
+    "mounting moved": ("″", STABILITY, 30.0, MOVES, "", SIZES),
+    "mounting drifts": ("″", 1.0, 30.0, MOVES, "", SIZES),
+    "mounting bends": ("″", 1.0, 30.0, MOVES, "", SIZES),
+    "place of the CCDs, along the track": ("px", 0.5, 1.0, CAMERA, "x_offset_mm", SIZES),
+    "place of the CCDs, across the track": ("px", 0.5, 1.0, CAMERA, "y_first_mm", SIZES),
+    "place of a CCD, along the track": ("px", 0.5, 1.0, CAMERA, "x_offset_mm", SIZES),
+    "place of a CCD, across the track": ("px", 0.5, 1.0, CAMERA, "y_first_mm", SIZES),
+    "rotation of a CCD": ("mrad", 0.5, 1.0, CAMERA, "rotation_mrad", SIZES),
+    "length of a CCD": ("px", 0.5, 30.0, CAMERA, "pixel_pitch_um", SIZES),
+    "bend of a CCD": ("px", 0.5, 30.0, CAMERA, "look directions", SIZES),
+    "focal length of the remote-sensing camera": ("%", 0.05, 1.0, CAMERA, "focal_length_m", LONG),
+    "image of a CCD": ("px", 0.5, 1.0, STRIPS, "file", SIZES),
+    "focal length of the star camera": ("%", 0.05, 1.0, STAR, "focal_length_mm", LONG),
+    "principal point of the star camera": ("px", 1.0, 1.0, STAR, "principal_point_px", SIZES),
+    "radial distortion of the star camera": ("px at its corner", 1.0, 1.0, STAR, "q1_per_mm2", SIZES),
+    # Of vectors of frames.
+    "attitude of a frame": ("″", 10.0, 1.0, VECTORS, "", SIZES),
+    "attitude and aberration of all frames": ("″", 10.0, 1.0, VECTORS, "", SIZES),
+    "origin of the look vectors": ("″", 1.0, 1.0, "w_c", "", SIZES),
 }
+ABOUT_AXES = ("about x of c", "about y of c", "about z of c")
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
-CAMERA_FILE, MOVES = "remote_camera.toml", "temperatures and manoeuvres"  # what findings tell to look at
 
 
 @record(kw_only=True)
@@ -78,20 +93,19 @@ class Hypothesis(InputError):
         """Largest possible size: `most`, or what its unit allows; inf: none."""
         return min(self.most, LARGEST.get(self.unit, np.inf))
 
-    @property
-    def _usual(self) -> tuple[float, float]:
-        """Of `USUAL`; an effect that is there once or not has no row."""
-        return next((row for cause, row in USUAL.items() if self.cause.startswith(cause)), (1.0, 1.0))
-
-    @property
-    def rarity(self) -> float:
-        """How much rarer its cause is than others."""
-        return self._usual[1]
-
     def price(self, size: float) -> float:
         """Minus twice the logarithm of how likely this error is in this size, beside a usual one."""
-        usual, rarity = self._usual
-        return 2.0 * float(np.log1p(abs(size) / usual) + np.log(rarity))
+        return 2.0 * float(np.log1p(abs(size) / self.usual) + np.log(self.rarity))
+
+    @property
+    def named(self) -> str:
+        """Cause and item."""
+        return f"{self.cause}, {self.item}"
+
+    @property
+    def kind(self) -> str:
+        """Cause without its direction."""
+        return self.cause.partition(",")[0]
 
     @property
     def remedy(self) -> str:
@@ -111,6 +125,7 @@ class HypothesisInputs:
     pivots: Mapping[tuple[str, int], float] | None = None  # samples about which CCDs rotate; else: their mean
     target_files: str = "targets.csv"  # files of the dump with the coordinates of the targets
     cameras: Sequence[str] = ("",)  # names of several
+    usual: Mapping[str, float] = field(default_factory=lambda: USUAL)  # sizes by key under [errors]
 
     def column(self, name: str) -> Any:
         """A field of all targets (J, ...), pass after pass."""
@@ -175,23 +190,17 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """
     prepared, (u_c, across) = of.prepared, of.looks()
     every = _all("all frames", of)
-    turns = _turns(of, "attitude of a frame, about {} of c", "v_stars, v_targets")
     origin = [
-        _error(
-            f"origin of the look vectors, {'xy'[axis]} of c", "″", "w_c", "", of.pixel * across[:, :, axis]
-        )
+        _error(of, f"origin of the look vectors, {'xy'[axis]} of c", of.pixel * across[:, :, axis])
         for axis in (0, 1)
     ]
     # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
-    of_all = [
-        replace(one, cause=one.cause.replace("of a frame", "and aberration of all frames")) for one in turns
-    ]
-    found = list(_in_each(every, [*origin, *of_all]))
+    found = list(_in_each(every, [*origin, *_turns(of, "attitude and aberration of all frames", ABOUT_AXES)]))
     if u_c[:, 2].min() > 0.0:
-        found += _in_each(every, [_focal_length(u_c, across, "w_c", "")])
+        found += _in_each(every, [replace(_focal_length(of), file="w_c", field="")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
-        found += _in_each(frames, turns)
+        found += _in_each(frames, _turns(of, "attitude of a frame", ABOUT_AXES))
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -200,11 +209,23 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     return [one for one in found if np.any(one.change_c)]
 
 
-def _error(
-    cause: str, unit: str, file: str, field: str, change_c: Floats, words: tuple[str, str] = SIZES
-) -> Hypothesis:
-    """An error of an input at all targets: where it is, a place says."""
-    return Hypothesis(cause=cause, unit=unit, words=words, file=file, field=field, change_c=change_c)
+def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
+    """A row of `ERRORS` at all targets: where it is, a place says."""
+    row = ERRORS.get(cause) or ERRORS[cause.partition(",")[0]]
+    unit, usual, rarity, file, field_name, words = row
+    key, usual = (usual, of.usual[usual]) if isinstance(usual, str) else ("", usual)
+    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
+    return Hypothesis(
+        cause=cause,
+        unit=unit,
+        words=words,
+        file=file.format(attitudes=attitudes, targets=of.target_files),
+        field=field_name,
+        usual=usual,
+        usual_of=key,
+        rarity=rarity,
+        change_c=change_c,
+    )
 
 
 def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
@@ -278,16 +299,8 @@ def _later_passes(of: HypothesisInputs) -> Iterator[Place]:
 def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Rows dated late, a period of the rows that is too long, and a clock that bends."""
     late = _late(of)
-    long = _error(
-        "row period",
-        "%",
-        "strips.csv",
-        "row_period_s",
-        PERCENT / MILLI * _since_first_row(of)[:, None] * late.change_c,
-        ("too long", "too short"),
-    )
-    bend = _bend(_part_of_pass(of))[:, None] * late.change_c
-    curved = replace(late, cause="clock of the rows, curved", field="times", change_c=bend)
+    long = _error(of, "row period", PERCENT / MILLI * _since_first_row(of)[:, None] * late.change_c)
+    curved = _error(of, "clock of the rows, curved", _bend(_part_of_pass(of))[:, None] * late.change_c)
     yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, curved])
     yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, curved])
 
@@ -296,8 +309,7 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
     line, since = of.column("line"), _since_first_row(of)
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
-    change_c = -period / MILLI * _late(of).change_c
-    late = _error("lines of a strip", "rows", "strips.csv", "file", change_c, ("missing", "too many"))
+    late = _error(of, "lines of a strip", -period / MILLI * _late(of).change_c)
     for places, most in ((list(_strips(of)), OF_STRIP), (list(_images(of)), OF_CCD)):
         for item, subjects, here in places:
             for first in _breaks(line[here], min(most, MOST_BREAKS // len(places))):
@@ -307,10 +319,7 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _late(of: HypothesisInputs) -> Hypothesis:
     """Rows dated late by a millisecond."""
-    change_c = of.in_c(-MILLI * of.column("late_s"))
-    return _error(
-        "clock of the rows", "ms", "strips.csv", "utc_first_row", change_c, ("too late", "too early")
-    )
+    return _error(of, "clock of the rows", of.in_c(-MILLI * of.column("late_s")))
 
 
 def _since_first_row(of: HypothesisInputs) -> Floats:
@@ -347,28 +356,26 @@ def _breaks(line: Floats, most: int) -> list[float]:
 
 def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Attitude of a pass about the axes of c; about y it is its clock, too."""
-    attitudes = next((one.file for one in of.inputs if one.turns_s), "exposures.csv")
     axes = ("across the track", "along the track", "about the line of sight")
-    yield from _in_each(_passes(of), _turns(of, "attitude or mounting, {}", f"{attitudes}, orbit", axes))
+    yield from _in_each(_passes(of), _turns(of, "attitude or mounting", axes))
 
 
 def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A jump of the mounting from one pass to the next, which stays."""
-    yield from _in_each(_later_passes(of), _turns(of, "mounting moved, about {} of c", MOVES))
+    yield from _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
 
 
 def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A drift, or a bend, of the mounting over a pass: in each of them alike, or in one."""
     places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
     for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
-        turns = _turns(of, f"mounting {what}, about {{}} of c", MOVES)
-        moved = [replace(one, change_c=profile[:, None] * one.change_c) for one in turns]
-        yield from _in_each(places, moved)
+        turns = _turns(of, f"mounting {what}", ABOUT_AXES)
+        yield from _in_each(places, [replace(one, change_c=profile[:, None] * one.change_c) for one in turns])
 
 
-def _turns(of: HypothesisInputs, cause: str, file: str, axes: Sequence[str] = "xyz") -> list[Hypothesis]:
+def _turns(of: HypothesisInputs, cause: str, axes: Sequence[str]) -> list[Hypothesis]:
     """A rotation by an arc-second about each axis of c."""
-    return [_error(cause.format(axis), "″", file, "", turn) for axis, turn in zip(axes, of.turns())]
+    return [_error(of, f"{cause}, {axis}", turn) for axis, turn in zip(axes, of.turns())]
 
 
 # --- Positions on the ground and of the satellite
@@ -378,14 +385,8 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
     ground = ~of.column("is_star")[:, None]
     ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
-    along, *rest = (
-        _error(f"orbit or targets, {name}", "m", f"orbit, {of.target_files}", "", change, words)
-        for name, words, change in (
-            ("along the track", ("too far ahead", "too far back"), ahead),
-            ("across the track", ("too far right", "too far left"), right),
-            ("height", ("too high", "too low"), -down),
-        )
-    )
+    moves = {"along the track": ahead, "across the track": right, "height": -down}
+    along, *rest = (_error(of, f"orbit or targets, {name}", change) for name, change in moves.items())
     yield from _in_each(_all_strips(of), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of), rest)
@@ -394,14 +395,9 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
 def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Coordinates of targets that are all off alike: of a pass, of all, or of one of several references."""
     moves = np.moveaxis(-of.C @ of.column("reference_s"), 2, 0)
-    axes = (
-        ("east", ("too far east", "too far west")),
-        ("north", ("too far north", "too far south")),
-        ("height", SIZES),
-    )
     errors = [
-        _error(f"datum of the targets, {axis}", "m", of.target_files, "", change, words)
-        for (axis, words), change in zip(axes, moves)
+        _error(of, f"datum of the targets, {axis}", change)
+        for axis, change in zip(("east", "north", "height"), moves)
     ]
     # The height of all, or of a pass, is that of the orbit.
     yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
@@ -422,7 +418,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
         if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
             dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
         change.append(-dv_s)
-    stated = {field.name: getattr(moved, field.name) for field in fields(InputError)}
+    stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
     return Hypothesis(**stated, change_c=of.in_c(np.concatenate(change)))
 
 
@@ -431,18 +427,13 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
-    (u_c, across), ccd, camera = of.looks(), of.column("ccd"), of.column("camera")
-    sample, file, x, y = (
-        of.column("sample"),
-        CAMERA_FILE,
-        -of.pixel * across[:, :, 0],
-        -of.pixel * across[:, :, 1],
-    )
+    (_, across), ccd, camera, sample = of.looks(), *map(of.column, ("ccd", "camera", "sample"))
+    x, y = (-of.pixel * across[:, :, axis] for axis in (0, 1))
 
     def placed(what: str) -> list[Hypothesis]:
         return [
-            _error(f"place of {what}, along the track", "px", file, "x_offset_mm", x),
-            _error(f"place of {what}, across the track", "px", file, "y_first_mm", y),
+            _error(of, f"place of {what}, along the track", x),
+            _error(of, f"place of {what}, across the track", y),
         ]
 
     every = list(_cameras(of))
@@ -456,31 +447,29 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
         half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
         at = (sample - float(sample[here].min() + half))[:, None] / half  # -1 to 1 over it
         shapes = [
-            _error(
-                "rotation of a CCD", "mrad", file, "rotation_mrad", -MILLI * (sample - pivot)[:, None] * x
-            ),
-            _error("length of a CCD", "px", file, "pixel_pitch_um", at * y),
-            _error("bend of a CCD", "px", file, "look directions", (at**2 - 1.0 / 3.0) * x),
+            _error(of, "rotation of a CCD", -MILLI * (sample - pivot)[:, None] * x),
+            _error(of, "length of a CCD", at * y),
+            _error(of, "bend of a CCD", (at**2 - 1.0 / 3.0) * x),
         ]
         subject = Subject(Kind.CCD, camera=name, ccd=number)
         yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), *shapes])
-    yield from _in_each(every, [_focal_length(u_c, across, file, "focal_length_m")])
+    yield from _in_each(every, [_focal_length(of)])
 
 
-def _focal_length(u_c: Floats, across: Floats, file: str, field: str) -> Hypothesis:
+def _focal_length(of: HypothesisInputs) -> Hypothesis:
     """The focal length of the remote-sensing camera, by which all looks (J, 3) spread from its axis z."""
+    u_c, across = of.looks()
     v = u_c / u_c[:, 2:]
     v[:, 2] = 0.0
     change = -PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:]
-    cause = "focal length of the remote-sensing camera"
-    return _error(cause, "%", file, field, change, ("too long", "too short"))
+    return _error(of, "focal length of the remote-sensing camera", change)
 
 
 def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Shifts of the image of one CCD in one strip."""
     _, across = of.looks()
     shifts = [
-        _error(f"image of a CCD, {name}", "px", "strips.csv", "file", of.pixel * across[:, :, axis])
+        _error(of, f"image of a CCD, {name}", of.pixel * across[:, :, axis])
         for axis, name in enumerate(("lines", "samples"))
     ]
     yield from _in_each(_images(of), shifts)
@@ -488,18 +477,13 @@ def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
-    rows = (
-        ("focal length of the star camera", "%", "focal_length_mm", ("too long", "too short")),
-        ("principal point of the star camera, column", "px", "principal_point_px", SIZES),
-        ("principal point of the star camera, row", "px", "principal_point_px", SIZES),
-        ("radial distortion of the star camera", "px at its corner", "q1_per_mm2", SIZES),
-    )
     every = _all("all exposures", of)
-    for k, (cause, unit, field, words) in enumerate(rows):
+    for k, part in enumerate(PARTS):
+        what, comma, which = part.partition(",")
         change = [
             cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
             for one, effect in zip(of.prepared, of.effects)
         ]
         change_c = (of.C @ np.concatenate(change))[:, :, 0]
-        error = _error(cause, unit, "star_camera.toml", field, change_c, words)
+        error = _error(of, f"{what} of the star camera{comma}{which}", change_c)
         yield from (replace(one, star_part=k) for one in _in_each(every, [error]))

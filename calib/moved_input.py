@@ -33,6 +33,9 @@ class InputError:
     file: str = scalar("file of the dump that states the input")
     field: str = scalar("field of that file", default="")
     most: float = scalar("largest size that is possible", default=np.inf)
+    usual: float = scalar("usual size", default=1.0)
+    usual_of: str = scalar("key under [errors] that states it; empty: set by hand", default="")
+    rarity: float = scalar("how much rarer it is than what is stated wrong by hand", default=1.0)
 
 
 @record(kw_only=True)

@@ -17,10 +17,10 @@ import numpy as np
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, Texts
 
-__all__ = ["NoiseGroup", "noisiest"]
+__all__ = ["LEAST_FACTOR", "NoiseGroup", "noisiest"]
 
 FACTORS: Floats = np.exp(np.linspace(0.0, np.log(100.0), 93))
-LEAST_FACTOR = 1.5  # times the stated errors, from which that is a finding
+LEAST_FACTOR = 1.5  # times the stated errors, from which that is a finding; of the matrix, it refutes
 FEWEST = 5  # observations of a group
 
 

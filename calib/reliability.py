@@ -35,7 +35,7 @@ from scipy.special import chdtrc, chdtri, chndtr
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.heads import aligned, carried
-from boresight.calib.hypotheses import Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
+from boresight.calib.hypotheses import USUAL, Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -47,12 +47,13 @@ from boresight.calib.joint_solution import (
     squared_over,
 )
 from boresight.calib.moved_input import MovedInput
-from boresight.calib.noise_groups import NoiseGroup, noisiest
+from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import matrix_of_each, prepare_strips, tangent_axes, turned
 from boresight.geometry.attitude_estimate import with_attitudes
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Subject
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -264,7 +265,17 @@ def examine(
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
     names = estimate.cameras
     pixels = [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names]
-    stated = {"inputs": moved, "pivots": pivots, "target_files": target_files, "cameras": names}
+    usual = {
+        "mounting_arcsec": settings.sigma_mounting_rad / ARCSEC,
+        "position_m": max(USUAL["position_m"], settings.sigma_position_m),
+    }
+    stated = {
+        "inputs": moved,
+        "pivots": pivots,
+        "target_files": target_files,
+        "cameras": names,
+        "usual": usual,
+    }
     one = _adjustment(estimate, passes, settings, star_camera, table_of, pixel_rad=pixels, **stated)
     tests = _tests(one, limits)
     findings, chosen, last, noise = _causes(one, tests, limits)
@@ -467,12 +478,16 @@ def _causes(
 def _of_noise(
     one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float, limits: ReliabilitySettings
 ) -> Finding:
-    """The finding about a group whose errors are larger than stated, and the matrix with these."""
+    """The finding about a group whose errors are larger than stated, and the matrix with these. It refutes
+    where that moves the matrix, or makes some direction of it much less certain than stated.
+    """
     squared = np.where(noise.inside, noise.factor**2, 1.0)
     kept = one.problem.inside & (before.statistic / squared < one.limit)
     solution = solve_weighted(one.problem, one.about, kept / squared).solution
-    moved = solution.theta - one.step.solution.theta
-    effect = float(np.sqrt(moved @ one.step.solution.information @ moved))
+    moved, information = solution.theta - one.step.solution.theta, one.step.solution.information
+    effect = float(np.sqrt(moved @ information @ moved))
+    larger = float(np.sqrt(np.linalg.eigvals(information @ solution.covariance).real.max()))
+    harms = effect > limits.harm_sigma or larger > LEAST_FACTOR
     return Finding(
         cause="noise of the image points or coordinates",
         item=noise.item,
@@ -484,7 +499,7 @@ def _of_noise(
         unit="times the stated",
         file="dump.toml",
         field="errors",
-        refutes=effect > limits.harm_sigma and p_value <= limits.probability_refuted,
+        refutes=harms and p_value <= limits.probability_refuted,
         effect_rad=-moved,
         effect_sigma=effect,
         p_value=min(p_value, 1.0),
@@ -614,18 +629,17 @@ def _finding(
     worst = max(harm(n) for n in rivals)
     sign = h.words[0] if value > 0.0 else h.words[1]
     text = f"{abs(value):.3g} ± {sigma:.2g} {h.unit} {sign}: {h.remedy}"
-    others = _rivals(h, [one.table[n] for n in rivals if n != best])
-    excluded = _excluded(one, best, trials, rivals, before) if not others else None
-    parts = [f"; or {other.item if other.cause == h.cause else _named(other)}" for other in others]
+    named = {one.table[n].named: one.table[n] for n in rivals}
+    others = _rivals(h, [other for name, other in named.items() if name != h.named])
+    excluded = "" if others else _excluded(one, best, trials, rivals, before)
+    parts = [f"; or {_beside(h, other)}" for other in others]
     while len(f"{h.cause} {h.item} {text}{''.join(parts)}".split()) > MOST_WORDS and len(parts) > 1:
         parts, others = parts[:-1], others[:-1]
     text += "".join(parts)
-    if excluded and len(f"{h.cause} {h.item} {text}; not {_named(excluded)}".split()) <= MOST_WORDS:
-        text += f"; not {_named(excluded)}"
+    if excluded and len(f"{h.cause} {h.item} {text}{excluded}".split()) <= MOST_WORDS:
+        text += excluded
     return Finding(
-        **{name: getattr(h, name) for name in STATED if name not in ("cause", "item")},
-        cause=h.cause,
-        item=h.item,
+        **{name: getattr(h, name) for name in STATED},
         subjects=h.subjects,
         text=f"{text}.",
         value=value,
@@ -634,31 +648,40 @@ def _finding(
         effect_rad=published - fit.theta,
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
-        rivals=tuple(_named(other) for other in others),
+        rivals=tuple(other.named for other in others),
         explains=one.subjects(one.problem.inside & ~before.kept & np.any(one.B[:, :, best] != 0.0, axis=1)),
     )
 
 
 def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Other causes that explain as much: the same of other items, then the first of another kind."""
+    """Other causes that explain as much: the same of other items, then the first of each other kind."""
     alike = [other for other in others if other.cause == h.cause][:MOST_RIVALS]
-    another = [other for other in others if other.cause != h.cause][:1]
-    return [*alike, *(another if len(alike) < MOST_RIVALS else ())]
+    kinds: dict[str, Hypothesis] = {}
+    for other in others:
+        if other.cause != h.cause:
+            kinds.setdefault(other.kind, other)
+    return [*alike, *kinds.values()][:MOST_RIVALS]
+
+
+def _beside(h: Hypothesis, other: Hypothesis) -> str:
+    """Another cause in words, without what it has in common."""
+    return other.item if other.cause == h.cause else other.cause if other.item == h.item else other.named
 
 
 def _excluded(
     one: _Adjustment, best: int, trials: Mapping[int, _Fit], rivals: Sequence[int], before: _Fit
-) -> Hypothesis | None:
-    """The cause of another kind that explains most of what the `best` one does, but for what excludes it."""
+) -> str:
+    """The cause of another kind that explains most of what the `best` one does, but for what excludes it:
+    other residuals, or its size beside that of a usual error; then with the key that states it.
+    """
     gain = {n: before.criterion - fit.criterion for n, fit in trials.items()}
+    cause, usual_of = one.table[best].cause, one.table[best].usual_of
     others = [
-        n
-        for n in trials
-        if n not in rivals and one.table[n].cause != one.table[best].cause and 2.0 * gain[n] > gain[best]
+        n for n in trials if n not in rivals and one.table[n].cause != cause and 2.0 * gain[n] > gain[best]
     ]
-    return one.table[max(others, key=lambda n: gain[n])] if others else None
-
-
-def _named(h: Hypothesis) -> str:
-    """Cause and item of a hypothesis."""
-    return f"{h.cause}, {h.item}"
+    if not others:
+        return ""
+    most = max(others, key=lambda n: gain[n])
+    by_size = usual_of and gain[most] > gain[best] - AMBIGUOUS
+    why = f", {usual_of} being {one.table[best].usual:g}" if by_size else ""
+    return f"; not {one.table[most].named}{why}"

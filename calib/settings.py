@@ -44,6 +44,9 @@ class CalibrationSettings:
     distortion_scope: Literal["camera", "strip"] = (
         "camera"  # one curve for all strips: the camera is the same one
     )
+    sigma_mounting_rad: float = (
+        10.0 * ARCSEC
+    )  # about each axis, between strips: weighs causes, moves no matrix
     use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
     most_shared_targets: int = (
         100  # seen in several strips and kept as one point each; the rest, as many points
@@ -99,6 +102,7 @@ class CalibrationSettings:
             "sigma_vibration_exposure_rad",
             "sigma_motion_rad",
             "sigma_distortion_rad",
+            "sigma_mounting_rad",
             "distortion_pixel_rad",
             "sigma_ccd_shift_rad",
             "sigma_ccd_slope_rad",

@@ -88,9 +88,9 @@ def assessed(
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
-    explanations: list[Finding] = []
-    if not of_attitudes:
-        explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
+    explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
+    if of_attitudes:  # which move all CCDs of a strip alike: what refutes by some of them stands
+        explanations = [one for one in explanations if one.refutes and _is_of_ccds(one)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
     if (noise := reliability.scatter) and {one.strip for one in noise.subjects} & lost - {""}:
         verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))
@@ -101,6 +101,10 @@ def assessed(
         *earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
     ]
     return Assessment(verdict.with_findings(findings), earth, sighted, inputs)
+
+
+def _is_of_ccds(finding: Finding) -> bool:
+    return bool(finding.subjects) and all(one.kind is Kind.CCD for one in finding.subjects)
 
 
 def _sighted(

@@ -1,12 +1,14 @@
 """Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
-attitudes and the line of sight through which it is taken, velocity of the satellite, and the effects on
-light from the ground.
+attitudes and the line of sight through which it is taken, velocity of the satellite, the effects on
+light from the ground, and the unit of heights.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import erfa
 import numpy as np
@@ -14,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import MovedInput
 from boresight.geometry.attitude import ConstantRate
-from boresight.geometry.constants import SPEED_OF_LIGHT
+from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.record import Floats
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
@@ -26,7 +29,7 @@ from boresight.pipeline.stages.strip import StripTask
 __all__ = ["moved_inputs"]
 
 AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
-MILLI = 1e-3  # size of an error whose effect is computed: milliseconds, millimetres or milliradians
+MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
@@ -34,13 +37,8 @@ AXES = (
     ("across the track", ("too far right", "too far left")),
     ("radial", ("too far down", "too far up")),
 )
-Switch = Callable[[LightEffects, bool], LightEffects]
-# How each effect of light is switched, by its key in `[conventions]`.
-EFFECTS: Mapping[str, Switch] = {
-    "light_time": lambda effects, on: replace(effects, light_time=on),
-    "aberration": lambda effects, on: replace(effects, aberration=on),
-    "refraction": lambda effects, on: replace(effects, refraction=on),
-}
+EQUINOXES = (1.0, 25.0, -25.0, -50.0)  # years from that of the ICRS, to which precession is taken as linear
+EFFECTS = ("light_time", "aberration", "refraction")  # of light, by their keys in `[conventions]`
 
 
 def moved_inputs(
@@ -48,7 +46,7 @@ def moved_inputs(
 ) -> tuple[MovedInput, ...]:
     """All such inputs of a dump whose strips are `strips`; `tasks` are those of the ground."""
     head = dump.heads[0]
-    found = [_clock_of_exposures(head, strips)]
+    found = list(_clock_of_exposures(head, strips))
     if isinstance(head.source, SolvedAttitudes):
         found += _aberration_of_head(dump, head, strips)
         found += _line_of_sight(dump, head, head.source, strips)
@@ -57,7 +55,7 @@ def moved_inputs(
         found += _catalogue(dump, sky)
     by_id = {task.strip.strip_id: task for task in tasks}
     if ground := [strip for strip in strips if strip.strip_id in by_id]:
-        found += _light(ground, by_id)
+        found += _of_ground(dump, ground, by_id)
     return tuple(found)
 
 
@@ -74,25 +72,34 @@ def _attitudes(strip: StripSightings) -> Floats:
     return strip.attitudes.R_si
 
 
-def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> MovedInput:
-    """Exposures dated late: attitudes of an earlier instant, at the rate of rotation of the strip."""
-    turns = {}
+def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
+    """Exposures dated late, all alike or more and more over a strip: attitudes of an earlier instant, at the
+    rate of rotation of the strip.
+    """
+    solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
+    by_strip: dict[
+        str, tuple[Floats, Floats]
+    ] = {}  # instants (K,) from the first on, and the rate of rotation
     for strip in strips:
         seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
         if seen.sum() > 1:
             motion = ConstantRate.fitted(_times(strip)[seen], Rotation.from_matrix(_attitudes(strip)[seen]))
-            turns[strip.strip_id] = np.tile(MILLI * motion.omega_o, (len(seen), 1))
-    solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
-    return MovedInput(
-        cause="clock of the exposures",
-        item=head.subject.words if solved else "all exposures",
-        subjects=(head.subject,) if solved else (),
-        unit="ms",
-        words=("too late", "too early"),
-        file=solved or "exposures.csv",
-        field="utc" if solved else "utc_mid",
-        turns_s=turns,
-    )
+            by_strip[strip.strip_id] = _times(strip) - _times(strip)[0], motion.omega_o
+    for cause, unit, usual, late in (
+        ("clock of the exposures", "ms", 10.0, lambda t_s: np.full(len(t_s), MILLI)),
+        ("clock of the exposures, rate", "%", 0.05, lambda t_s: PERCENT * t_s),
+    ):
+        yield MovedInput(
+            cause=cause,
+            item=head.subject.words if solved else "all exposures",
+            subjects=(head.subject,) if solved else (),
+            unit=unit,
+            words=("too late", "too early") if unit == "ms" else ("too fast", "too slow"),
+            file=solved or "exposures.csv",
+            field="utc" if solved else "utc_mid",
+            usual=usual,
+            turns_s={name: np.outer(late(t_s), omega) for name, (t_s, omega) in by_strip.items()},
+        )
 
 
 def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> Floats:
@@ -197,57 +204,71 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             file="orbit",
             field="velocity, date and frame",
             most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
+            usual=1e-3,
             directions_i=directions,
             turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},
         )
 
 
 def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
-    """A star catalogue of the user's whose epoch, proper motions or equinox are a year off: stars move by
-    their proper motions, or all alike by precession.
+    """A star catalogue of the user's whose epoch, proper motions or equinox are years off: stars move by
+    their proper motions, or all alike by precession, which is not linear in decades.
     """
     if dump.star_catalogue is None:
         return
     survey = survey_of(dump.star_catalogue)
     row = {f"{survey.name} {n}": k for k, n in enumerate(survey.places.hip.tolist())}
-    precession = Rotation.from_matrix(erfa.pmat06(erfa.DJ00, erfa.DJY)).as_rotvec()
-    moves: dict[str, dict[str, Floats]] = {"ref_epoch, pmra, pmdec": {}, "equinox (ICRS is expected)": {}}
-    of_epoch, of_equinox = moves.values()
-    for strip in strips:
-        rows = np.array([row.get(name, 0) for name in strip.ground.target_id.tolist()], dtype=np.int64)
-        is_star = strip.ground.is_star[:, None].astype(float)
-        of_epoch[strip.strip_id] = -is_star * survey.places.take(rows).motions()
-        of_equinox[strip.strip_id] = is_star * np.cross(precession, strip.ground.u_i)
-    for field, directions in moves.items():
+
+    def by_epoch(ground: GroundSightings) -> Floats:
+        rows = np.array([row.get(name, 0) for name in ground.target_id.tolist()], dtype=np.int64)
+        return -survey.places.take(rows).motions()
+
+    moves = {"epoch": by_epoch} | {one: partial(_by_precession, one) for one in EQUINOXES}
+    for name, move in moves.items():
+        of_equinox = name != "epoch"
         yield MovedInput(
-            cause=f"catalogue of the stars, {'epoch' if directions is of_epoch else 'equinox'}",
+            cause=f"catalogue of the stars, {'equinox' if of_equinox else name}",
             item="all scans",
             unit="years",
             words=("too late", "too early"),
             file=dump.star_catalogue.file,
-            field=field,
+            field="equinox (ICRS is expected)" if of_equinox else "ref_epoch, pmra, pmdec",
             most=200.0,
-            directions_i=directions,
+            usual=25.0,
+            directions_i={one.strip_id: one.ground.is_star[:, None] * move(one.ground) for one in strips},
         )
 
 
-def _light(strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]) -> Iterator[MovedInput]:
-    """Effects on light from the ground, modelled and not."""
-    for key, switched in EFFECTS.items():
-        directions = {}
-        for strip in strips:
-            task = tasks[strip.strip_id]
-            place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
-            p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(
-                -1, 3
-            )
-            on, off = (
-                apparent_ground_directions(
-                    p_e, strip.ground.t_s, task.orbit, task.orbit.earth, switched(task.effects, modelled)
-                )[0]
-                for modelled in (True, False)
-            )
-            directions[strip.strip_id] = on - off
+def _by_precession(years: float, ground: GroundSightings) -> Floats:
+    """Change (N, 3) of stated directions a year, if they are of an equinox so many years from that of the
+    ICRS.
+    """
+    return (ground.u_i - ground.u_i @ erfa.pmat06(erfa.DJ00, years * erfa.DJY)) / years
+
+
+def _of_ground(
+    dump: Dump, strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]
+) -> Iterator[MovedInput]:
+    """Effects on light from the ground, modelled and not, and heights in another unit."""
+
+    def seen(p_e: Floats, strip: StripSightings, effects: LightEffects | None = None) -> Floats:
+        task, t_s = tasks[strip.strip_id], strip.ground.t_s
+        effects = effects or task.effects
+        return apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, effects)[0]
+
+    light, higher = {key: dict[str, Floats]() for key in EFFECTS}, dict[str, Floats]()
+    for strip in strips:
+        task = tasks[strip.strip_id]
+        place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
+        p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
+        for key in EFFECTS:
+            switched: tuple[dict[str, Any], ...] = {key: True}, {key: False}
+            on, off = (seen(p_e, strip, replace(task.effects, **one)) for one in switched)
+            light[key][strip.strip_id] = on - off
+        lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
+        above = ecef_from_geodetic(lat, lon, (1.0 + PERCENT) * height_m, WGS84)
+        higher[strip.strip_id] = seen(above, strip) - seen(p_e, strip)
+    for key, directions in light.items():
         yield MovedInput(
             cause=f"light of the targets, {key.replace('_', ' ')}",
             item="all targets",
@@ -258,3 +279,14 @@ def _light(strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]) -> 
             most=1.0,
             directions_i=directions,
         )
+    yield MovedInput(
+        cause="heights of the targets, scale",
+        item="all targets",
+        unit="% of themselves",
+        words=("too high", "too low"),
+        file=dump.target_files,
+        field="height_m (metres are expected)",
+        most=400.0,
+        usual=30.0,
+        directions_i=higher,
+    )

@@ -157,6 +157,9 @@ class Files(_Strict):
         return self.model_dump(exclude_none=True, exclude={"terrain"})
 
 
+MountingSize = Annotated[
+    float, Field(gt=0.0, le=3600.0, description="mounting between strips, per axis, arc-seconds")
+]
 MotionSize = Annotated[float, Field(ge=0.0, le=3600.0, description="slow motion, rms per axis, arc-seconds")]
 MotionTime = Annotated[float, Field(ge=1e-3, le=1e3, description="time over which it is smooth, s")]
 CorrelationTime = Annotated[
@@ -175,6 +178,7 @@ class Errors(_Strict):
     clock_s: float = within(0.0, 10.0, "time tags of the strips against those of the exposures, s")
     clock_time_s: CorrelationTime = 0.0
     vibration_arcsec: float = within(0.0, 3600.0, "attitude between exposures, per axis, arc-seconds")
+    mounting_arcsec: MountingSize = 10.0  # of a structure that warms and cools
     motion_arcsec: MotionSize = 6.0  # oscillations of 3 to 12 arcsec, the paper's Fig. 4
     motion_s: MotionTime = 0.8  # of periods of 3 to 7 s
     look_distortion_px: float = within(0.0, 1e3, "look vectors of the remote-sensing camera, pixels")

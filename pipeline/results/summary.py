@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,10 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.geometry.ledger import Kind, Reason
+from boresight.geometry.ledger import Kind, Reason, either_of
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
-from boresight.pipeline.diagnosis.words import doubts
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.validate import TruthErrors
 from boresight.pipeline.results.writing import (
@@ -67,7 +66,7 @@ def calibration_summary(found: DumpCalibration, findings: Sequence[Mapping[str, 
     lines += blind_lines(blind_spots_json(found.verdict), found.estimate.sigma_theta)
     grounds = [ground_m_per_rad(found.strips, found.camera)]
     lines += _estimate_lines(found.estimate, found.strips, grounds)
-    lines += _doubt_lines(found.estimate, {one["text"] for one in findings})
+    lines += _doubt_lines(found.estimate)
     return "\n".join(lines + omission_lines([entry.row for entry in found.omissions]))
 
 
@@ -84,7 +83,7 @@ def joint_summary(of_dumps: Mapping[str, DumpCalibration], joint: JointCalibrati
     lines.append("all cameras together:" if several else f"jointly from {len(of_dumps)} dumps:")
     sigma_rad = joint.sigma_installation_rad
     lines += _estimate_lines(joint.estimate, joint.strips, joint_ground_m_per_rad(joint), sigma_rad)
-    lines += _doubt_lines(joint.estimate, ())
+    lines += _doubt_lines(joint.estimate)
     return "\n".join(lines + omission_lines([entry.row for entry in joint.omissions]))
 
 
@@ -213,9 +212,12 @@ def _seen(estimate: InstallationEstimate, strips: Sequence[StripSightings]) -> s
     return f"{estimate.n_targets} {' and '.join(kinds[kind] for kind in sorted(of_ground, reverse=True))}"
 
 
-def _doubt_lines(estimate: InstallationEstimate, said: Collection[str]) -> list[str]:
-    """Targets of which one is wrong, without those that a finding names already."""
-    return [f"{'one target in doubt':26s}{text}" for text in doubts(estimate.targets) if text not in said]
+def _doubt_lines(estimate: InstallationEstimate) -> list[str]:
+    """Groups of targets of which one is wrong, the likeliest first."""
+    text = "is wrong; the data do not tell which: they have less weight."
+    return [
+        f"{'one target in doubt':26s}{group} {text}" for group in map(either_of, estimate.targets.doubtful)
+    ]
 
 
 def validation_summary(validation: TruthErrors) -> str:

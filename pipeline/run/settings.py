@@ -113,6 +113,7 @@ def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor)
         "sigma_clock_s": errors.clock_s,
         "clock_time_s": errors.clock_time_s,
         "sigma_vibration_rad": errors.vibration_arcsec * ARCSEC,
+        "sigma_mounting_rad": errors.mounting_arcsec * ARCSEC,
         "sigma_motion_rad": errors.motion_arcsec * ARCSEC,
         "motion_time_s": errors.motion_s,
         "sigma_distortion_rad": errors.look_distortion_px * camera.pixel_rad,

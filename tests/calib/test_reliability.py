@@ -188,4 +188,4 @@ def test_of_causes_that_explain_the_same_the_one_of_most_observations_is_told_an
         "strip strip0000",
         "strip strip0001",
     }
-    assert all(one.rpartition(", ")[2] in found.text for one in found.rivals)
+    assert all(one.rpartition(", ")[2] in f"{found.item}: {found.text}" for one in found.rivals)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import erfa
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,8 +18,14 @@ from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.diagnosis.moved_inputs import _line_of_sight, _turned_by_velocity
+from boresight.pipeline.diagnosis.moved_inputs import (
+    _by_precession,
+    _clock_of_exposures,
+    _line_of_sight,
+    _turned_by_velocity,
+)
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.sky_campaign import draw_sky_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)
@@ -69,6 +76,33 @@ def test_attitudes_turn_with_their_line_of_sight_as_erfa_says(removed):
 def test_a_line_of_sight_that_is_not_used_is_no_cause():
     source = SimpleNamespace(aberration_removed="annual and orbital")
     assert not list(_line_of_sight(SimpleNamespace(epoch=None, orbit=None), None, source, []))
+
+
+def test_stars_of_another_equinox_are_where_erfa_takes_them():
+    """Over fifty years precession is not linear to what a scan shows, 0.1 arc-second."""
+    u_i = Rotation.random(20, random_state=2).apply([0.0, 0.0, 1.0])
+    stated = SimpleNamespace(u_i=u_i @ erfa.pmat06(erfa.DJ00, -50.0 * erfa.DJY).T)
+    of_long, of_short = (-50.0 * _by_precession(years, stated) for years in (-50.0, 1.0))
+    assert np.abs(of_long - (stated.u_i - u_i)).max() < 1e-12
+    assert np.abs(of_short - (stated.u_i - u_i)).max() > 10.0 * ARCSEC
+
+
+def test_a_clock_of_the_exposures_that_runs_fast_does_the_opposite_of_a_row_period_that_is_too_long():
+    plan = StripPlan(strips=1, exposures=9, stars=15, targets=14)
+    (strip,) = with_attitudes(
+        draw_sky_strips(plan, CAMERAS, np.random.default_rng(3), rates_rad_s=(-0.0143,)), SETTINGS.attitudes
+    )
+    head = SimpleNamespace(source=None, subject=None)
+    inputs = list(_clock_of_exposures(head, [strip]))
+    table = hypotheses(
+        HypothesisInputs([prepare_strip(strip, SETTINGS)], BOLD, CAMERAS.pixel_rad, inputs=inputs)
+    )
+    change = {one.cause: one.change_c for one in table if one.item in ("all exposures", "strip sky0000")}
+    both = change["clock of the exposures, rate"] + change["row period"]
+    clock = change["clock of the exposures"]  # what is left is an offset, from the first row to an exposure
+    offset = np.sum(both * clock) / np.sum(clock**2)
+    assert np.abs(both - offset * clock).max() < 0.02 * np.abs(change["row period"]).max()
+    assert np.abs(change["row period"]).max() > 10.0 * np.abs(clock).max()
 
 
 def test_a_moved_input_changes_the_residuals_as_its_column_says():

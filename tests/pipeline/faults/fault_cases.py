@@ -120,8 +120,8 @@ def case_of(status: int, cpu_s: float, answer: dict[str, Any], R_true: Rotation)
     verdict = matrix["verdict"]
     case["verdict"] = verdict["outcome"]
     told = [one for one in result["findings"] if one.get("is_fault", True)]
-    checks = sorted(verdict["checks"], key=lambda one: one["p_value"])
-    told += [told_by(one) for one in checks if not one["holds"] and not one["is_caution"]]
+    failed = [one for one in verdict["checks"] if one["fails"] and not one["is_caution"]]
+    told += [told_by(one) for one in sorted(failed, key=lambda one: one["p_value"])]
     told += [one for one in result["findings"] if not one.get("is_fault", True)]
     case["told"] = [{key: one.get(key) for key in TOLD} for one in told[:12]]
     case["n_told"] = len(told)

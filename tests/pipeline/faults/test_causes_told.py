@@ -147,21 +147,23 @@ def test_a_cause_is_told_first_with_its_size_and_accuses_nothing_else(told, make
     assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
 
 
-def test_points_of_a_strip_that_scatter_more_than_stated_are_one_finding_about_their_noise(told):
+@pytest.mark.parametrize(("item", "strips"), [("strip s03", "s03"), ("all strips", "s01 s02 s03")])
+def test_points_that_scatter_more_than_stated_are_one_finding_about_their_noise(told, item, strips):
     def scattered(dump: Path) -> None:
         rng = np.random.default_rng(11)
 
         def edit(row: dict[str, str]) -> None:
             for column in ("sample", "line"):
                 error = 8.0 * float(row[f"sigma_{column}_px"]) * rng.standard_normal()
-                if row["strip"] == "s03":
+                if row["strip"] in strips:
                     row[column] = repr(float(row[column]) + error)
 
         edited("points.csv", edit, dump)
 
     (first,) = [one for one in told(scattered).verdict.findings if one.is_fault]
-    assert (first.cause, first.item) == ("noise of the image points or coordinates", "strip s03")
+    assert (first.cause, first.item) == ("noise of the image points or coordinates", item)
     assert 3.0 < first.value < 9.0  # times the stated of image, survey and vibration together
+    assert first.refutes or item != "all strips"  # then the matrix is less certain than stated
 
 
 def test_instants_cut_to_an_eighth_of_a_second_are_told_with_that_step(told):

@@ -71,6 +71,11 @@ def files_exchanged(name: str, pairs: list[tuple[int, int]], dump: Path) -> None
     write(dump / name, [header, *rows])
 
 
+def two_at_once(dump: Path) -> None:
+    files_exchanged("exposures.csv", [(2, 9)], dump)
+    number(REMOTE, "x_offset_mm", lambda v: 0.0)(dump)
+
+
 def of_two_ccds(dump: Path) -> None:
     header, *rows = table(dump / "strips.csv")
     at = [[n for n, row in enumerate(rows) if row[header.index("ccd")] == ccd] for ccd in ("0", "1")]
@@ -139,6 +144,15 @@ ROWS = [
         partial(files_exchanged, "exposures.csv", [(6, 9)]),
         FINDINGS,
         [("files or times of exposures", "exposures e0007 and e0010", None, "exposures.csv")],
+    ),
+    (
+        "mini",
+        two_at_once,
+        REFUTED,
+        [
+            ("images or look directions of a CCD", "CCDs 0, 2", None, REMOTE),
+            ("files or times of exposures", "exposures e0003 and e0010", None, "exposures.csv"),
+        ],
     ),
     ("mini", strips_again, Outcome.CONSISTENT, []),
     (

@@ -166,13 +166,6 @@ def test_targets_that_the_data_do_not_tell_apart_are_named() -> None:
     text = calibration_summary(calibration(targets=doubtful))
     assert "one target in doubt       s1/t3 or s1/t9 is wrong; the data do not tell which" in text
     assert "doubt" not in calibration_summary(calibration())
-    finding = {
-        "cause": "gross error",
-        "item": "one target of 2",
-        "text": text.partition("in doubt       ")[2].splitlines()[0],
-    }
-    said_once = calibration_summary(calibration(targets=doubtful), [finding])
-    assert said_once.count("s1/t3 or s1/t9 is wrong") == 1 and "in doubt" not in said_once
 
 
 def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
