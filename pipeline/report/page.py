@@ -27,6 +27,7 @@ from boresight.pipeline.report.observations import (
     strip_numbers,
     target_rows,
 )
+from boresight.pipeline.report.page_figures import page_figures
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
@@ -67,8 +68,6 @@ def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Exe
 
 def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterator[str]:
     """The text of the report, part by part: with thousands of targets tens of MB, as one text twice that."""
-    from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
-
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
