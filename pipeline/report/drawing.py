@@ -184,7 +184,7 @@ class Figure:
     def cell(self, n: int, rows: int, columns: int, gaps: tuple[float, float]) -> tuple[float, ...]:
         """Place of the panel `n` of rows and columns of them, with gaps beside and below each, pt."""
         left, right, top, bottom = self.area
-        at, shares = divmod(n, columns)[::-1], []
+        at, shares = divmod(n, columns)[::-1], list[float]()
         for number, count, gap, span in zip(at, (columns, rows), gaps, (right - left, bottom - top)):
             step = (span + gap) / count
             shares += [number * step / span, ((number + 1) * step - gap) / span]
