@@ -43,7 +43,8 @@ def _map(found: DumpCheck) -> Drawing:
         axes.title(strip_id)
         for places, marker in ((seen, "o"), (missed, "x")):
             if places:
-                axes.marks(*np.array(places).T, marker)
+                lon, lat = np.array(places).T
+                axes.marks(lon, lat, marker)
     in_view = sum(bool(one.seen_by) for one in found.targets)
     counts = f"{len(shown)} of {len(found.footprints)} strips by the pre-launch matrix"
     text = f"{counts}, longitude and latitude in degrees; {in_view} of {len(found.targets)} targets in view."

@@ -111,7 +111,7 @@ class Axis:
     @staticmethod
     def over(label: str, values: Any, *, is_log: bool = False) -> Axis:
         """An axis that holds all finite values; of one with equal ratios the positive ones."""
-        found = np.asarray(values, dtype=float).ravel()
+        found: Floats = np.asarray(values, dtype=float).ravel()
         found = found[np.isfinite(found) & ((found > 0.0) | (not is_log))]
         low, high = (float(found.min()), float(found.max())) if len(found) else (0.1, 1.0)
         if is_log:
@@ -122,10 +122,10 @@ class Axis:
 
     def shares(self, values: Any) -> Floats:
         """How far along the axis values (N,) lie: 0 at its begin, 1 at its end."""
-        ends, values = np.array([self.low, self.high]), np.asarray(values, dtype=float)
+        low, high, at = (np.asarray(one, dtype=float) for one in (self.low, self.high, values))
         if self.is_log:
-            ends, values = np.log10(ends), np.log10(np.maximum(values, SMALLEST))
-        return np.asarray((values - ends[0]) / (ends[1] - ends[0]))
+            low, high, at = (np.log10(np.maximum(one, SMALLEST)) for one in (low, high, at))
+        return np.asarray((at - low) / (high - low))
 
     def numbers(self, most: int) -> tuple[list[float], list[str], str]:
         """Values that have a number, with some `most` intervals between them; the numbers; and the label with

@@ -249,18 +249,24 @@ def _residual_panel(
     """Residuals of `both` kinds, by their labels, one above the other against a label and its values."""
     label, x = against
     figure, spots = Figure(3.4), []
-    index = [row.row for row in rows]
-    across = Axis.over(label, x[index])
+    across = Axis.over(label, x[[row.row for row in rows]])
     for n, (which, y) in enumerate(both.items()):
         used = [row.row for row in rows if row.state == State.USED]
         reach = 1.3 * float(np.max(np.abs(y[used]), initial=0.0)) or 1.0
         below = replace(across, label=label if n else "")
         axes = figure.panel(below, Axis(which, -reach, reach), figure.cell(n, 2, 1, (0.0, 12.0)))
         axes.level(0.0)
-        places = zip(x[index].tolist(), np.clip(y[index], -0.97 * reach, 0.97 * reach).tolist())
+        shown = np.clip(y, -0.97 * reach, 0.97 * reach)
         spots += [
-            Spot(axes=axes, x=x0, y=y0, link=row.link, style=f"{row.key} {row.colour}", shape=row.shape)
-            for row, (x0, y0) in zip(rows, places)
+            Spot(
+                axes=axes,
+                x=float(x[row.row]),
+                y=float(shown[row.row]),
+                link=row.link,
+                style=f"{row.key} {row.colour}",
+                shape=row.shape,
+            )
+            for row in rows
         ]
     beyond = sum(1 for row in rows if row.state == State.REJECTED)
     text = f"Residuals of {len(rows)} {of} against {name.removeprefix('star-')}; marks as on {marks}."
@@ -399,7 +405,7 @@ def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tupl
 
 def _arrows(axes: Panel, place: Floats, vector: Floats, scale: float, length: float) -> None:
     """Arrows at `place` (N, 2), as long as `length` for a vector of size `scale`: that one in the corner."""
-    axes.marks(*place.T, ".", Pen(colour=MUTED))
+    axes.marks(place[:, 0], place[:, 1], ".", Pen(colour=MUTED))
     axes.arrows(place, place + vector * (length / scale))
     ends = np.array([[0.6, 0.6], [1.6, 0.6], [1.85, 0.6]]) * [length, -length] + [axes.x.low, axes.y.low]
     axes.arrows(ends[:1], ends[1:2], Pen(width=1.8))

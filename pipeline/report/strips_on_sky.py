@@ -76,8 +76,8 @@ def _panel(
         off *= 2.0 * reach * LONGEST / largest
         used = np.array([row.state == "used" for row in rows])
         ends.append(np.stack([place, place + off], axis=1)[used])
-        for of_star in ends[-1]:
-            axes.line(*of_star.T, Pen(colour=MUTED, width=1.2))
+        for x, y in np.swapaxes(ends[-1], 1, 2):
+            axes.line(x, y, Pen(colour=MUTED, width=1.2))
         middle, half = np.array([-0.82, -0.82]) * reach, 0.15 * reach * scan
         ends.append(np.array([[middle - half, middle + half]]))
         axes.arrows(*np.swapaxes(ends[-1], 0, 1))
