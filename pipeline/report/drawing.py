@@ -111,8 +111,8 @@ class Axis:
     @staticmethod
     def over(label: str, values: Any, *, is_log: bool = False) -> Axis:
         """An axis that holds all finite values; of one with equal ratios the positive ones."""
-        found: Floats = np.asarray(values, dtype=float).ravel()
-        found = found[np.isfinite(found) & ((found > 0.0) | (not is_log))]
+        every = np.asarray(values, dtype=float).ravel()
+        found = every[np.isfinite(every) & ((every > 0.0) | (not is_log))]
         low, high = (float(found.min()), float(found.max())) if len(found) else (0.1, 1.0)
         if is_log:
             more = max((high / low) ** SIDE_MARGIN, 1.05)
