@@ -136,8 +136,8 @@ class Axis:
         if last - first > 1.0:  # of less the numbers are as on other axes
             steps = (1.0, 2.0, 5.0) if last - first < 0.5 * most else (1.0,)
             apart = int(np.ceil((last - first) / (1.5 * most)))
-            at = np.outer(10.0 ** np.arange(np.floor(first), last + 1.0)[::apart], steps).ravel()
-            at = at[(at >= low) & (at <= high)]
+            every = np.outer(10.0 ** np.arange(np.floor(first), last + 1.0)[::apart], steps).ravel()
+            at = every[(every >= low) & (every <= high)]
             return at.tolist(), [f"{value:g}" for value in at], self.label
         finest = max((high - low) / most, float(self.is_whole))
         power = 10.0 ** np.floor(np.log10(finest))
