@@ -57,7 +57,6 @@ from boresight.pipeline.results.writing import (
     write_sightings,
 )
 from boresight.pipeline.run.executor import Executor
-from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
@@ -125,7 +124,7 @@ def run_dump(
         required = _keep_stated(out, request)
         if _is_finished(out, inputs, request):
             if required and request.report:
-                _draw(out, executor)
+                write_report(out)
             return _finished(out)
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
         log.debug("%s", "\n".join(omission_lines([entry.row for entry in found.omissions], None)))
@@ -223,12 +222,8 @@ def _calibrated(
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
-        _draw(out, executor)
+        write_report(out)
     return found
-
-
-def _draw(out: Path, executor: Executor) -> None:
-    write_report(out, executor=executor if isinstance(executor, Processes) else None)
 
 
 def _required(out: Path) -> list[str]:

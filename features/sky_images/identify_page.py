@@ -12,7 +12,7 @@ from boresight.features.sky_images.identify_images import Line, bound_words, mis
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.drawing import INK, MUTED, Drawing, axes_of, drawn, dress_axes, new_figure
+from boresight.pipeline.report.drawing import FILL, MUTED, Axis, Drawing, Figure, Pen, drawn
 from boresight.pipeline.report.page import template
 from boresight.pipeline.report.star_image import Detection, star_detection, star_picture
 from boresight.pipeline.report.star_preview import stretched_jpeg
@@ -171,18 +171,12 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     side = 2 * radius + 1
     mean = (weight * windows.data / flux[:, None]).sum(axis=0).reshape(side, side)
     fitted = (weight * model).sum(axis=0).reshape(side, side)
-    figure = new_figure(1.95)
-    figure.subplots_adjust(top=0.86, bottom=0.24, left=0.1, right=0.98, wspace=0.12)
-    top = float(mean.max())
+    figure, top, reach = Figure(1.95, above=15.0), float(mean.max()), radius + 0.5
     for n, (title, values) in enumerate((("stars", mean), ("PSF", fitted), ("difference", mean - fitted))):
-        axes = figure.add_subplot(1, 3, n + 1)
-        dress_axes(axes, "px", "")
-        axes.grid(visible=False)
-        reach = radius + 0.5
-        axes.imshow(values, cmap="gray", vmin=-0.2 * top, vmax=top, extent=(-reach, reach, reach, -reach))
-        axes.set_title(title, color=INK, fontsize=9)
-        axes.locator_params(nbins=3)
-        axes.tick_params(labelleft=n == 0)
+        down, place = Axis("" if n else "px", reach, -reach), figure.cell(n, 1, 3, (12.0, 0.0))
+        axes = figure.panel(Axis("px", -reach, reach), down, place)
+        axes.picture(values, -0.2 * top, top)
+        axes.title(title)
     off = float(np.abs(mean - fitted).max()) / top
     text = (
         f"Mean of the {len(some)} brightest stars, weighted by flux, the PSF as fitted to them, and their"
@@ -192,36 +186,24 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
 
 
 def _snr_histogram(stars: StarList, known: Bools) -> Drawing:
-    figure = new_figure(2.4)
-    axes = figure.add_subplot()
-    dress_axes(axes, "signal-to-noise ratio", "detections")
+    figure, edges = Figure(2.4), np.geomspace(1.0, 10.0, 25)
     if len(stars.snr):
-        edges = np.geomspace(max(1.0, 0.9 * stars.snr.min()), 1.1 * stars.snr.max(), 25).tolist()
-        axes.hist(stars.snr, edges, histtype="stepfilled", color=MUTED, alpha=0.35)
-        axes.hist(stars.snr[known], edges, histtype="step", color=INK, lw=1.4)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("{x:g}" if stars.snr.max() < 10.0 * stars.snr.min() else "")
+        edges = np.geomspace(max(1.0, 0.9 * stars.snr.min()), 1.1 * stars.snr.max(), 25)
+    counts, named = (np.histogram(values, edges)[0] for values in (stars.snr, stars.snr[known]))
+    across = Axis("signal-to-noise ratio", float(edges[0]), float(edges[-1]), is_log=True)
+    axes = figure.panel(across, Axis("detections", 0.0, 1.05 * max(1.0, *counts)))
+    axes.steps(edges, counts, Pen(colour=MUTED, fill=FILL))
+    axes.steps(edges, named, Pen(width=1.4))
     text = "All detections (filled) and those identified (line) by signal-to-noise ratio."
     return drawn(figure, "snr", text, f"Histogram. {text}")
 
 
 def _residuals(found: FieldSolution) -> Drawing:
-    figure = new_figure(3.3)
-    axes = axes_of(figure, "column, px", "row, px")
-    (x, y), (dx, dy) = found.xy_px.T, found.residual_px.T
-    longest = max(float(np.quantile(np.hypot(dx, dy), 0.95)), 1e-6)
-    enlarged = float(f"{0.06 * found.camera.width_px / longest:.1g}")
-    arrows: dict[str, Any] = {
-        "angles": "xy",
-        "scale_units": "xy",
-        "scale": 1.0 / enlarged,
-        "width": 0.004,
-        "color": INK,
-    }
-    axes.quiver(x, y, dx, dy, **arrows)
-    axes.set_xlim(-0.5, found.camera.width_px - 0.5)
-    axes.set_ylim(found.camera.height_px - 0.5, -0.5)
-    axes.set_aspect("equal")
+    figure, camera = Figure(3.3), found.camera
+    longest = max(float(np.quantile(np.linalg.norm(found.residual_px, axis=1), 0.95)), 1e-6)
+    enlarged = float(f"{0.06 * camera.width_px / longest:.1g}")
+    across = Axis("column, px", -0.5, camera.width_px - 0.5)
+    axes = figure.panel(across, Axis("row, px", camera.height_px - 0.5, -0.5), aspect=1.0)
+    axes.arrows(found.xy_px, found.xy_px + enlarged * found.residual_px)
     text = f"Measured less predicted positions of the identified stars, {enlarged:g} times enlarged."
     return drawn(figure, "residuals", text, f"Arrows over the image. {text}")

@@ -8,13 +8,14 @@ import numpy as np
 
 from boresight.features.targets.dump_check import DumpCheck, grouped_faults
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.drawing import INK, Drawing, drawn, dress_axes, new_figure
+from boresight.pipeline.report.drawing import Axis, Drawing, Figure, drawn
 from boresight.pipeline.report.page import template
 
 __all__ = ["write_check_page"]
 
 # Most strips of which a map is drawn; maps side by side.
 MOST_MAPS, COLUMNS = 12, 2
+GAPS_PT = 55.0, 55.0  # between maps
 
 
 def write_check_page(found: DumpCheck, path: Path) -> None:
@@ -28,20 +29,22 @@ def _map(found: DumpCheck) -> Drawing:
     """A map for each of the first strips: its outline and the targets that it sees or misses by least."""
     shown = dict(list(found.footprints.items())[:MOST_MAPS])
     rows = -(-len(shown) // COLUMNS)
-    figure = new_figure(2.2 * rows)
+    figure = Figure(2.2 * rows, above=15.0)
     for n, (strip_id, outline) in enumerate(shown.items()):
-        axes = figure.add_subplot(rows, COLUMNS, n + 1)
-        dress_axes(axes, "", "")
-        axes.plot(*np.vstack([outline, outline[:1]]).T, color=INK, lw=1.0)
-        axes.set_title(strip_id, color=INK, fontsize=9)
         seen = [one.lon_lat_deg for one in found.targets if strip_id in one.seen_by]
         missed = [one.lon_lat_deg for one in found.targets if one.nearest == strip_id]
+        every = np.vstack([outline, *(np.reshape(places, (-1, 2)) for places in (seen, missed))])
+        across, down = (
+            Axis.over(name, values) for name, values in zip(("longitude, °", "latitude, °"), every.T)
+        )
+        flattened = 1.0 / np.cos(np.radians(outline[:, 1].mean()))
+        axes = figure.panel(across, down, figure.cell(n, rows, COLUMNS, GAPS_PT), aspect=flattened)
+        axes.line(*np.vstack([outline, outline[:1]]).T)
+        axes.title(strip_id)
         for places, marker in ((seen, "o"), (missed, "x")):
             if places:
-                axes.plot(*np.array(places).T, marker, color=INK, ms=4, mfc="none")
-        axes.set_aspect(1.0 / np.cos(np.radians(outline[:, 1].mean())), adjustable="datalim")
-        axes.ticklabel_format(useOffset=False)
-        axes.locator_params(nbins=3)
+                lon, lat = np.array(places).T
+                axes.marks(lon, lat, marker)
     in_view = sum(bool(one.seen_by) for one in found.targets)
     counts = f"{len(shown)} of {len(found.footprints)} strips by the pre-launch matrix"
     text = f"{counts}, longitude and latitude in degrees; {in_view} of {len(found.targets)} targets in view."

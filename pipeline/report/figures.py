@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Ellipse
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import State
@@ -17,17 +15,17 @@ from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.report.drawing import (
     AXES,
+    DASHED,
     FILL,
-    INK,
     MUTED,
     WIDTH_IN,
+    Axis,
     Drawing,
-    Ruled,
+    Figure,
+    Panel,
+    Pen,
     Spot,
-    axes_of,
     drawn,
-    new_figure,
-    rule_axes,
 )
 from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
 from boresight.pipeline.report.saved import Saved, utc_text
@@ -50,6 +48,7 @@ __all__ = [
 CELLS = 14  # of the star map along its longer side
 # Fewest stars of a cell of the detector whose mean residual is drawn.
 FEWEST_IN_CELL = 5
+FILLED = Pen(colour=MUTED, fill=FILL, width=0.8)
 ELLIPSE_SIGMAS = (1.0, 2.4477)  # 39 and 95 per cent of a plane normal distribution
 
 
@@ -58,33 +57,20 @@ def convergence(saved: Saved) -> Drawing:
     table = saved.convergence
     frames = column(table, "frames")
     theta, sigma = (list_values(table, name, 3) / ARCSEC for name in ("theta_rad", "sigma_rad"))
-    end = theta[-1] if len(theta) else np.zeros(3)
-    figure = new_figure(3.0, legend_in=0.35)
-    axes = axes_of(figure, "star exposures so far", "arc-seconds")
+    distance = np.abs(theta[:-1] - theta[-1:])
+    figure = Figure(3.0, above=25.0)
+    both = Axis.over("arc-seconds", np.concatenate([sigma, distance]), is_log=True)
+    axes = figure.panel(Axis.over("star exposures so far", frames), both)
     for n, curve in enumerate(AXES):
         seen = np.isfinite(sigma[:, n])
-        axes.plot(
-            frames[seen],
-            sigma[seen, n],
-            curve.dash,
-            color=curve.colour,
-            linewidth=1.6,
-            marker="_" if seen.sum() == 1 else None,  # one point makes no line
-            label=f"{curve.name}: 1σ",
-        )
-        distance = np.abs(theta[:-1, n] - end[n])
-        shown = np.isfinite(distance) & (distance > 0.0)
-        axes.plot(
-            frames[:-1][shown],
-            distance[shown],
-            curve.marker,
-            color=curve.colour,
-            markersize=4,
-            fillstyle="none",
-            label=f"{curve.name}: |θ − final|",
-        )
-    _logarithmic(axes, "y")
-    _legend(axes, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2))
+        pen = Pen(colour=curve.colour, dash=curve.dash, width=1.6)
+        axes.line(frames[seen], sigma[seen, n], pen, f"{curve.name}: 1σ")
+        if seen.sum() == 1:  # one point makes no line
+            axes.marks(frames[seen], sigma[seen, n], "_", pen)
+        away = np.isfinite(distance[:, n]) & (distance[:, n] > 0.0)
+        label = f"{curve.name}: |θ − final|"
+        axes.marks(frames[:-1][away], distance[away, n], curve.marker, Pen(colour=curve.colour), label)
+    axes.legend(columns=3)
     last = ", ".join(f"{c.name} {s:.3g}″" for c, s in zip(AXES, sigma[-1])) if len(sigma) else "none"
     return drawn(
         figure,
@@ -98,31 +84,35 @@ def angle_histogram(saved: Saved) -> Drawing:
     """Histogram of cross-angle residuals divided by their predicted standard deviation."""
     ratio = column(saved.angles, "z") / column(saved.angles, "sigma")
     text = f"{len(ratio)} pairs of directions; standard deviation of z/σ {_rms(ratio):.3f}, expected 1."
-    figure = new_figure(2.6)
-    axes = axes_of(figure, "z / predicted σ", "fraction per unit")
-    x = np.linspace(-4.5, 4.5, 181)
-    _histogram(axes, ratio, x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), "expected")
+    figure = Figure(2.6)
+    x, edges = np.linspace(-4.5, 4.5, 181), np.linspace(-4.5, 4.5, 46)
+    density = _density(ratio, edges)
+    across = Axis("z / predicted σ", -4.7, 4.7)
+    axes = figure.panel(across, Axis("fraction per unit", 0.0, 1.1 * max(0.4, *density)))
+    axes.steps(edges, density, FILLED)
+    axes.line(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), Pen(width=1.4), "expected")
+    axes.legend()
     return drawn(figure, "angle-histogram", text, f"Histogram of cross-angle residuals. {text}")
 
 
 def angle_spread(saved: Saved) -> Drawing:
     """Measured against predicted standard deviation of cross angles, in groups of similar prediction."""
     z, sigma = column(saved.angles, "z"), column(saved.angles, "sigma")
-    figure = new_figure(2.6)
-    axes = axes_of(figure, "predicted σ of z, arc-seconds", "measured rms of z, arc-seconds")
+    figure = Figure(2.6)
     groups = [g for g in np.array_split(np.argsort(sigma, kind="stable"), 12) if len(g) >= 5]
     predicted = np.array([_rms(sigma[g]) for g in groups]) / ARCSEC
     measured = np.array([_rms(z[g]) for g in groups]) / ARCSEC
-    if len(groups):
-        error = measured / np.sqrt(2.0 * np.array([len(g) for g in groups]))
-        axes.errorbar(
-            predicted, measured, error, fmt="o", color=INK, ecolor=MUTED, markersize=4, fillstyle="none"
-        )
-        span = np.array([predicted.min(), predicted.max()])
-        axes.plot(span, span, "--", color=MUTED, linewidth=1.2, label="measured = predicted")
-        _legend(axes, loc="upper left")
-        if predicted.max() > 3.0 * predicted.min():
-            _logarithmic(axes, "x", "y")
+    error = measured / np.sqrt(2.0 * np.array([len(g) for g in groups]))
+    is_log = bool(len(groups)) and predicted.max() > 3.0 * predicted.min()
+    ends = np.concatenate([measured - error, measured + error, predicted])
+    axes = figure.panel(
+        Axis.over("predicted σ of z, arc-seconds", predicted, is_log=is_log),
+        Axis.over("measured rms of z, arc-seconds", ends, is_log=is_log),
+    )
+    axes.bars(predicted, measured - error, measured + error, Pen(colour=MUTED))
+    axes.marks(predicted, measured, "o")
+    axes.line(predicted, predicted, Pen(colour=MUTED, dash=DASHED, width=1.2), "measured = predicted")
+    axes.legend(at_left=True)
     ratio = measured / predicted
     words = f"ratio from {ratio.min():.2f} to {ratio.max():.2f}" if len(ratio) else "no pairs"
     return drawn(
@@ -142,11 +132,9 @@ def star_residual_map(saved: Saved) -> Drawing:
     width, height = camera["width_px"], camera["height_px"]
     cell = max(width, height) / CELLS
     place, mean = _cell_means(xy, residual, cell, width)
-    figure = new_figure(0.6 + 0.9 * WIDTH_IN * height / width)
-    axes = axes_of(figure, "column, px", "row, px")
-    axes.set_xlim(-0.5, width - 0.5)
-    axes.set_ylim(height - 0.5, -0.5)
-    axes.set_aspect("equal")
+    figure = Figure(0.6 + 0.8 * WIDTH_IN * height / width)
+    across, down = (-0.5, width - 0.5), (height - 0.5, -0.5)
+    axes = figure.panel(Axis("column, px", *across), Axis("row, px", *down), aspect=1.0)
     size = np.linalg.norm(mean, axis=1)
     scale = _nice(float(np.percentile(size, 90)) if len(size) else 0.0)
     _arrows(axes, place, mean, scale, cell)
@@ -189,24 +177,19 @@ def ground_scatter(saved: Saved) -> Drawing:
     _, across, along = _used_on_ground(saved)
     ce90 = float(saved.context["accuracy"][0]["ce90_m"] or 0.0)
     reach = 1.15 * float(np.abs([*across, *along, ce90, 1e-3]).max())
-    edges = np.linspace(-reach, reach, 21)
-    figure = new_figure(WIDTH_IN)
-    grid = figure.add_gridspec(2, 2, width_ratios=(4, 1), height_ratios=(1, 4), wspace=0.06, hspace=0.06)
-    axes = figure.add_subplot(grid[1, 0], axes_class=Ruled)
-    rule_axes(axes, "across the track, m", "along the track, m")
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
-    axes.plot(across, along, "o", color=INK, markersize=3, fillstyle="none")
-    axes.add_patch(Circle((0.0, 0.0), ce90, fill=False, edgecolor=AXES[1].colour, linewidth=1.4))
-    sides: tuple[tuple[Any, Floats, Any], ...] = (
-        (grid[0, 0], across, "vertical"),
-        (grid[1, 1], along, "horizontal"),
+    figure, edges, beside = Figure(WIDTH_IN), np.linspace(-reach, reach, 21), 0.8
+    axes = figure.panel(
+        Axis("across the track, m", -reach, reach),
+        Axis("along the track, m", -reach, reach),
+        (0, beside, 0.2, 1),
     )
-    for cell, values, turn in sides:
-        beside = figure.add_subplot(cell)
-        beside.set_axis_off()
-        counts = np.histogram(values, edges)[0]
-        beside.stairs(counts, edges, fill=True, orientation=turn, facecolor=FILL, edgecolor=MUTED)
-        beside.set(**{"xlim" if turn == "vertical" else "ylim": (-reach, reach)})
+    axes.marks(across, along, "o")
+    axes.line(*_ellipse(ce90**2 * np.eye(2)), Pen(colour=AXES[1].colour, width=1.4))
+    for values, is_turned, place in ((across, False, (0, beside, 0, 0.19)), (along, True, (0.81, 1, 0.2, 1))):
+        counts, own = np.histogram(values, edges)[0], Axis("", -reach, reach)
+        count = Axis("", 0.0, max(1.0, *counts))
+        axes = figure.panel(*((count, own) if is_turned else (own, count)), place)
+        axes.steps(edges, counts, FILLED, is_turned=is_turned)
     text = f"Residuals of {len(across)} sightings of targets; circle: CE90 {ce90:.2f} m."
     return drawn(figure, "ground-scatter", text, text)
 
@@ -214,18 +197,21 @@ def ground_scatter(saved: Saved) -> Drawing:
 def ccd_means(saved: Saved) -> Drawing:
     """Mean residual on the ground of each CCD's targets, its 1-sigma, and the spread of the residuals."""
     ccd, *residuals = _used_on_ground(saved)
-    figure = new_figure(WIDTH_IN)
-    axes = axes_of(figure, "CCD", "mean residual, m")
-    axes.axhline(0.0, color=MUTED, linewidth=1.0)
     names, count = np.unique(ccd, return_counts=True)
-    for curve, name, off, values in zip(AXES, ("across", "along"), (-0.08, 0.08), residuals):
-        groups = [values[ccd == one] for one in names]
-        mean, spread = (np.array([of(group) for group in groups]) for of in (np.mean, np.std))
-        style: dict[str, Any] = {"color": curve.colour, "marker": curve.marker, "linestyle": "none"}
-        axes.errorbar(names + off, mean, spread, elinewidth=0.8, label=name, **style)
-        axes.errorbar(names + off, mean, spread / np.sqrt(count), elinewidth=3.0, **style)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    _legend(axes, loc="upper right", ncols=2)
+    groups = [[values[ccd == one] for one in names] for values in residuals]
+    mean, spread = (np.array([[of(group) for group in one] for one in groups]) for of in (np.mean, np.std))
+    figure = Figure(WIDTH_IN)
+    axes = figure.panel(
+        Axis("CCD", min(names, default=0) - 0.5, max(names, default=0) + 0.5, is_whole=True),
+        Axis.over("mean residual, m", [0.0, *(mean - spread).ravel(), *(mean + spread).ravel()]),
+    )
+    axes.level(0.0)
+    for curve, name, off, middle, around in zip(AXES, ("across", "along"), (-0.08, 0.08), mean, spread):
+        pen, error = Pen(colour=curve.colour), around / np.sqrt(count)
+        axes.bars(names + off, middle - around, middle + around, pen)
+        axes.bars(names + off, middle - error, middle + error, replace(pen, width=3.0))
+        axes.marks(names + off, middle, curve.marker, replace(pen, fill=curve.colour), name)
+    axes.legend()
     text = f"Mean residual of each of {len(names)} CCDs, thick its 1σ, thin the spread of the residuals."
     return drawn(figure, "ccd-means", text, text)
 
@@ -261,18 +247,16 @@ def _residual_panel(
 ) -> Drawing:
     """Residuals of `both` kinds, by their labels, one above the other against a label and its values."""
     label, x = against
-    figure = new_figure(3.4)
-    panels = figure.subplots(2, 1, sharex=True, subplot_kw={"axes_class": Ruled})
-    spots = []
-    for axes, (which, y) in zip(panels, both.items()):
-        rule_axes(axes, label if axes is panels[-1] else "", which)
+    figure, spots = Figure(3.4), []
+    across = Axis.over(label, x[[row.row for row in rows]])
+    for n, (which, y) in enumerate(both.items()):
         used = [row.row for row in rows if row.state == State.USED]
-        axes.axhline(0.0, color=MUTED, linewidth=1.0)
-        reach = 1.3 * float(np.max(np.abs(y[used]))) if used else 1.0
-        axes.set_ylim(-reach, reach)
-        axes.plot(x[[row.row for row in rows]], np.zeros(len(rows)), linestyle="none")  # limits of x
-        inside = np.clip(y, -0.97 * reach, 0.97 * reach)
-        spots += [Spot.of(row, axes, x[row.row], inside[row.row]) for row in rows]
+        reach = 1.3 * float(np.max(np.abs(y[used]), initial=0.0)) or 1.0
+        below = replace(across, label=label if n else "")
+        axes = figure.panel(below, Axis(which, -reach, reach), figure.cell(n, 2, 1, (0.0, 12.0)))
+        axes.level(0.0)
+        shown = np.clip(y, -0.97 * reach, 0.97 * reach)
+        spots += [Spot.of(row, axes, x[row.row], shown[row.row]) for row in rows]
     beyond = sum(1 for row in rows if row.state == State.REJECTED)
     text = f"Residuals of {len(rows)} {of} against {name.removeprefix('star-')}; marks as on {marks}."
     text += f" {beyond} rejected: open marks, at the edge where they lie beyond it." if beyond else ""
@@ -286,18 +270,12 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
     for a, b in ((0, 1), (0, 2), (1, 2)):
         names = f"{AXES[a].name}{AXES[b].name}"
         part = covariance[np.ix_([a, b], [a, b])]
-        values, vectors = np.linalg.eigh(part)
-        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-        figure = new_figure(3.4)
-        axes = axes_of(figure, f"{AXES[a].name}, arc-seconds", f"{AXES[b].name}, arc-seconds")
-        for sigmas, dash in zip(ELLIPSE_SIGMAS, ("-", "--")):
-            size = 2.0 * sigmas * np.sqrt(np.maximum(values, 0.0))
-            shape = Ellipse((0.0, 0.0), float(size[1]), float(size[0]), angle=angle, linewidth=1.4)
-            shape.set(edgecolor=INK, facecolor="none", linestyle=dash)
-            axes.add_patch(shape)
-        reach = 1.15 * ELLIPSE_SIGMAS[1] * float(np.sqrt(np.diag(part).max()))
-        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-        axes.plot(0.0, 0.0, "+", color=INK, markersize=8)
+        figure, reach = Figure(3.4), 1.15 * ELLIPSE_SIGMAS[1] * float(np.sqrt(np.diag(part).max()))
+        across, down = (Axis(f"{AXES[n].name}, arc-seconds", -reach, reach) for n in (a, b))
+        axes = figure.panel(across, down, aspect=1.0)
+        for sigmas, dash in zip(ELLIPSE_SIGMAS, ("", DASHED)):
+            axes.line(*_ellipse(sigmas**2 * part), Pen(width=1.4, dash=dash))
+        axes.marks([0.0], [0.0], "+")
         correlation = part[0, 1] / np.sqrt(part[0, 0] * part[1, 1])
         text = (
             f"{names}: 1σ {np.sqrt(part[0, 0]):.4g}″ and {np.sqrt(part[1, 1]):.4g}″, "
@@ -322,12 +300,13 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     values = column(table, "normalised")
     kept = column(table, "kept").astype(bool)
     good = values[kept & np.isfinite(values)]
-    figure = new_figure(2.6)
-    axes = axes_of(figure, "squared residual over its variance", "fraction per unit")
-    x = np.linspace(0.0, 16.0, 161)
-    _histogram(axes, np.minimum(good, 15.99), x, 0.5 * np.exp(-0.5 * x), "expected (χ², 2 degrees)")
-    _logarithmic(axes, "y", steps=(1.0,))
-    axes.set_ylim(1e-4, 1.0)
+    figure = Figure(2.6)
+    edges, x = np.linspace(0.0, 16.0, 41), np.linspace(0.0, 16.0, 161)
+    across = Axis("squared residual over its variance", -0.4, 16.4)
+    axes = figure.panel(across, Axis("fraction per unit", 1e-4, 1.0, is_log=True))
+    axes.steps(edges, _density(np.minimum(good, 15.99), edges), FILLED)
+    axes.line(x, 0.5 * np.exp(-0.5 * x), Pen(width=1.4), "expected (χ², 2 degrees)")
+    axes.legend()
     mean = float(good.mean()) if len(good) else float("nan")
     text = f"{len(good)} {what} used, mean {mean:.3f} (2 expected); {int((~kept).sum())} rejected."
     return drawn(
@@ -344,28 +323,21 @@ def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
     usable = column(table, "usable").astype(bool)
     dof = column(table, "dof").astype(float)
     ratio = np.divide(column(table, "chi2"), dof, out=np.full(len(dof), np.nan), where=dof > 0)
-    figure = new_figure(2.6)
+    figure = Figure(2.6)
     t = column(table, "t_s")
     first_s = float(np.floor(t[0])) if len(t) else 0.0
-    after = utc_text(saved.context["epoch_utc"], first_s)
-    axes, t = axes_of(figure, f"seconds after {after} UTC", "χ² / degrees of freedom"), t - first_s
-    axes.plot(t, np.nan_to_num(ratio, nan=0.0), linestyle="none")  # limits
+    after, t, shown = utc_text(saved.context["epoch_utc"], first_s), t - first_s, np.nan_to_num(ratio)
+    spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable])) if usable.any() else 0.0
+    high = 1.05 * max(1.0 + spread, *shown)
+    axes = figure.panel(
+        Axis.over(f"seconds after {after} UTC", t), Axis("χ² / degrees of freedom", 0.0, high)
+    )
+    axes.band(max(1.0 - spread, 0.0), 1.0 + spread)
+    axes.level(1.0, DASHED)
     spots = [
-        Spot(
-            axes=axes,
-            x=float(t[n]),
-            y=float(np.nan_to_num(ratio[n])),
-            link=row.link,
-            style="used s0" if usable[n] else "rejected s0",
-            shape="circle",
-        )
-        for n, row in enumerate(rows[: len(t)])
+        Spot(axes=axes, x=x, y=y, link=row.link, style=f"{'used' if good else 'rejected'} s0", shape="circle")
+        for row, x, y, good in zip(rows, t.tolist(), shown.tolist(), usable.tolist())
     ]
-    axes.axhline(1.0, color=MUTED, linestyle="--", linewidth=1.0)
-    if usable.any():
-        spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable]))
-        axes.axhspan(max(1.0 - spread, 0.0), 1.0 + spread, color=FILL, alpha=0.5, linewidth=0)
-    axes.set_ylim(bottom=0.0)
     mean = float(np.nanmean(ratio[usable])) if usable.any() else float("nan")
     text = f"Attitude fits of {usable.sum()} exposures, mean {mean:.3f} (1 expected); band: 2σ."
     return drawn(figure, "exposure-chi2", text, f"Chi-square of exposures against time. {text}", spots)
@@ -377,14 +349,15 @@ def allan_plot(saved: Saved) -> Drawing | None:
     if not len(times):
         return None
     deviation = list_values(saved.allan, "deviation_rad", 3) / ARCSEC
-    figure = new_figure(2.6)
-    axes = axes_of(figure, "averaged over, s", "Allan deviation, arc-seconds")
-    for n, curve in enumerate(AXES):
-        style: dict[str, Any] = {"color": curve.colour, "markersize": 4, "fillstyle": "none"}
-        axes.plot(times, deviation[:, n], curve.marker, label=curve.name.lower(), **style)
-        axes.plot(times, deviation[0, n] * np.sqrt(times[0] / times), curve.dash, color=curve.colour, lw=1.2)
-    _logarithmic(axes, "x", "y")
-    _legend(axes, ncols=3, loc="upper right")
+    figure, white = Figure(2.6), deviation[0] * np.sqrt(times[:1] / times)[:, None]
+    axes = figure.panel(
+        Axis.over("averaged over, s", times, is_log=True),
+        Axis.over("Allan deviation, arc-seconds", [deviation, white], is_log=True),
+    )
+    for curve, measured, expected in zip(AXES, deviation.T, white.T):
+        axes.marks(times, measured, curve.marker, Pen(colour=curve.colour), curve.name.lower())
+        axes.line(times, expected, Pen(colour=curve.colour, dash=curve.dash, width=1.2))
+    axes.legend()
     heads = (saved.allan.schema.metadata or {}).get(b"heads", b"").decode()
     what = f"the difference of {heads}" if " and " in heads else f"{heads} against the nominal motion"
     text = (
@@ -394,27 +367,17 @@ def allan_plot(saved: Saved) -> Drawing | None:
     return drawn(figure, "allan", text, f"Allan deviation over {len(times)} times. {text}")
 
 
-def _logarithmic(axes: Axes, *which: str, steps: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
-    for name in which:
-        axis = axes.xaxis if name == "x" else axes.yaxis
-        axes.set(**{f"{name}scale": "log"})
-        axis.set_major_locator(LogLocator(subs=steps))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())
+def _ellipse(covariance: Floats) -> tuple[Floats, Floats]:
+    """Points of the ellipse x' covariance⁻¹ x = 1."""
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    x, y = vectors * np.sqrt(np.maximum(values, 0.0)) @ [np.cos(angle), np.sin(angle)]
+    return x, y
 
 
-def _legend(axes: Axes, **where: Any) -> None:
-    """A legend at a stated place: the best one is found by trying all over everything that is drawn."""
-    axes.legend(fontsize=8, labelcolor=INK, frameon=False, **where)
-
-
-def _histogram(axes: Axes, values: Floats, x: Any, expected: Floats, label: str) -> None:
-    """Density of values in bins of four steps of x, below the curve that is expected at x."""
-    counts, edges = np.histogram(values, x[::4])
-    density = counts / max(len(values), 1) / np.diff(edges)
-    axes.stairs(density, edges, fill=True, facecolor=FILL, edgecolor=MUTED, linewidth=0.8)
-    axes.plot(x, expected, "-", color=INK, linewidth=1.4, label=label)
-    _legend(axes, loc="upper right")
+def _density(values: Floats, edges: Any) -> Floats:
+    """Fraction per unit of values (N,) between edges (M + 1,)."""
+    return np.asarray(np.histogram(values, edges)[0] / max(len(values), 1) / np.diff(edges))
 
 
 def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tuple[Floats, Floats]:
@@ -429,17 +392,13 @@ def _cell_means(xy: Floats, residual: Floats, cell: float, width: float) -> tupl
     return np.array(place).reshape(-1, 2), np.array(mean).reshape(-1, 2)
 
 
-def _arrows(axes: Axes, place: Floats, vector: Floats, scale: float, length: float) -> None:
-    if not len(place):
-        return
-    axes.plot(*place.T, ".", color=MUTED, markersize=2, linestyle="none")
-    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale / length, "color": INK}
-    axes.quiver(*place.T, *vector.T, width=0.004, **style)
-    low, high = axes.get_xlim()[0], axes.get_ylim()[0]
-    box = {"facecolor": "none", "edgecolor": "none", "pad": 1}
-    x, y = low + 0.6 * length, high - 0.6 * length
-    axes.quiver(x, y, scale, 0.0, width=0.007, **style)
-    axes.text(x + 1.25 * length, y, f"{scale:g} px", fontsize=8, color=INK, va="center", bbox=box)
+def _arrows(axes: Panel, place: Floats, vector: Floats, scale: float, length: float) -> None:
+    """Arrows at `place` (N, 2), as long as `length` for a vector of size `scale`: that one in the corner."""
+    axes.marks(place[:, 0], place[:, 1], ".", Pen(colour=MUTED))
+    axes.arrows(place, place + vector * (length / scale))
+    ends = np.array([[0.6, 0.6], [1.6, 0.6], [1.85, 0.6]]) * [length, -length] + [axes.x.low, axes.y.low]
+    axes.arrows(ends[:1], ends[1:2], Pen(width=1.8))
+    axes.words(ends[2], f"{scale:g} px")
 
 
 def _nice(value: float) -> float:

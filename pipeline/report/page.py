@@ -27,6 +27,7 @@ from boresight.pipeline.report.observations import (
     strip_numbers,
     target_rows,
 )
+from boresight.pipeline.report.page_figures import page_figures
 from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
@@ -34,7 +35,6 @@ from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
-from boresight.pipeline.run.executor import Executor, InOrder
 
 __all__ = ["report_html", "template", "write_report"]
 
@@ -43,13 +43,12 @@ MOST_ROWS = 300  # shown of a long table
 TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
-def write_report(result: Path, *, executor: Executor | None = None) -> Path:
+def write_report(result: Path) -> Path:
     """Write `report.html` into the folder of a result and return its path.
 
-    `executor` draws the figures; default: this process. Raises `RawDataError` naming a file of the result
-    that is missing or damaged.
+    Raises `RawDataError` naming a file of the result that is missing or damaged.
     """
-    parts = _parts(read_saved(result), MOST_MATCHES, executor)
+    parts = _parts(read_saved(result), MOST_MATCHES)
     path = result / "report.html"
 
     def write(target: Path) -> None:
@@ -60,19 +59,17 @@ def write_report(result: Path, *, executor: Executor | None = None) -> Path:
     return path
 
 
-def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES, executor: Executor | None = None) -> str:
+def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
     """The report as HTML text; of used targets `most_matches` are pictured, the largest residuals first."""
-    return "".join(_parts(saved, most_matches, executor))
+    return "".join(_parts(saved, most_matches))
 
 
-def _parts(saved: Saved, most_matches: int, executor: Executor | None) -> Iterator[str]:
+def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
     """The text of the report, part by part: with thousands of targets tens of MB, as one text twice that."""
-    from boresight.pipeline.report.page_figures import page_figures  # with Matplotlib 0.4 s to load
-
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
-    drawn = page_figures(saved, targets, exposures, strip_stars, executor or InOrder())
+    drawn = page_figures(saved, targets, exposures, strip_stars)
     statistics = [drawn.get(f"of {what}") for what in ("stars", "targets", "exposures", "attitudes")]
     cards: Any = template("observations.html.j2").module
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
@@ -144,7 +141,7 @@ def _environment() -> jinja2.Environment:
 
 def _visible(value: Any) -> Any:
     """Text without characters that act unseen, such as those that reverse its direction."""
-    if isinstance(value, Markup) or not isinstance(value, str):
+    if isinstance(value, Markup) or not isinstance(value, str) or value.isprintable():
         return value
     return "".join(c if c in "\n\t" or category(c)[0] != "C" else repr(c)[1:-1] for c in value)
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.font_manager import FontProperties
-from matplotlib.textpath import text_to_path
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import list_values
-from boresight.pipeline.report.drawing import INK, MUTED, Drawing, Spot, drawn, dress_axes, new_figure
+from boresight.pipeline.report.drawing import MUTED, Axis, Drawing, Figure, Panel, Pen, Spot, drawn
 from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
 from boresight.pipeline.report.observations import SeenCard
 from boresight.pipeline.report.saved import Saved
@@ -26,6 +23,8 @@ PANEL_IN, NARROW_PANEL_IN = 3.1, 2.4  # its height: of one alone, and of one of 
 FEWEST_STARS = 4  # that tell how the camera's axes lie on the sky
 LONGEST = 0.15  # of the panel's width: the arrow of the largest residual
 MOST_NAMES = 12  # of a panel: of its brightest stars
+TITLE_PT, GAPS_PT = 25.0, (66.0, 70.0)  # room above a panel, and between two
+LETTER = 0.62  # width of a letter, in heights of its font: no font of a page has wider ones on average
 NAME_PT, MARK_PT, LINE_PT = 7.0, 3.6, 1.5  # size of a name; half a mark and half a line, with clear space
 
 
@@ -37,16 +36,13 @@ def strips_on_sky(saved: Saved, rows: Sequence[SeenCard]) -> Drawing | None:
     if not strips:
         return None
     deep = -(-len(strips) // 2)
-    figure = new_figure((PANEL_IN if len(strips) == 1 else NARROW_PANEL_IN) * deep, legend_in=0.25)
-    panels = figure.subplots(deep, 1 if len(strips) == 1 else 2, squeeze=False).ravel()
-    figure.subplots_adjust(hspace=0.45, wspace=0.55)
+    figure = Figure((PANEL_IN if len(strips) == 1 else NARROW_PANEL_IN) * deep, above=TITLE_PT)
     residual = [np.hypot(*_residual(saved, row.row)) for row in rows if row.state == "used"]
     largest = float(max(residual, default=0.0)) or 1.0
     spots = []
-    for axes, strip in zip(panels, strips):
-        spots += _panel(saved, axes, strip, [row for row in rows if row.strip_id == strip], largest)
-    for axes in panels[len(strips) :]:
-        axes.set_visible(False)
+    for n, strip in enumerate(strips):
+        cell = figure.cell(n, deep, min(len(strips), 2), GAPS_PT)
+        spots += _panel(saved, figure, cell, strip, [row for row in rows if row.strip_id == strip], largest)
     counts = ", ".join(f"{strip} {sum(r.strip_id == strip for r in rows)} stars" for strip in strips)
     more = len({row.strip_id for row in rows}) - len(strips)
     counts += f" and {more} more strips" if more else ""
@@ -58,15 +54,21 @@ def strips_on_sky(saved: Saved, rows: Sequence[SeenCard]) -> Drawing | None:
     return drawn(figure, "strips-on-sky", caption, text, spots)
 
 
-def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[SeenCard], largest: float) -> list[Spot]:
+def _panel(
+    saved: Saved,
+    figure: Figure,
+    cell: Sequence[float],
+    strip: str,
+    rows: Sequence[SeenCard],
+    largest: float,
+) -> list[Spot]:
     """Draws one strip; the marks of its stars."""
     index = np.array([row.row for row in rows])
     u_i = list_values(saved.targets, "u_i", 3)[index]
     place, (ra, dec) = _tangents(u_i)
     reach = 1.3 * float(np.abs(place).max()) + 0.02
-    dress_axes(axes, "east, °", "north, °")
-    axes.set_title(f"{strip}\nRA {ra:.2f}°, Dec {dec:+.2f}°", fontsize=9, color=INK)
-    axes.set(xlim=(reach, -reach), ylim=(-reach, reach), aspect="equal")
+    axes = figure.panel(Axis("east, °", reach, -reach), Axis("north, °", -reach, reach), cell, aspect=1.0)
+    axes.title(strip, f"RA {ra:.2f}°, Dec {dec:+.2f}°")
     ends: list[Floats] = [np.zeros((0, 2, 2))]
     if (turned := _axes_on_sky(saved, index, place)) is not None:
         to_sky, scan = turned
@@ -74,23 +76,20 @@ def _panel(saved: Saved, axes: Axes, strip: str, rows: Sequence[SeenCard], large
         off *= 2.0 * reach * LONGEST / largest
         used = np.array([row.state == "used" for row in rows])
         ends.append(np.stack([place, place + off], axis=1)[used])
-        for (x, y), (to_x, to_y) in ends[-1]:
-            axes.plot([x, to_x], [y, to_y], color=MUTED, linewidth=1.2)
+        for x, y in np.swapaxes(ends[-1], 1, 2):
+            axes.line(x, y, Pen(colour=MUTED, width=1.2))
         middle, half = np.array([-0.82, -0.82]) * reach, 0.15 * reach * scan
         ends.append(np.array([[middle - half, middle + half]]))
-        start, end = (tuple(at) for at in ends[-1][0].tolist())
-        axes.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK})
+        axes.arrows(*np.swapaxes(ends[-1], 0, 1))
     _write_names(axes, [row.target_id for row in rows], place, np.concatenate(ends))
     return [Spot.of(row, axes, x, y) for row, (x, y) in zip(rows, place.tolist())]
 
 
-def _write_names(axes: Axes, stars: Sequence[str], place: Floats, lines: Floats) -> None:
+def _write_names(axes: Panel, stars: Sequence[str], place: Floats, lines: Floats) -> None:
     """The names of the brightest stars ("HIP 42") at `place` (N, 2), clear of all marks and of `lines`
     (M, 2, 2) from one end to the other, in the axes' units.
     """
-    axes.apply_aspect()  # before it, a place in the picture is not known
-    per_point = axes.figure.dpi / 72.0
-    marks, ends = (axes.transData.transform(at.reshape(-1, 2)) / per_point for at in (place, lines))
+    marks, ends = (axes.at(*at.reshape(-1, 2).T) for at in (place, lines))
     taken = [mark_boxes(marks, MARK_PT), line_boxes(ends[::2], ends[1::2], LINE_PT)]
     known = hipparcos_stars().places
     v_mag = dict(zip(known.hip.tolist(), known.v_mag.tolist()))
@@ -98,15 +97,12 @@ def _write_names(axes: Axes, stars: Sequence[str], place: Floats, lines: Floats)
     once = {number: n for n, number in reversed(hip.items())}  # of a star in two CCDs the first mark
     order = sorted(once, key=lambda number: v_mag.get(number, np.inf))[:MOST_NAMES]
     names = [star_name(number) for number in order]
-    font = FontProperties(size=NAME_PT)
-    sizes = [text_to_path.get_text_width_height_descent(name, font, False)[0] for name in names]
-    boxes = np.array([(width + LINE_PT, 1.2 * NAME_PT) for width in sizes]).reshape(-1, 2)
-    frame = np.concatenate(axes.bbox.get_points() / per_point)
+    boxes = np.array([(LETTER * NAME_PT * len(name), 1.2 * NAME_PT) for name in names]).reshape(-1, 2)
+    frame = np.array(axes.box)[[0, 2, 1, 3]]
     at = place_labels(marks[[once[number] for number in order]], boxes, MARK_PT, frame, np.vstack(taken))
-    to_axes = axes.transAxes.inverted()
-    for name, (x, y) in zip(names, to_axes.transform(at * per_point).tolist()):
+    for name, (x, y) in zip(names, at.tolist()):
         if np.isfinite(x):
-            axes.text(x, y, name, size=NAME_PT, ha="center", va="center", transform=axes.transAxes, color=INK)
+            axes.figure.text(x, y + 0.35 * NAME_PT, name, NAME_PT)
 
 
 def _residual(saved: Saved, row: int) -> Floats:

@@ -396,6 +396,13 @@ def test_a_users_strict_script_sees_no_any(tmp_path: Path) -> None:
     assert not [text for text in shapes_aside if re.search(r"\bAny\b", text)]
 
 
+def test_pages_load_no_library_that_draws():
+    pages = "pipeline.report.page", "features.sky_images.identify_page", "features.targets.check_page"
+    code = f"import sys, {', '.join(f'boresight.{page}' for page in pages)}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "jinja2" in loaded.stdout.split() and not {"matplotlib", "skimage"} & set(loaded.stdout.split())
+
+
 def test_naming_stars_loads_no_library_that_it_does_not_need():
     code = "import boresight.features.sky_images.identify_images, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

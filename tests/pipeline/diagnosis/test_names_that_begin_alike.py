@@ -96,7 +96,6 @@ ALLOWED = {
     "pipeline/results/ownership.py": ("re.compile",),
     "pipeline/results/reading.py": ("ALIGNMENT", "DISTORTION", "target/"),
     "pipeline/results/summary.py": ('cause.partition(",")',),
-    "pipeline/report/drawing.py": ("svg", "href", "id="),
     "pipeline/report/saved.py": ('table.rpartition("/")',),
 }
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_drawn_numbers import scales
 
 from boresight.pipeline.report.figures import covariance_ellipses
 
@@ -27,3 +28,13 @@ def test_captions_say_the_sigmas_and_the_correlation_of_their_axes() -> None:
         # four digits are written of a sigma, three decimals of a correlation
         assert [float(first), float(second)] == pytest.approx([sigma[a], sigma[b]], rel=1e-3)
         assert float(related) == pytest.approx(correlation[a, b], abs=5e-4)
+        drawn = re.findall(
+            r'<path d="M([^"MZm]+)" style="fill:none;stroke:var\(--ink\);stroke-width:1.4', drawing.svg
+        )
+        to_x, (to_y,) = scales(drawing.svg)
+        for ring, sigmas in zip(drawn, (1.0, 2.4477), strict=True):
+            x, y = np.array([point.split() for point in ring.split("L")], dtype=float).T
+            x, y = to_x(x), to_y(y)
+            farthest = sigmas * sigma[[a, b]]  # of the ellipse, at the other's regression
+            np.testing.assert_allclose([x.max(), y.max()], farthest, atol=0.01 * farthest.max())
+            assert y[x.argmax()] == pytest.approx(correlation[a, b] * farthest[1], abs=0.12 * farthest[1])

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from boresight.pipeline.report import figures
+from boresight.pipeline.report.drawing import Axis
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard
 from boresight.pipeline.report.sheet import angles
@@ -24,9 +25,23 @@ def card(row: int, **more: Any) -> TargetCard:
     return TargetCard(link=f"c{row}", row=row, strip_id="s01", state="used", **of_all | rest | more)
 
 
-def test_residuals_of_stars_stand_at_their_samples_and_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    spots: dict[str, list[Any]] = {}
-    monkeypatch.setattr(figures, "drawn", lambda _, name, *rest: spots.update({name: rest[-1]}))
+NUMBER = re.compile(
+    r'<text x="([-\d.]+)" y="([-\d.]+)" font-size="8.5" text-anchor="(middle|end)">([−\d.]+)</text>'
+)
+
+
+def scales(svg: str) -> tuple[Any, list[Any]]:
+    """From places in a figure to x, and in each of its panels to y, by the numbers beside the axes."""
+    numbers = [(float(x), float(y), end, float(t.replace("−", "-"))) for x, y, end, t in NUMBER.findall(svg)]
+    across = np.polynomial.Polynomial.fit(
+        *np.array([(x, t) for x, _, end, t in numbers if end == "middle"]).T, 1
+    )
+    down = np.array([(y - 3.0, t) for _, y, end, t in numbers if end == "end"])  # the baseline is 3 pt below
+    panels = np.split(down, np.flatnonzero(np.diff(down[:, 1]) < 0.0) + 1)
+    return across, [np.polynomial.Polynomial.fit(*panel.T, 1) for panel in panels]
+
+
+def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
     arcsec = np.array([[0.5, -1.0], [-0.25, 0.75]])
     residual_c = [[float(x), float(y)] for x, y in np.radians(arcsec / 3600.0)]
     table = {"ccd": [0, 2], "xy_px": [[10.0, 700.0], [30.5, 200.0]], "residual_c": residual_c}
@@ -35,15 +50,42 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines(monkeypatch: pytest
         context={"remote_camera": {"samples": [512, 500, 512]}},
         targets=pa.table(table, pa.schema([("ccd", pa.int64()), ("xy_px", fixed), ("residual_c", fixed)])),
     )
-    figures.star_residual_panels(saved, [card(0), card(1)])  # type: ignore[arg-type]
+    drawings = figures.star_residual_panels(saved, [card(0), card(1)])  # type: ignore[arg-type]
     places = {
         "residual-star-sample": [10.0, 512.0 + 500.0 + 30.5],  # CCDs side by side
         "residual-star-line": [700.0, 200.0],
     }
-    for name, x in places.items():
-        found = [(spot.x, spot.y) for spot in spots[name]]
-        expected = [*zip(x, arcsec[:, 0]), *zip(x, arcsec[:, 1])]  # the panel of x, then that of y
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    for (name, x), drawing in zip(places.items(), drawings, strict=True):
+        assert f'id="{name}-words"' in drawing.svg
+        to_x, to_y = scales(drawing.svg)
+        at = np.array(re.findall(r'class="dot [^>]*translate\(([\d.]+) ([\d.]+)\)', drawing.svg), dtype=float)
+        assert len(to_y) == 2 and len(at) == 4
+        for n, panel in enumerate(to_y):  # that of x, then that of y; numbers stand on tenths of a point
+            np.testing.assert_allclose(to_x(at[2 * n :][:2, 0]), x, atol=1e-3 * np.ptp(x))
+            np.testing.assert_allclose(panel(at[2 * n :][:2, 1]), arcsec[:, n], atol=4e-3)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "is_log", "texts"),
+    [
+        (-1.3, 2.2, False, ["−1", "0", "1", "2"]),
+        (0.0, 0.012, False, ["0.0000", "0.0025", "0.0050", "0.0075", "0.0100"]),
+        (-3e-5, 3e-5, False, ["−2", "0", "2"]),
+        (1e6, 1.1e6, False, ["1.00", "1.02", "1.04", "1.06", "1.08", "1.10"]),
+        (0.9, 120.0, True, ["1", "2", "5", "10", "20", "50", "100"]),
+        (2e-4, 3.0, True, ["0.001", "0.01", "0.1", "1"]),
+        (0.5, 3.5, False, ["1", "2", "3"]),
+    ],
+)
+def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(
+    low: float, high: float, is_log: bool, texts: list[str]
+) -> None:
+    at, found, label = Axis("x", low, high, is_log=is_log).numbers(5)
+    factor = float(label[3:-1]) if "(" in label else 1.0
+    written = [float(text.replace("−", "-")) * factor for text in found]
+    np.testing.assert_allclose(written, at, rtol=1e-9, atol=1e-9 * (high - low))
+    assert low <= min(at) and max(at) <= high
+    assert found == texts
 
 
 def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
