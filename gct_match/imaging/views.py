@@ -57,9 +57,9 @@ def in_counts(image: NDArray, valid: Bools) -> Image:
     """
     values = image[valid]
     mean, deviation = (float(values.mean()), float(values.std())) if values.size else (0.0, 0.0)
-    if deviation == 0.0 or (np.abs(values).max() < _MOST_COUNTS and (values == np.rint(values)).all()):
+    if not values.size or (np.abs(values).max() < _MOST_COUNTS and (values == np.rint(values)).all()):
         return image.astype(np.float32)
-    return ((image - mean) * (_COUNTS / deviation)).astype(np.float32)
+    return ((image - mean) * (_COUNTS / (deviation or np.inf))).astype(np.float32)
 
 
 def filled_with_mean(image: NDArray, valid: Bools) -> Image:

@@ -232,9 +232,11 @@ def _blocks(pair: _Pair, equations: _Equations, residual: Image) -> Blocks:
 
 
 def _displacement(equations: _Equations, solution: Floats, blocks: Blocks | None) -> Floats:
-    """P (2, 3), px: translation of the solution, and the affine map that the blocks of its residual show."""
+    """P (2, 3), px: translation of the solution, and the affine map that the blocks of its residual show. A
+    template without slopes along an axis leaves the translation along it open.
+    """
     P: Floats = np.zeros((2, 3)) if blocks is None else blocks.displacement(affine=True)
-    P[:, 2] += solution[:2]
+    P[:, 2] += np.clip(solution[:2], -_FARTHEST_PX, _FARTHEST_PX)
     return P / equations.response
 
 

@@ -382,6 +382,8 @@ def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
     a few rows that are as uneven as their times could be a motion, but not one that even times undo.
     """
     t_s, rows, found = of_head.t_s, np.arange(len(of_head.t_s)), [(0.0, 0.0)]
+    if not len(t_s):
+        return None
     now = _likelihood(of_head, rows)
     for even in _even_instants(of_head):
         off = np.abs(even - t_s)
