@@ -167,8 +167,7 @@ def test_a_crowded_field_of_unlisted_stars_is_refused_by_name(dump):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "field"),
-    [(",sky", ",moon", "kind"), ("strips/sky01_ccd2.tif", "", "file")],
+    ("old", "new", "field"), [(",sky", ",moon", "kind"), ("strips/sky01_ccd2.tif", "", "file")]
 )
 def test_a_wrong_kind_and_a_missing_image_are_errors_of_the_table(dump, old, new, field):
     text = (dump / "strips.csv").read_text().splitlines()
