@@ -241,7 +241,10 @@ def _camera(root: Element, tdi: str, detectors: int, file: str) -> LookAngleCame
             ccds.append(LookTable(n_px, np.arange(n_px, dtype=float), psi_y, -psi_x))
         except ValueError as error:
             raise RawDataError(file, f"detector {n + 1:02d}", str(error), "looks along a line") from error
-    return LookAngleCamera(tuple(ccds))
+    try:
+        return LookAngleCamera(tuple(ccds))
+    except ValueError as error:  # looks that run to and fro
+        raise RawDataError(file, "VIEWING_DIRECTIONS", str(error), "looks along a line") from error
 
 
 def _lines(root: Element, pixel_m: float, file: str) -> int:

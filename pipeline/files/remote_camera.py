@@ -63,7 +63,10 @@ def _from_tables(root: Path, file: schema.LookCameraFile, name: str) -> LookAngl
             ccds.append(LookTable(ccd.n_px, samples, x, y))
         except ValueError as error:
             raise RawDataError(file.looks, f"CCD {n}", str(error), "looks along a detector") from error
-    return LookAngleCamera(tuple(ccds))
+    try:
+        return LookAngleCamera(tuple(ccds))
+    except ValueError as error:  # looks that run to and fro
+        raise RawDataError(file.looks, "x, y", str(error), "looks along a detector") from error
 
 
 def write_remote_camera(root: Path, camera: LineCamera | LookAngleCamera, bits: int) -> None:

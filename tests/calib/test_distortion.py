@@ -135,12 +135,7 @@ def test_simulated_ccds_have_the_stated_shift_slope_and_bend():
     settings = LineCameraSettings()
     camera = calibrated_line_camera(settings)
     rms = (0.5, 0.2, 0.1)
-    errors = ErrorSettings(
-        distortion_px=0.0,
-        ccd_shift_px=rms[0],
-        ccd_slope_px=rms[1],
-        ccd_bend_px=rms[2],
-    )
+    errors = ErrorSettings(distortion_px=0.0, ccd_shift_px=rms[0], ccd_slope_px=rms[1], ccd_bend_px=rms[2])
     rng, found = np.random.default_rng(2), []
     table = camera.ccds[0].distortion_samples
     modes = ccd_modes(np.zeros(len(table), dtype=np.int64), table, (settings.samples,))

@@ -11,13 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.slow_motion import (
-    AT_REST,
-    SlowMotion,
-    missed_covariance,
-    motion_is_shown,
-    motion_of,
-)
+from boresight.calib.slow_motion import AT_REST, SlowMotion, missed_covariance, motion_is_shown, motion_of
 from boresight.calib.strips import prepare_strips
 from boresight.geometry.attitude import lagrange_weights
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -63,10 +57,7 @@ def test_exposures_show_how_far_the_satellite_moves(arcsec: float) -> None:
 def test_attitudes_with_understated_noise_are_not_taken_for_motion() -> None:
     strips = strips_of(7, wave_rad=STILL, sigma_s_px=0.5)
     sure = [
-        replace(
-            strip,
-            attitudes=replace(strip.attitudes, covariance_s=1e-3 * strip.attitudes.covariance_s),
-        )
+        replace(strip, attitudes=replace(strip.attitudes, covariance_s=1e-3 * strip.attitudes.covariance_s))
         for strip in strips
         if strip.attitudes is not None
     ]

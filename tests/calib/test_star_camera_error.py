@@ -20,9 +20,7 @@ CAMERA = StarCamera(
 )
 LIMIT = 13.8  # chi-square of 2 degrees of freedom, probability 1e-3
 (DRAWN,) = draw_strips(
-    StripPlan(strips=1, exposures=6, targets=2),
-    CameraPair(Rotation.identity()),
-    np.random.default_rng(1),
+    StripPlan(strips=1, exposures=6, targets=2), CameraPair(Rotation.identity()), np.random.default_rng(1)
 )[0]
 
 

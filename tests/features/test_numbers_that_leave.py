@@ -25,8 +25,14 @@ from scipy.stats import chi2
 
 import boresight
 from boresight import array_stars, missions
+from boresight.calib.estimate import HeadInstallation, InstallationEstimate
+from boresight.calib.finding import Finding
+from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
+from boresight.calib.reliability import HypothesisTest
+from boresight.calib.settings import CalibrationSettings
+from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
 from boresight.features.exports.spice_attitude import instrument_kernel
 from boresight.features.exports.spice_frame import SpiceFrames
 from boresight.features.interior import interior_files
@@ -36,7 +42,11 @@ from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
+from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.results.sightings_tables import sightings_schema
+from boresight.pipeline.results.writing import installation_facts, write_installation
+from boresight.pipeline.run.settings import settings_from_tables
 
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 THETA = np.array([[3e-5, -8e-5, 1.7e-4], [9e-5, 2e-5, -6e-5]])  # of two results, rad
@@ -316,6 +326,201 @@ def interior(folder: Path) -> tuple[Any, Any]:
     }
 
 
+def holding(kind: type, **values: Any) -> Any:
+    """A record of a kind with the fields that are needed alone."""
+    made = object.__new__(kind)
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+R_CS0 = Rotation.concatenate([R_CS, Rotation.from_euler("zyx", [15.0, -25.0, 70.0], degrees=True)])
+OFF = np.array([[1e-3, -2e-3, 3.5e-3], [-4e-4, 9e-4, 6e-4]])  # theta of two cameras, rad
+STATED = np.array([3e-4, 5e-4, 7e-4, 4e-4, 6e-4, 8e-4])  # 1-sigma of both before launch, rad
+RANGE_M = [np.array([510e3, np.nan, 560e3]), np.array([640e3])]  # mean 570 km
+ROWS = (Rows("strips", 2, 2), Rows("targets", 17, 23))
+EARTH = dict(source="own", first_day=60001, last_day=60999, last_measured_day=60500, sigma_m=0.75)
+EARTH |= {"difference_m": 1.5, "difference_ut1_s": -0.0025}
+TUNED = {"stars": {"gain_e_per_dn": 41.0}, "run": {"rounds": 3}, "verdict": {"sigma_overstated": 2.5}}
+
+
+def lopsided_covariance(n: int, scale: float) -> Any:
+    """Of which no two entries but mirrored ones are alike."""
+    root = np.tril(np.arange(1.0, n * n + 1.0).reshape(n, n) % 7.3 - 2.0) + 9.0 * np.eye(n)
+    return scale**2 * root @ root.T
+
+
+def lopsided_estimate(cameras: int) -> Any:
+    R_cs, n = Rotation.from_rotvec(-OFF) * R_CS0, 3 * cameras
+    shared = ("reference/a/0/east", "earth/1/x", "bias/along", "earth/1/y")
+    offset = {"value_m": np.array([0.5, -1.5, 2.5]), "sigma_m": np.array([0.1, 0.2, 0.3])}
+    heads = zip(("port", "zenith", "star"), (R_CS, R_CS**2, R_CS**3))
+    return holding(
+        InstallationEstimate,
+        R_cs=R_cs if cameras > 1 else R_cs[0],
+        R_cs0=R_CS0 if cameras > 1 else R_CS0[0],
+        cameras=("nadir", "aft") if cameras > 1 else ("",),
+        theta=OFF[:cameras].ravel(),
+        cov_theta=lopsided_covariance(n, 1e-6),
+        **{"chi2": 21.5, "dof": 31, "n_exposures": 42, "n_stars": 3719, "n_targets": 36},
+        pairs=Of(shared=shared),
+        shared_covariance=lopsided_covariance(4, 1e-3),
+        theta_with_shared=np.arange(4.0 * n).reshape(n, 4) * 1e-9,
+        targets=Of(doubtful=[[Subject(Kind.TARGET, strip="s1", id=name) for name in ("t3", "t9")]]),
+        bias=CommonBias(
+            names=("along", "clock"),
+            value=np.array([1.25, -0.0125]),
+            covariance=np.array([[0.25, 0.01], [0.01, 4e-6]]),
+            stated=np.array([2.0, 1e-4]),
+        ),
+        references=(ReferenceOffset(name="tile 7", stated_m=np.array([3.0, 4.0, 5.0]), **offset),),
+        heads=tuple(HeadInstallation(name=name, R_cs=R) for name, R in heads),
+        cov_heads=lopsided_covariance(9, 2e-6),
+    )
+
+
+def lopsided_verdict() -> tuple[Verdict, dict[str, Any], list[dict[str, Any]]]:
+    """A verdict with what JSON must have of it, and of what the data cannot show."""
+    numbers = {"expected": 40.0, "n": 41, "p_plain": 0.07, "limit": 1e-4, "names": (("t1", "t2"),)}
+    checks = {  # statistic, p-value: holds, fails, too small, not applicable
+        CheckKind.BETWEEN_STRIPS: (44.5, 0.3),
+        CheckKind.START_MATRIX: (95.5, 1e-6),
+        CheckKind.STAR_RESIDUALS: (5.5, 2e-6),
+        CheckKind.ORBIT_BIAS: (0.0, math.nan),
+    }
+    names = dict.fromkeys(("cause", "item", "unit", "file", "field"), "")
+    tests = {  # redundancy, effect and detectable size: unseen twice, hidden, and seen
+        "seen": (0.75, 0.5, 2.0),
+        "weak": (0.003, 4.0, 50.0),
+        "strong": (0.001, 9.0, math.inf),
+        "hidden": (0.25, 1.5, 3.0),
+    }
+    every = [
+        HypothesisTest(
+            **names | {"cause": cause},
+            **{"value": 0.5 * n, "sigma": 0.25 + n, "statistic": 3.0 + n, "p_value": 0.1 / n},
+            **{"redundancy": redundancy, "effect_sigma": effect, "detectable": detectable},
+            effect_rad=np.array([1.0, -2.0, 3.5]) * 1e-6 * n,
+        )
+        for n, (cause, (redundancy, effect, detectable)) in enumerate(tests.items(), 1)
+    ]
+    finding = {"cause": "clock", "item": "s2", "text": "late", "unit": "ms", "file": "a", "field": "b"}
+    finding |= {"value": 12.5, "sigma": 0.75, "effect_sigma": 3.25, "p_value": 3e-5}
+    effect = {"effect_rad": np.array([4e-6, -5e-6, 6e-6])}
+    own = {"probability_false_alarm": 2e-4, "weakest_sigma_rad": 8.5e-6, "dof": 31}
+    own |= {"weakest_axis_c": np.array([0.6, 0.48, -0.64])}
+    made = Verdict(
+        outcome=Outcome.FINDINGS,
+        checks=tuple(
+            Check(kind=kind, statistic=statistic, p_value=p, **numbers)
+            for kind, (statistic, p) in checks.items()
+        ),
+        findings=(Finding(**finding, **effect),),
+        tests=tuple(every),
+        **own,
+    )
+    told = [
+        {"kind": kind.value, "statistic": statistic, "p_value": p, **numbers}
+        | {"holds": p > 0.1, "fails": p < 1e-4, "is_caution": statistic == 5.5}
+        | {"look_at": [one.value for one in (LOOK_AT if statistic != 5.5 else TOO_SMALL)[kind]]}
+        for kind, (statistic, p) in checks.items()
+    ]
+    plain = {"refutes": False, "is_fault": True, "rivals": [], "subjects": [], "explains": []}
+    sentence = "consistent, findings: 1 input looks wrong; correct and calibrate again"
+    verdict = {"outcome": "consistent, findings", "checks": told, "findings": [finding | effect | plain]}
+    verdict |= own | {"sentence": f"{sentence}; used: 17 of 23 targets"}
+    spots = []
+    for cause in ("strong", "weak", "hidden"):
+        n, (redundancy, effect_sigma, detectable) = [*tests].index(cause) + 1, tests[cause]
+        one = names | {"cause": cause, "value": 0.5 * n, "sigma": 0.25 + n, "statistic": 3.0 + n}
+        one |= {"p_value": 0.1 / n, "detectable": detectable, "redundancy": redundancy}
+        one |= {"effect_rad": np.array([1e-6, -2e-6, 3.5e-6]) * n, "effect_sigma": effect_sigma}
+        hides = effect_sigma * detectable
+        spots.append(one | {"is_unseen": redundancy < 0.01, "hidden_sigma": hides})
+    return made, verdict, spots
+
+
+def rotated(name: str, R: Rotation, theta: Any, covariance: Any) -> dict[str, Any]:
+    q = R.as_quat()
+    return {
+        name: R.as_matrix(),
+        "quaternion": q * np.sign(q[3]),
+        "theta_rad": theta,
+        "covariance_rad2": covariance,
+    }
+
+
+def installations(folder: Path) -> tuple[Any, Any]:
+    """`installation.json` of one camera as it is written, and what it holds of two, each with three heads."""
+    settings = settings_from_tables(TUNED, "settings.toml")
+    model = CalibrationSettings(sigma_position_m=2.5, sigma_clock_s=3e-4)
+    verdict, told, spots = lopsided_verdict()
+    one, two = lopsided_estimate(1), lopsided_estimate(2)
+    found = {"estimate": one, "verdict": verdict, "rows": ROWS, "settings": model}
+    found |= {"strips": [Of(ground=Of(range_m=range_m)) for range_m in RANGE_M]}
+    found |= {"camera": LineCamera(focal_m=0.75, ccds=CCDS), "earth_table": EarthTableCheck(**EARTH)}
+    write_installation(folder, Of(**found), settings)
+    grounds = [np.array([5e5, 5e5, 6e3]), np.array([7e5, 7e5, 8e3])]
+    made = installation_facts(two, verdict, ROWS, (model, settings), grounds, STATED)
+    sections = {name: vars_of(getattr(settings, name)) for name in ("stars", "match", "run", "verdict")}
+    sections |= {"sky_strips": vars_of(settings.sky_strips), "calibration": vars_of(model)}
+    for section, values in TUNED.items():
+        assert values.items() <= sections[section].items()
+    earth = [1, 3]  # of the shared unknowns
+
+    def of_all(estimate: Any) -> dict[str, Any]:
+        cov = estimate.cov_heads
+        heads = [
+            {"name": name, "R_cs": R.as_matrix(), "quaternion": R.as_quat(canonical=True)}
+            | {"covariance_rad2": cov[3 * n : 3 * n + 3, 3 * n : 3 * n + 3]}
+            for n, (name, R) in enumerate(zip(("port", "zenith", "star"), (R_CS, R_CS**2, R_CS**3)))
+        ]
+        of_earth = {"unknowns": ["earth/1/x", "earth/1/y"]}
+        of_earth |= {"covariance": estimate.shared_covariance[earth][:, earth]}
+        of_earth |= {"covariance_with_theta_rad": estimate.theta_with_shared[:, earth]}
+        bias = {"names": ["along", "clock"], "value": [1.25, -0.0125], "stated": [2.0, 1e-4]}
+        reference = {"name": "tile 7", "value_m": [0.5, -1.5, 2.5], "sigma_m": [0.1, 0.2, 0.3]}
+        return {
+            "verdict": told,
+            "blind_spots": spots,
+            **{"frames": 42, "stars": 3719, "targets": 36, "chi2": 21.5, "dof": 31},
+            "rows": {"strips": {"used": 2, "listed": 2}, "targets": {"used": 17, "listed": 23}},
+            "settings": sections,
+            "version": boresight.__version__,
+            "heads": heads,
+            "heads_covariance_rad2": cov,
+            "common_bias": bias | {"covariance": [[0.25, 0.01], [0.01, 4e-6]]},
+            "predicted_earth": of_earth,
+            "ground_references": [reference | {"stated_m": [3.0, 4.0, 5.0]}],
+            "doubtful_targets": [["s1/t3", "s1/t9"]],
+        }
+
+    def of_camera(estimate: Any, n: int, ground: Any) -> dict[str, Any]:
+        own = slice(3 * n, 3 * n + 3)
+        R = Rotation.from_rotvec(-OFF[n]) * R_CS0[n]
+        z, x, y = np.degrees(Rotation.from_rotvec(OFF[n]).as_euler("ZXY"))
+        matrix = rotated("R_cs", R, OFF[n], estimate.cov_theta[own, own])
+        return matrix | {"euler_zxy_deg": [x, y, z], "ground_m_per_rad": ground}
+
+    edge = max(math.hypot(-one.x_offset_m, one.y_first_m) for one in CCDS) / 0.75
+    right = of_all(one) | of_camera(one, 0, 570e3 * np.array([1.0, 1.0, edge]))
+    right |= {"earth_orientation": EARTH}
+    a, b = (Rotation.from_rotvec(-OFF[n]) * R_CS0[n] for n in (0, 1))
+    lift = np.hstack([np.eye(3), -(a * b.inv()).as_matrix()])
+    moved = -((a * b.inv()) * (R_CS0[0] * R_CS0[1].inv()).inv()).as_rotvec()
+    apart = lift @ (two.cov_theta + np.diag(STATED**2)) @ lift.T
+    p = chi2(3).sf(moved @ np.linalg.solve(apart, moved))
+    between = {"cameras": ["nadir", "aft"], "p_value": p, "as_before_launch": p > 1e-3}
+    between |= rotated("R_ab", a * b.inv(), moved, lift @ two.cov_theta @ lift.T)
+    cameras = [{"name": n} | of_camera(two, k, grounds[k]) for k, n in enumerate(("nadir", "aft"))]
+    several = {"cameras": cameras, "between_cameras": [between], "cameras_covariance_rad2": two.cov_theta}
+    return [json.loads((folder / "installation.json").read_text()), made], [right, of_all(two) | several]
+
+
+def vars_of(settings: Any) -> dict[str, Any]:
+    return {name: getattr(settings, name) for name in settings.__dataclass_fields__}
+
+
 CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "calib/orbit_bias.py": biases,
     "features/vectors/vector_result.py": residuals_of_vectors,
@@ -325,6 +530,7 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "features/mission/joint_trend.py": trend,
     "features/exports/spice_attitude.py": fields_of_view,
     "features/interior/interior_files.py": interior,
+    "pipeline/results/writing.py": installations,
 }
 
 
@@ -333,7 +539,9 @@ def test_every_number_that_leaves_is_the_one_computed_independently(module: str,
     made, right = map(places, CASES[module](tmp_path))
     assert made.keys() == right.keys()
     for place, value in right.items():
-        if isinstance(value, str):
+        if made[place] is None:  # JSON has no number for it
+            assert value is None or not math.isfinite(value), place
+        elif isinstance(value, str):
             assert made[place] == value, place
         else:  # of CSV nine digits are written
             assert made[place] == pytest.approx(value, rel=1e-6, abs=1e-15, nan_ok=True), place

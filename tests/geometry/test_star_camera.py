@@ -43,10 +43,7 @@ STEREOGRAPHIC = replace(FISHEYE, projection="stereographic")
 WAVY = replace(
     BOLD,
     smooth=SmoothDistortion(
-        degree=4,
-        coefficients_px=np.random.default_rng(4).normal(size=(2, 12)),
-        width_px=2000,
-        height_px=1400,
+        degree=4, coefficients_px=np.random.default_rng(4).normal(size=(2, 12)), width_px=2000, height_px=1400
     ),
 )
 
@@ -212,10 +209,7 @@ def test_pixels_reach_half_a_pixel_beyond_their_centres():
 
 @settings(max_examples=50, deadline=None)
 @given(
-    x=st.floats(-0.5, 1999.5),
-    y=st.floats(-0.5, 1399.5),
-    p=st.floats(-1e-4, 1e-4),
-    q=st.floats(-2e-4, 2e-4),
+    x=st.floats(-0.5, 1999.5), y=st.floats(-0.5, 1399.5), p=st.floats(-1e-4, 1e-4), q=st.floats(-2e-4, 2e-4)
 )
 def test_any_moderate_lens_is_inverted(x, y, p, q):
     camera = StarCamera(

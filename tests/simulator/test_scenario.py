@@ -45,10 +45,7 @@ def test_what_a_table_leaves_out_is_taken_from_its_base():
         ({"attitude": {"waves": [WAVE | {"phase": 1.0}]}}, ["waves[0].phase", "unknown setting"]),
         ({"attitude": {"waves": [WAVE | {"period_s": "3"}]}}, ["waves[0].period_s", "valid number", "'3'"]),
         ({"installation": {"theta_rad": [1e-3] * 4}}, ["theta_rad", "at most 3", "4"]),
-        (
-            {"attitude": {"waves": [{"axis": "up", "period_s": 3.0, "amplitude_arcsec": 1.0}]}},
-            ["axis", "up"],
-        ),
+        ({"attitude": {"waves": [{"axis": "up", "period_s": 3.0, "amplitude_arcsec": 1.0}]}}, ["axis", "up"]),
         ({"sky": 3}, ["sky", "table"]),
         ({"star_camera": {"exposure_s": 0.3}}, ["exposure_s", "0.2"]),
         ({"based_on": "grand"}, ["grand", "mini", "paper", "sky"]),

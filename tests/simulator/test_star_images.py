@@ -28,10 +28,9 @@ def astropy_directions(stars, mission, t_s):
     nearest = int(np.argmin(np.abs(o.t_s - t_s)))
     dt = t_s - o.t_s[nearest]
     node_time = time - dt * u.s
-    state = ITRS(
-        CartesianRepresentation(o.positions_m[nearest] * u.m),
-        obstime=node_time,
-    ).transform_to(GCRS(obstime=node_time))
+    state = ITRS(CartesianRepresentation(o.positions_m[nearest] * u.m), obstime=node_time).transform_to(
+        GCRS(obstime=node_time)
+    )
     p = state.cartesian.xyz.to_value(u.m)
     # Velocity in GCRS from the nodes around, by differences of positions turned one by one.
     around = []

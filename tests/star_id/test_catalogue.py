@@ -11,11 +11,7 @@ import pytest
 from pytest import approx
 
 from boresight.geometry.constants import ARCSEC
-from boresight.star_id.catalogue import (
-    DISAGREEMENT_LIMIT_MAS,
-    CatalogueStars,
-    hipparcos_stars,
-)
+from boresight.star_id.catalogue import DISAGREEMENT_LIMIT_MAS, CatalogueStars, hipparcos_stars
 
 SIRIUS, VEGA, POLARIS, BARNARD = 32349, 91262, 11767, 87937
 

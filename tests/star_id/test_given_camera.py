@@ -114,10 +114,7 @@ def test_attitudes_of_the_camera_that_was_given_are_those_of_its_stars():
     fit = fit_known_camera(SMALL_CAMERA, stars.xy_px, stars.cov_px, u_i, R_si)
     J = SMALL_CAMERA.pixel_jacobian(stars.xy_px)
     plain = attitude_by_scatter(
-        SMALL_CAMERA.directions_from_pixels(stars.xy_px),
-        u_i,
-        J @ stars.cov_px @ J.transpose(0, 2, 1),
-        1e-4,
+        SMALL_CAMERA.directions_from_pixels(stars.xy_px), u_i, J @ stars.cov_px @ J.transpose(0, 2, 1), 1e-4
     )
     assert fit.misfit_px == 0.0
     # rad: a millionth of the error of the attitude

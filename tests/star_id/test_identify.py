@@ -387,11 +387,7 @@ def test_a_guess_without_catalogue_stars_is_no_match(index):
     away = Rotation.align_vectors([0.0, 0.0, 1.0], -lonely.u_i.sum(axis=0))[0]
     plane = np.random.default_rng(14).uniform(-0.05, 0.05, (20, 2))
     answer = identify_stars(
-        plane,
-        field_of_camera(PAPER_CAMERA, SETTINGS),
-        lonely,
-        SETTINGS,
-        prior=AttitudePrior(away, 1e-3),
+        plane, field_of_camera(PAPER_CAMERA, SETTINGS), lonely, SETTINGS, prior=AttitudePrior(away, 1e-3)
     )
     assert isinstance(answer, NotIdentified)
 

@@ -8,15 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
-from known_frames import (
-    ANSWERS,
-    CONDITIONS,
-    FIELDS_DEG,
-    REAL,
-    answer,
-    real_rows,
-    rendered,
-)
+from known_frames import ANSWERS, CONDITIONS, FIELDS_DEG, REAL, answer, real_rows, rendered
 
 from boresight.star_id.field import solve_field
 from boresight.star_id.settings import StarSettings

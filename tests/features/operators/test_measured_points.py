@@ -113,11 +113,7 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
         ),
         ("a.points", "#CRS: LOCAL\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS: found LOCAL"),
         ("a.gcp", f"# WKT: {MOON}\n{ASP_POINT}", "line 1, # WKT: found Moon, .*, expected .* on WGS 84"),
-        (
-            "a.gcp",
-            f"# WKT: {UTM}\n{ASP_POINT}",
-            "line 1, # WKT: found WGS 84 / UTM.*, expected .* on WGS 84",
-        ),
+        ("a.gcp", f"# WKT: {UTM}\n{ASP_POINT}", "line 1, # WKT: found WGS 84 / UTM.*, expected .* on WGS 84"),
         ("a.gcp", f"# WKT: GEO[\n{ASP_POINT}", "line 1, # WKT: found GEO.*that PROJ knows"),
         ("a.points", "#CRS: nonsense\nmapX,mapY,sourceX,sourceY\n1,2,3,4\n", "CRS: found nonsense"),
         ("a.tif", "not a tiff", "a GeoTIFF with ground control points"),

@@ -192,6 +192,7 @@ def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):
         (SPAMOD, '<R1 axis="X" unit="mrad">-0.03<', '<R1 axis="Z" unit="mrad">-0.03<', "R1"),
         (VIEDIR, "<NB_OF_PIXELS>24<", "<NB_OF_PIXELS>25<", "TAN_PSI_X_LIST"),
         (VIEDIR, 'detector_id="02"', 'detector_id="03"', "detector_id"),
+        (VIEDIR, " 0.010000200000 ", " 0.040000200000 ", "VIEWING_DIRECTIONS"),
         (VIEDIR, "<GS2_VIEWING_DIRECTIONS>", "<!DOCTYPE d [<!ENTITY a 'b'>]><GS2_VIEWING_DIRECTIONS>", "XML"),
     ],
 )

@@ -213,12 +213,7 @@ def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray,
     blocks = np.concatenate(
         [B[range(N_S), :, range(N_S)], np.stack([B[:, j, N_S + j] for j in range(N_C)], axis=1)]
     )
-    shown(
-        "A9",
-        "blocks of B and +-sigma (W0 x W)",
-        largest(blocks, signed) / np.abs(signed).max(),
-        1e-12,
-    )
+    shown("A9", "blocks of B and +-sigma (W0 x W)", largest(blocks, signed) / np.abs(signed).max(), 1e-12)
     B = B.reshape(N_S * N_C, -1)
     shown("A6", "covariance of z, element by element, and B B^T", largest(P, B @ B.T) / P.max(), 1e-12)
     shown(

@@ -35,6 +35,12 @@ def one_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign_plan, "DRAWS", 1)
 
 
+@pytest.fixture
+def few_draws(one_draw: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten example strips of each campaign that is compared, where only their order counts."""
+    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
+
+
 def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
     path = tmp_path / "plan.toml"
     path.write_text("[strips]\ncount = 12\n[errors]\ndistortion_px = 0.0\n", encoding="utf-8")
@@ -60,7 +66,7 @@ def test_the_page_describes_every_key_with_an_example():
     assert example().strips.count == 12 and shows_curves(DOCS / "images" / "plan.png", *SERIES_COLOURS[:3])
 
 
-def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone():
+def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone(few_draws: None):
     found = forecast_plan(Plan(errors=PlannedErrors(position_m=20.0)))
     assert "X is limited by: position" in found.text
     of_x = found.without[found.without["axis"] == "X"].set_index("source")["sigma_arcsec"]
@@ -72,7 +78,7 @@ def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone():
 
 
 def test_strips_of_the_sky_are_forecast_as_they_are_planned(
-    one_draw: None, monkeypatch: pytest.MonkeyPatch
+    few_draws: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parts = []
     monkeypatch.setattr(
@@ -100,7 +106,7 @@ def test_campaigns_of_ground_and_sky_are_compared(one_draw: None):
     np.testing.assert_array_equal(every[["X", "Y", "Z"]], table[["X", "Y", "Z"]])
 
 
-def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path, one_draw: None):
+def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path, few_draws: None):
     path = tmp_path / "plan.toml"
     path.write_text("[strips]\ncount = 2\n", encoding="utf-8")
     told = runner.invoke(app, ["plan", str(path), "--target", "0.01"])

@@ -21,12 +21,7 @@ from typer.testing import CliRunner
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.planning import scan_files, scan_plan
-from boresight.features.planning.scan_plan import (
-    ScanCameras,
-    ScanSettings,
-    angles_to_bodies,
-    choose_scans,
-)
+from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, angles_to_bodies, choose_scans
 from boresight.geometry.attitude_noise import NO_NOISE
 from boresight.pipeline.files.dump import open_dump
 from boresight.star_id.whole_catalogue import all_hipparcos

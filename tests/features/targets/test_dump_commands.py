@@ -41,12 +41,7 @@ def test_a_skeleton_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
     assert camera.n_ccds == 3
     assert camera.directions_from_pixels(1, [499.5])[0, 1] == pytest.approx(0.0, abs=1e-12)
     assert camera.directions_from_pixels(2, [-0.5])[0, 1] == pytest.approx(-4e-3 / 2.5, rel=1e-4)
-    assert files_with_faults(folder) == {
-        "orbit.oem",
-        "exposures.csv",
-        "strips.csv",
-        "targets.csv",
-    }
+    assert files_with_faults(folder) == {"orbit.oem", "exposures.csv", "strips.csv", "targets.csv"}
     again = CliRunner().invoke(app, ["dump", "init", str(folder)])
     assert isinstance(again.exception, RawDataError) and "not empty" in str(again.exception)
 

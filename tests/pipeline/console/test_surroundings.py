@@ -71,10 +71,7 @@ def test_name_that_a_library_cannot_take_is_one_line(capsys: pytest.CaptureFixtu
 
 
 def test_limit_on_processes_is_named_with_the_remedy(
-    one_strip: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     def refused(*given: object, **named: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")

@@ -1,6 +1,52 @@
-"""`readers` and `handmade` can be imported by the tests of this folder."""
+"""The modules of this folder can be imported by its tests; a calibration of images with a fault."""
 
+import shutil
+import signal
 import sys
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
+import pytest
+
+from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.results.folder import store_of
+
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture
+def ends_in_time() -> Iterator[None]:
+    """A read that blocks is an error of the test, not a hang; a busy machine may be slow."""
+
+    def expired(*_: object) -> None:
+        raise TimeoutError("600 s")
+
+    before = signal.signal(signal.SIGALRM, expired)
+    signal.alarm(600)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def with_fault(made_once, tmp_path: Path) -> Callable[..., DumpCalibration]:
+    """What a calibration of a dump of images gives, of a kind of `fault_dumps` and a seed, with a fault: what
+    the fault leaves unchanged is computed once.
+    """
+    from fault_dumps import linked, sound_dump
+
+    def fill(name: str, seed: int, folder: Path) -> None:
+        (folder / "work").mkdir()
+        sound = sound_dump(name, seed, folder)
+        if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
+            shutil.copytree(sound, folder / f"{name}-{seed}")
+
+    def calibrated(name: str, make: Callable[[Path], None], seed: int = 1) -> DumpCalibration:
+        folder = made_once(f"of-{name}-{seed}", partial(fill, name, seed))
+        linked(folder / f"{name}-{seed}", tmp_path / "dump")
+        make(tmp_path / "dump")
+        return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(folder))
+
+    return calibrated

@@ -126,10 +126,7 @@ def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
     if name == "twelve":
         mission = with_short_ids(mission)
     write_dump(without_images(mission), root, created_by="fault_dumps.py")
-    heads = (
-        TrialHead("STR1", Rotation.identity(), noise),
-        TrialHead("STR2", SECOND_HEAD, noise),
-    )
+    heads = (TrialHead("STR1", Rotation.identity(), noise), TrialHead("STR2", SECOND_HEAD, noise))
     files = {"remote_camera": "remote_camera.toml", "orbit": "orbit.oem", "strips": "strips.csv"}
     files |= {"points": "points.csv", "terrain": "terrain/dem.tif"}
     write_heads(root, mission, heads, rng, files)

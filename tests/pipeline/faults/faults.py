@@ -346,17 +346,8 @@ def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
         names = (f"e{first + 1:04d}", f"e{second + 1:04d}")
         make = partial(exchanged, first, second)
         words = ("|".join(names), "exchang|swap|order|time")
-        yield Fault(
-            "exposure files exchanged",
-            "/".join(names),
-            second - first,
-            "places",
-            times,
-            make,
-            words,
-            "",
-            names,
-        )
+        item = "/".join(names)
+        yield Fault("exposure files exchanged", item, second - first, "places", times, make, words, "", names)
 
 
 def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
@@ -375,10 +366,7 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             words = (f"ccd {ccd}\\b", "rotat|turn")
             yield Fault("CCD rotation", one[0], mrad, "mrad", times, make, words, f"ccd {ccd}", one)
     every = tuple(f"CCD {ccd}" for ccd in range(facts.ccds))
-    for kind, edit in (
-        ("x offsets zero", lambda v: 0.0 * v),
-        ("x offsets' signs", lambda v: -v),
-    ):
+    for kind, edit in (("x offsets zero", lambda v: 0.0 * v), ("x offsets' signs", lambda v: -v)):
         make = partial(toml_number, camera, "x_offset_mm", edit, None)
         yield Fault(kind, "", 20.0, "mm", 30.0, make, ("ccd|look", "x_offset|along|remote_camera"), "", every)
     for times, part in [sized(1.5e-4, rng)]:
@@ -420,16 +408,10 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         )
     if len(facts.strips) > 1:
         make = partial(exchanged_in_all, 0, 1)
+        words = ("ccds? 0\\b", "exchang|swap|file")
+        item = "CCD 0/1"
         yield Fault(
-            "CCD files exchanged",
-            "CCD 0/1",
-            1,
-            "files",
-            30.0,
-            make,
-            ("ccds? 0\\b", "exchang|swap|file"),
-            "",
-            ("CCD 0", "CCD 1", *facts.strips),
+            "CCD files exchanged", item, 1, "files", 30.0, make, words, "", ("CCD 0", "CCD 1", *facts.strips)
         )
     if facts.images:
         yield from _of_strip_images(facts, rng)
@@ -455,17 +437,8 @@ def _of_strip_images(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             )
     ccd = int(rng.integers(0, facts.ccds))
     dead = partial(painted, facts.strips, (ccd,), lambda image: np.full_like(image, 3))
-    yield Fault(
-        "dead CCD",
-        f"CCD {ccd}",
-        1,
-        "CCD",
-        30.0,
-        dead,
-        (f"ccd {ccd}\\b", "dead|grey|empty|image"),
-        "",
-        (f"CCD {ccd}", *facts.strips),
-    )
+    words = (f"ccd {ccd}\\b", "dead|grey|empty|image")
+    yield Fault("dead CCD", f"CCD {ccd}", 1, "CCD", 30.0, dead, words, "", (f"CCD {ccd}", *facts.strips))
     for times, gain in ((3.0, 0.5), (30.0, 0.2)):
 
         def dim(image: np.ndarray, gain: float = gain) -> np.ndarray:
@@ -473,14 +446,16 @@ def _of_strip_images(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
         ccd = int(rng.integers(0, facts.ccds))
         make = partial(painted, facts.strips, (ccd,), dim)
+        words = ()
+        item = f"CCD {ccd}"
         yield Fault(
             "sensitivity of a CCD",
-            f"CCD {ccd}",
+            item,
             gain,
             "times",
             times,
             make,
-            (),
+            words,
             "",
             (f"CCD {ccd}",),
             harmless=True,
@@ -496,16 +471,9 @@ def _of_strip_images(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 (dump / "kept").rename(other)
 
         own = facts.of_ground[:2]
+        words = ("|".join(own),)
         yield Fault(
-            "files of two strips exchanged",
-            "/".join(own),
-            1,
-            "pair",
-            30.0,
-            other_strip,
-            ("|".join(own),),
-            "",
-            own,
+            "files of two strips exchanged", "/".join(own), 1, "pair", 30.0, other_strip, words, "", own
         )
 
 
@@ -534,24 +502,10 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for key in keys:
             toml_number(camera, key, lambda v: -v, None, dump)
 
-    yield Fault(
-        "star distortion sign",
-        "q1",
-        1,
-        "sign",
-        30.0,
-        partial(signs, ("q1_per_mm2", "q2_per_mm4")),
-        (star, "distortion|focal"),
-    )
-    yield Fault(
-        "star distortion sign",
-        "p1",
-        1,
-        "sign",
-        3.0,
-        partial(signs, ("p1_per_mm", "p2_per_mm")),
-        (star, "distortion|principal"),
-    )
+    make = partial(signs, ("q1_per_mm2", "q2_per_mm4"))
+    yield Fault("star distortion sign", "q1", 1, "sign", 30.0, make, (star, "distortion|focal"))
+    make = partial(signs, ("p1_per_mm", "p2_per_mm"))
+    yield Fault("star distortion sign", "p1", 1, "sign", 3.0, make, (star, "distortion|principal"))
 
     def redrawn(how: Callable[[np.ndarray], np.ndarray], dump: Path) -> None:
         for path in sorted((dump / "exposures").iterdir()):
@@ -559,33 +513,13 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             path.unlink()
             cv2.imwrite(str(path), np.ascontiguousarray(image))
 
-    yield Fault(
-        "star images mirrored",
-        "",
-        1,
-        "",
-        30.0,
-        partial(redrawn, lambda image: image[:, ::-1]),
-        (star + "|exposure|image", "mirror"),
-    )
-    yield Fault(
-        "star images upside down",
-        "",
-        1,
-        "",
-        30.0,
-        partial(redrawn, lambda image: image[::-1]),
-        (star + "|exposure|image", "mirror"),
-    )
-    yield Fault(
-        "star images rotated by 180 deg",
-        "",
-        1,
-        "",
-        30.0,
-        partial(redrawn, lambda image: image[::-1, ::-1]),
-        (star + "|exposure|image|installation", ""),
-    )
+    make = partial(redrawn, lambda image: image[:, ::-1])
+    yield Fault("star images mirrored", "", 1, "", 30.0, make, (star + "|exposure|image", "mirror"))
+    make = partial(redrawn, lambda image: image[::-1])
+    yield Fault("star images upside down", "", 1, "", 30.0, make, (star + "|exposure|image", "mirror"))
+    make = partial(redrawn, lambda image: image[::-1, ::-1])
+    words = (star + "|exposure|image|installation", "")
+    yield Fault("star images rotated by 180 deg", "", 1, "", 30.0, make, words)
 
 
 def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
@@ -607,6 +541,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for times, metres in [sized(12.0 if axis != "radial" else 80.0, rng)]:
             make = partial(moved, axis, metres, -np.inf, np.inf)
             words = (f"{orbit}|position|datum|clock|time|height", "")
+            blind = f"orbit|{axis}"
             yield Fault(
                 f"orbit {axis}",
                 "",
@@ -615,7 +550,7 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 times,
                 make,
                 words,
-                f"orbit|{axis}",
+                blind,
                 harmless=sky_only and abs(metres) < 1e4,
             )
     if not sky_only and len(facts.of_ground) > 1:
@@ -646,41 +581,19 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     yield Fault(
         "orbit of the day before", "", -1, "day", 30.0, partial(dated_later, -86400.0), ("orbit.oem",)
     )
-    yield Fault(
-        "orbit of the next revolution",
-        "",
-        1,
-        "",
-        30.0,
-        partial(turned, REVOLUTION_S),
-        (orbit,),
-        "velocity of the orbit" if sky_only else "",
-    )
-    yield Fault(
-        "orbit of the revolution before",
-        "",
-        -1,
-        "",
-        30.0,
-        partial(turned, -REVOLUTION_S),
-        (orbit,),
-        "velocity of the orbit" if sky_only else "",
-    )
+    make, words = partial(turned, REVOLUTION_S), (orbit,)
+    blind = "velocity of the orbit" if sky_only else ""
+    yield Fault("orbit of the next revolution", "", 1, "", 30.0, make, words, blind)
+    make, words = partial(turned, -REVOLUTION_S), (orbit,)
+    blind = "velocity of the orbit" if sky_only else ""
+    yield Fault("orbit of the revolution before", "", -1, "", 30.0, make, words, blind)
     for frame in ("GCRF", "EME2000"):
         make = partial(_oem_key, "REF_FRAME", frame)
         yield Fault("orbit frame", frame, 1, "", 30.0, make, (orbit, "frame"))
     for scale, ahead_s in LEAP_S.items():
         make = partial(_oem_key, "TIME_SYSTEM", scale)
-        yield Fault(
-            "orbit time scale",
-            scale,
-            ahead_s,
-            "s",
-            30.0,
-            make,
-            (orbit, "time|scale|clock|s\\b"),
-            harmless=sky_only,
-        )
+        words = (orbit, "time|scale|clock|s\\b")
+        yield Fault("orbit time scale", scale, ahead_s, "s", 30.0, make, words, harmless=sky_only)
 
     def mirrored(axis: int, dump: Path) -> None:
         def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
@@ -690,16 +603,9 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         states(edit, dump)
 
     for axis in range(3):
-        yield Fault(
-            "orbit mirrored",
-            "xyz"[axis],
-            1,
-            "sign",
-            30.0,
-            partial(mirrored, axis),
-            (orbit,),
-            "velocity of the orbit" if sky_only else "",
-        )
+        make, words = partial(mirrored, axis), (orbit,)
+        blind = "velocity of the orbit" if sky_only else ""
+        yield Fault("orbit mirrored", "xyz"[axis], 1, "sign", 30.0, make, words, blind)
 
 
 def _oem_key(key: str, value: str, dump: Path) -> None:
@@ -737,15 +643,18 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for new in ("none", "annual"):
             make = partial(label, n, '"annual and orbital"', f'"{new}"')
             size = 20.0 if new == "none" else 5.2
+            words = (head, "aberration")
+            blind = "aberration|attitude"
+            item = f"{head} {new}"
             yield Fault(
                 "aberration label",
-                f"{head} {new}",
+                item,
                 size,
                 "arcsec",
                 30.0 if new == "none" else 3.0,
                 make,
-                (head, "aberration"),
-                "aberration|attitude",
+                words,
+                blind,
                 own,
             )
         make = partial(label, n, '"head to inertial"', '"inertial to head"')
@@ -765,16 +674,10 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
         for times, arcsec in [sized(6.0, rng)]:
             make = partial(rotated, 0, arcsec, head)
+            words = (head,)
+            blind = "attitude|head"
             yield Fault(
-                "head moves",
-                head,
-                arcsec,
-                "arcsec",
-                times,
-                make,
-                (head,),
-                "attitude|head",
-                (*own, *facts.strips),
+                "head moves", head, arcsec, "arcsec", times, make, words, blind, (*own, *facts.strips)
             )
     if len(facts.heads) == 2:
 
@@ -818,17 +721,9 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             ("lat_deg", metres_per_deg) if rng.random() < 0.5 else ("lon_deg", 0.81 * metres_per_deg)
         )
         make = partial(one, name, partial(add, column, px * GROUND_M / scale))
+        words = (name, column + "|coordinate")
         yield Fault(
-            "target coordinate",
-            name,
-            px * GROUND_M,
-            "m",
-            times,
-            make,
-            (name, column + "|coordinate"),
-            "",
-            (name,),
-            harmless=in_chips,
+            "target coordinate", name, px * GROUND_M, "m", times, make, words, "", (name,), harmless=in_chips
         )
     for digit in (0, 1, 2):
 
@@ -841,60 +736,25 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             row["lon_deg"] = text[:at] + text[at + 1] + text[at] + text[at + 2 :]
 
         name = str(rng.choice(facts.ground))
-        yield Fault(
-            "digits exchanged",
-            name,
-            10.0**-digit,
-            "deg",
-            30.0,
-            partial(one, name, typo),
-            (name, "lon|coordinate"),
-            "",
-            (name,),
-        )
+        make, words = partial(one, name, typo), (name, "lon|coordinate")
+        yield Fault("digits exchanged", name, 10.0**-digit, "deg", 30.0, make, words, "", (name,))
     name = str(rng.choice(facts.ground))
 
     def negative(row: dict[str, str]) -> None:
         row["lon_deg"] = f"-{row['lon_deg']}"
 
-    yield Fault(
-        "sign of a coordinate",
-        name,
-        1,
-        "sign",
-        30.0,
-        partial(one, name, negative),
-        (name, "lon|coordinate"),
-        "",
-        (name,),
-    )
+    make = partial(one, name, negative)
+    yield Fault("sign of a coordinate", name, 1, "sign", 30.0, make, (name, "lon|coordinate"), "", (name,))
     for times, metres in [sized(60.0, rng)]:
         name = str(rng.choice(facts.ground))
-        yield Fault(
-            "target height",
-            name,
-            metres,
-            "m",
-            times,
-            partial(one, name, partial(add, "height_m", metres)),
-            (name,),
-            "height",
-            (name,),
-        )
+        make = partial(one, name, partial(add, "height_m", metres))
+        yield Fault("target height", name, metres, "m", times, make, (name,), "height", (name,))
     for axis in ("north", "east"):
         for times, metres in [sized(12.0, rng)]:
             make = partial(ground_moved, listed, (), axis, metres)
-            yield Fault(
-                f"all targets {axis}",
-                "",
-                metres,
-                "m",
-                times,
-                make,
-                ("all|common|datum|shift",),
-                "shift|target|along|across|orbit",
-                harmless=in_chips,
-            )
+            words = ("all|common|datum|shift",)
+            blind = "shift|target|along|across|orbit"
+            yield Fault(f"all targets {axis}", "", metres, "m", times, make, words, blind, harmless=in_chips)
     for times, metres in [sized(80.0, rng)]:
         make = partial(edited, listed, partial(add, "height_m", metres))
         yield Fault("all heights", "", metres, "m", times, make, ("height",), "height|radial|scale")
@@ -932,27 +792,12 @@ def _of_chips(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
     for times, metres in [sized(GROUND_M, rng)]:
         name = str(rng.choice(facts.ground))
-        yield Fault(
-            "chip shifted",
-            name,
-            metres,
-            "m",
-            times,
-            partial(shifted, (name,), metres),
-            (name, "chip"),
-            "",
-            (name,),
-        )
+        make = partial(shifted, (name,), metres)
+        yield Fault("chip shifted", name, metres, "m", times, make, (name, "chip"), "", (name,))
     for times, metres in [sized(12.0, rng)]:
+        make, words = partial(shifted, facts.ground, metres), ("all|common|datum|shift",)
         yield Fault(
-            "all chips shifted",
-            "",
-            metres,
-            "m",
-            times,
-            partial(shifted, facts.ground, metres),
-            ("all|common|datum|shift",),
-            "shift|target|along|across|orbit",
+            "all chips shifted", "", metres, "m", times, make, words, "shift|target|along|across|orbit"
         )
 
     def exchanged(a: str, b: str, dump: Path) -> None:
@@ -960,17 +805,8 @@ def _of_chips(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         edited("targets.csv", lambda row: row.update(chip=files.get(row["id"], row["chip"])), dump)
 
     a, b = map(str, rng.choice([one for one in facts.ground if one.startswith("s01")], 2, replace=False))
-    yield Fault(
-        "chips exchanged",
-        f"{a}/{b}",
-        1,
-        "pair",
-        30.0,
-        partial(exchanged, a, b),
-        (f"{a}|{b}", "chip"),
-        "",
-        (a, b),
-    )
+    make = partial(exchanged, a, b)
+    yield Fault("chips exchanged", f"{a}/{b}", 1, "pair", 30.0, make, (f"{a}|{b}", "chip"), "", (a, b))
 
 
 def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
@@ -986,18 +822,8 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             write(dump / "points.csv", [header, *rows, *more])
 
     for times, copies in ((3.0, 3), (30.0, 9)):
-        yield Fault(
-            "strips repeated",
-            "",
-            copies,
-            "times",
-            times,
-            partial(strips_again, copies),
-            ("strip|same|twice|repeat|duplicat",),
-            "",
-            ("*",),
-            harmless=True,
-        )
+        make, words = partial(strips_again, copies), ("strip|same|twice|repeat|duplicat",)
+        yield Fault("strips repeated", "", copies, "times", times, make, words, "", ("*",), harmless=True)
     if facts.listed:
 
         def targets_again(copies: int, metres: float, dump: Path) -> None:
@@ -1012,18 +838,9 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             write(dump / facts.listed, [header, *rows, *more])
 
         for times, metres in ((30.0, 0.0), (3.0, 0.02)):
-            yield Fault(
-                "targets repeated",
-                f"{metres} m apart",
-                3,
-                "times",
-                times,
-                partial(targets_again, 3, metres),
-                ("target|same|twice|repeat|duplicat",),
-                "",
-                ("*",),
-                harmless=True,
-            )
+            make, words = partial(targets_again, 3, metres), ("target|same|twice|repeat|duplicat",)
+            item = f"{metres} m apart"
+            yield Fault("targets repeated", item, 3, "times", times, make, words, "", ("*",), harmless=True)
 
         def few(names: frozenset[str], dump: Path) -> None:
             header, *rows = table(dump / facts.listed)
@@ -1031,16 +848,8 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
         for n in (2, 3, 4):
             names = frozenset(map(str, rng.choice(facts.ground, n, replace=False)))
-            yield Fault(
-                "few targets",
-                "",
-                n,
-                "targets",
-                30.0,
-                partial(few, names),
-                ("few|redundan|check|degree",),
-                harmless=True,
-            )
+            make, words = partial(few, names), ("few|redundan|check|degree",)
+            yield Fault("few targets", "", n, "targets", 30.0, make, words, harmless=True)
     if facts.star_images:
 
         def exposures_again(copies: int, dump: Path) -> None:
@@ -1053,18 +862,8 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                     more.append(new)
             write(dump / "exposures.csv", [header, *more])
 
-        yield Fault(
-            "exposures repeated",
-            "",
-            2,
-            "times",
-            30.0,
-            partial(exposures_again, 2),
-            ("exposure|same|twice|repeat|duplicat",),
-            "",
-            ("*",),
-            harmless=True,
-        )
+        make, words = partial(exposures_again, 2), ("exposure|same|twice|repeat|duplicat",)
+        yield Fault("exposures repeated", "", 2, "times", 30.0, make, words, "", ("*",), harmless=True)
 
     def thinned(keep: int, dump: Path) -> None:
         """So many exposures or attitudes of each strip, evenly over it."""
@@ -1081,16 +880,8 @@ def _of_lists(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
             write(dump / name, [header, *(rows[k] for k in left)])
 
     for times, keep in ((30.0, 2), (3.0, 4)):
-        yield Fault(
-            "few exposures",
-            "",
-            keep,
-            "a strip",
-            times,
-            partial(thinned, keep),
-            ("exposure|attitude",),
-            harmless=True,
-        )
+        make = partial(thinned, keep)
+        yield Fault("few exposures", "", keep, "a strip", times, make, ("exposure|attitude",), harmless=True)
     if facts.of_ground:
         for key in ("light_time", "aberration", "refraction"):
 

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pytest
 import rasterio
 import rasterio.control
 from astropy.io import fits
@@ -35,7 +36,8 @@ from boresight.features.geolocate.positions import read_pixels
 from boresight.features.operators.gipp_files import find_gipp_files, gipp_root
 from boresight.features.operators.point_import import PointErrors, read_measured_points
 from boresight.features.operators.sentinel2_product import read_sentinel2
-from boresight.features.planning.campaign_plan import forecast_plan, read_plan
+from boresight.features.planning import campaign_plan
+from boresight.features.planning.campaign_plan import read_plan
 from boresight.features.sky_images.centroid_report import _read_truth
 from boresight.features.sky_images.frame_facts import observers_of
 from boresight.features.sky_images.whereabouts import Whereabouts
@@ -225,7 +227,10 @@ def _dump(folder: Path) -> Any:
 
 
 def _plan(folder: Path) -> Any:
-    return forecast_plan(read_plan(folder / "plan.toml"), 1.0)
+    with pytest.MonkeyPatch.context() as patch:  # of few example strips: it is only read
+        patch.setattr(campaign_plan, "DRAWS", 1)
+        patch.setattr(campaign_plan, "PLAN_DRAWS", 1)
+        return campaign_plan.forecast_plan(read_plan(folder / "plan.toml"), 1.0)
 
 
 def _pixels(folder: Path) -> Any:

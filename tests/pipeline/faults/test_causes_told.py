@@ -7,7 +7,6 @@ fault is another one than those of `faults.py`.
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -28,6 +27,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
+from boresight.pipeline.results.folder import store_of
 
 change, edited, later = faults.change, faults.edited, faults.later
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
@@ -408,24 +408,6 @@ def test_numbers_of_two_ccds_exchanged_in_all_strips_are_one_finding_about_both(
     assert (first.item, more) == ("CCD 1 and CCD 2", []) and "ccd in points.csv exchanged" in first.text
 
 
-@pytest.fixture
-def broken(made_once, tmp_path) -> Callable[[str, Make], Path]:
-    """A dump of images of a kind and seed 1, with a fault."""
-
-    def fill(name: str, folder: Path) -> None:
-        sound = fault_dumps.sound_dump(name, 1, folder)
-        if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
-            shutil.copytree(sound, folder / f"{name}-1")
-
-    def made(name: str, make: Make) -> Path:
-        folder = made_once(f"of-{name}", partial(fill, name))
-        fault_dumps.linked(folder / f"{name}-1", tmp_path / "dump")
-        make(tmp_path / "dump")
-        return tmp_path / "dump"
-
-    return made
-
-
 def revolution(sign: float, dump: Path) -> None:
     """The orbit that the satellite has one revolution later or earlier."""
     R = Rotation.from_rotvec([0.0, 0.0, -sign * faults.EARTH_RAD_S * faults.REVOLUTION_S])
@@ -457,8 +439,8 @@ def no_aberration(dump: Path) -> None:
         (no_aberration, "orbit, or datum of the targets", "or light.aberration in dump.toml"),
     ],
 )
-def test_a_cause_on_the_ground_is_told_first_beside_strips_of_the_sky(broken, make, cause, words):
-    first = calibrate_dump(open_dump(broken("mixed", make))).verdict.findings[0]
+def test_a_cause_on_the_ground_is_told_first_beside_strips_of_the_sky(with_fault, make, cause, words):
+    first = with_fault("mixed", make).verdict.findings[0]
     assert first.cause == cause and words in first.text, first
     assert len(f"{first.cause} {first.item} {first.text}".split()) <= MOST_WORDS
 
@@ -468,30 +450,37 @@ def painted(strip: str, level: int, dump: Path) -> None:
         faults.repaint(image, lambda pixels: np.full_like(pixels, level))
 
 
-@pytest.mark.parametrize("level", [0, 17, 255], ids=["dead", "one grey value", "saturated"])
-@pytest.mark.parametrize(("name", "strip"), [("ground", "s02"), ("scans", "sky01"), ("scans", "sky02")])
-def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(broken, name, strip, level):
-    found = calibrate_dump(open_dump(broken(name, partial(painted, strip, level)))).verdict
+@pytest.mark.parametrize(
+    ("name", "strip", "level"),
+    [
+        *(("ground", "s02", 0), ("ground", "s02", 255)),  # dead, saturated
+        *(("scans", "sky01", 17), ("scans", "sky01", 255), ("scans", "sky02", 0)),  # 17: one grey value
+    ],
+)
+def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(with_fault, name, strip, level):
+    found = with_fault(name, partial(painted, strip, level)).verdict
     (told,) = [one for one in found.findings if one.is_fault]
     assert found.outcome is Outcome.FINDINGS and told.item == f"strip {strip}"
     assert "grey" in told.text and (level < 255 or name == "ground" or "saturated" in told.text)
 
 
-def test_where_no_strip_gives_anything_the_reason_comes_first(broken):
+def test_where_no_strip_gives_anything_the_reason_comes_first(with_fault):
     with pytest.raises(DataNotSufficientError, match=r"^no strip can be used: strip sky01: grey level 255"):
-        calibrate_dump(open_dump(broken("sky", partial(painted, "sky01", 255))))
+        with_fault("sky", partial(painted, "sky01", 255))
 
 
-def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(broken):
+def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(with_fault):
     def shifted(dump: Path) -> None:
         for chip in (dump / "chips").glob("*.tif"):
             faults.repaint(chip, lambda image: image, -350.0)
 
     with pytest.raises(DataNotSufficientError, match=r"36 of 36 targets: they lie 350 m east of the middle"):
-        calibrate_dump(open_dump(broken("ground", shifted)))
+        with_fault("ground", shifted)
 
 
-def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(broken):
+def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(
+    with_fault,
+):
     """18 arc-seconds about x of the head, from the second scan on: the orbit's aberration is 5."""
 
     def moves(dump: Path) -> None:
@@ -507,32 +496,22 @@ def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilom
         edited("STR1.csv", edit, dump)
 
     try:
-        text = str(calibrate_dump(open_dump(broken("trackers", moves))).verdict.findings[0])
+        text = str(with_fault("trackers", moves).verdict.findings[0])
     except DataNotSufficientError as error:
         text = str(error)
     assert "attitude" in text and "STR1.csv" in text and "velocity" not in text
 
 
 @pytest.mark.parametrize(("ccd", "mrad"), [(1, 7.0), (3, 55.0)])
-def test_a_ccd_that_is_rotated_in_a_single_scan_is_told_with_its_angle(broken, ccd, mrad):
+def test_a_ccd_that_is_rotated_in_a_single_scan_is_told_with_its_angle(with_fault, ccd, mrad):
     """At 55 mrad its stars are not where a right matrix allows: they are looked for on the same CCD."""
-    made = broken("sky", partial(camera, "rotation_mrad", ccd, mrad))
-    first = calibrate_dump(open_dump(made)).verdict.findings[0]
+    first = with_fault("sky", partial(camera, "rotation_mrad", ccd, mrad)).verdict.findings[0]
     assert (first.cause, first.item) == ("rotation of a CCD", f"CCD {ccd}")
     assert first.value == pytest.approx(mrad, abs=4.0 * first.sigma)
 
 
-@pytest.fixture
-def two_scans(made_once, tmp_path) -> Path:
-    """Two scans of the sky, to and fro, as a dump of which tables may be rewritten."""
-    sound = made_once("two-scans", lambda folder: fault_dumps.sound_dump("scans", 2, folder)) / "scans-2"
-    fault_dumps.linked(sound, tmp_path / "scans")
-    return tmp_path / "scans"
-
-
-def test_a_sound_dump_of_another_seed_is_consistent_without_a_finding(made_once):
-    folder = made_once("mini-of-seed-2", lambda folder: fault_dumps.sound_dump("ground", 2, folder))
-    verdict = calibrate_dump(open_dump(folder / "ground-2")).verdict
+def test_a_sound_dump_of_another_seed_is_consistent_without_a_finding(with_fault):
+    verdict = with_fault("ground", lambda dump: None, seed=2).verdict
     assert verdict.outcome is Outcome.CONSISTENT and not any(one.is_fault for one in verdict.findings)
 
 
@@ -545,6 +524,7 @@ def one_way(made_once) -> Path:
         scans = tuple(replace(one, rate=1.0) for one in scenario.sky_strips.scans)
         scenario = replace(scenario, sky_strips=replace(scenario.sky_strips, scans=scans))
         write_dump(fly(scenario, 1), folder / "sound", created_by="test_causes_told.py")
+        (folder / "work").mkdir()
 
     return made_once("scans-one-way", fill) / "sound"
 
@@ -555,7 +535,8 @@ def test_what_scans_all_one_way_cannot_show_of_the_time_of_a_row_is_told(one_way
     fault_dumps.linked(one_way, tmp_path / "dump")
     change(tmp_path / "dump" / "remote_camera.toml", "tdi_stages = 1\n", "tdi_stages = 16\n")
     change(tmp_path / "dump" / "remote_camera.toml", 'time_of_row = "middle"', f'time_of_row = "{label}"')
-    right, wrong = calibrate_dump(open_dump(one_way)), calibrate_dump(open_dump(tmp_path / "dump"))
+    store = store_of(one_way.parent)
+    right, wrong = (calibrate_dump(open_dump(one), store=store) for one in (one_way, tmp_path / "dump"))
     (spot,) = [one for one in blind_spots(wrong.verdict.tests) if "time_of_row" in one.field]
     assert spot.is_unseen and spot.item == "all strips"
     moved = (wrong.estimate.R_cs * right.estimate.R_cs.inv()).as_rotvec()
@@ -564,10 +545,10 @@ def test_what_scans_all_one_way_cannot_show_of_the_time_of_a_row_is_told(one_way
     assert np.max(np.abs(moved) / right.estimate.sigma_theta) > 100.0
 
 
-def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(two_scans):
+def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(with_fault):
     """In scans to and fro, a clock of both by 60 ms turns the matrix as one of a single scan by 120 ms."""
-    edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], 0.06)), two_scans)
-    found = calibrate_dump(open_dump(two_scans))
+    late = partial(edited, "exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], 0.06)))
+    found = with_fault("scans", late, seed=2)
     first = found.verdict.findings[0]
     either = {"clock of the rows, all strips": -60.0, "clock of the exposures, all exposures": 60.0}  # ms
     named = f"{first.cause}, {first.item}"
@@ -575,7 +556,7 @@ def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(two_sca
     assert set(either) <= set(first.rivals)
 
 
-def test_half_of_a_ccd_without_light_is_told(two_scans):
+def test_half_of_a_ccd_without_light_is_told(with_fault):
     """Its other half shows all its stars: neither the CCD nor a strip is lost."""
 
     def dark(image: np.ndarray) -> np.ndarray:
@@ -583,33 +564,40 @@ def test_half_of_a_ccd_without_light_is_told(two_scans):
         half[:, : half.shape[1] // 2] = np.median(image)
         return half
 
-    for strip in ("sky01", "sky02"):
-        faults.repaint(two_scans / "strips" / f"{strip}_ccd1.tif", dark)
-    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+    def of_both(dump: Path) -> None:
+        for strip in ("sky01", "sky02"):
+            faults.repaint(dump / "strips" / f"{strip}_ccd1.tif", dark)
+
+    (told,) = [one for one in with_fault("scans", of_both, seed=2).verdict.findings if one.is_fault]
     assert (told.cause, told.item) == ("lost part of a CCD", "first half of CCD 1")
     assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS
 
 
-def test_a_scan_whose_background_hides_faint_stars_is_told(two_scans):
+def test_a_scan_whose_background_hides_faint_stars_is_told(with_fault):
     """Noise of some six times the detector's in one of two scans."""
     rng = np.random.default_rng(5)
 
     def noisy(image: np.ndarray) -> np.ndarray:
         return (image + rng.normal(0.0, 18.0, image.shape)).clip(0, 65535).round().astype(image.dtype)
 
-    for ccd in range(4):
-        faults.repaint(two_scans / "strips" / f"sky02_ccd{ccd}.tif", noisy)
-    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+    def of_one(dump: Path) -> None:
+        for ccd in range(4):
+            faults.repaint(dump / "strips" / f"sky02_ccd{ccd}.tif", noisy)
+
+    (told,) = [one for one in with_fault("scans", of_one, seed=2).verdict.findings if one.is_fault]
     assert told.cause == "lost faint stars" and told.item.startswith("strip sky02, fainter than V")
     assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS and not told.refutes
 
 
 @pytest.mark.parametrize(("stages", "label", "refutes"), [(4, "start", True), (128, "middle", False)])
-def test_stages_that_would_smear_a_scan_against_the_charge_are_told(two_scans, stages, label, refutes):
+def test_stages_that_would_smear_a_scan_against_the_charge_are_told(with_fault, stages, label, refutes):
     """The images have one stage; a label at the start of four would date rows two periods wrong."""
-    change(two_scans / "remote_camera.toml", "tdi_stages = 1\n", f"tdi_stages = {stages}\n")
-    change(two_scans / "remote_camera.toml", 'time_of_row = "middle"', f'time_of_row = "{label}"')
-    (told,) = [one for one in calibrate_dump(open_dump(two_scans)).verdict.findings if one.is_fault]
+
+    def stated(dump: Path) -> None:
+        change(dump / "remote_camera.toml", "tdi_stages = 1\n", f"tdi_stages = {stages}\n")
+        change(dump / "remote_camera.toml", 'time_of_row = "middle"', f'time_of_row = "{label}"')
+
+    (told,) = [one for one in with_fault("scans", stated, seed=2).verdict.findings if one.is_fault]
     assert (told.cause, told.item, told.refutes) == ("TDI stages", "strip sky02", refutes)
     assert f"{stages} stages" in told.text and "check tdi_stages and time_of_row" in told.text
     assert len(f"{told.cause} {told.item} {told.text}".split()) <= MOST_WORDS

@@ -4,22 +4,17 @@ among what the result cannot show.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import fault_dumps
 import faults
 import pytest
-from outside import ROOT
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
-from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import store_of
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 
 edited, later, table, toml_number, write = (
     getattr(faults, name) for name in ("edited", "later", "table", "toml_number", "write")
@@ -30,21 +25,9 @@ Make = Callable[[Path], None]
 
 
 @pytest.fixture
-def told(made_once, tmp_path: Path) -> Callable[[str, Make], DumpCalibration]:
-    """What a calibration of a fixture with a fault gives; what it leaves unchanged is computed once."""
-
-    def calibrated(name: str, make: Make) -> DumpCalibration:
-        def sound(folder: Path) -> None:
-            shutil.copytree(ROOT / "fixtures" / name, folder / "dump")
-            (folder / "work").mkdir()
-            calibrate_dump(open_dump(folder / "dump"), store=store_of(folder))
-
-        once = made_once(f"sound-{name}", sound)
-        fault_dumps.linked(once / "dump", tmp_path / "dump")
-        make(tmp_path / "dump")
-        return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(once))
-
-    return calibrated
+def told(with_fault) -> Callable[[str, Make], DumpCalibration]:
+    """What a calibration of a fixture with a fault gives."""
+    return lambda fixture, make: with_fault({"mini": "ground"}.get(fixture, fixture), make)
 
 
 def late(dump: Path, **ms: float) -> None:

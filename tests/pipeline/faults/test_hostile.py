@@ -6,8 +6,6 @@ import json
 import os
 import re
 import shutil
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -30,20 +28,7 @@ TEXTS = ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.to
 TABLES = ("exposures.csv", "strips.csv", "targets.csv")
 IMAGES = ("exposures/0.png", "strips/0.tif", "chips/0.tif")
 runner = CliRunner()
-
-
-@pytest.fixture(autouse=True)
-def ends_within_a_minute() -> Iterator[None]:
-    """A read that blocks is an error of the test, not a hang."""
-
-    def expired(*_: object) -> None:
-        raise TimeoutError("60 s")
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+pytestmark = pytest.mark.usefixtures("ends_in_time")
 
 
 def replaced(path: Path, kind: str) -> None:
@@ -104,13 +89,7 @@ def test_extreme_value_of_any_number_is_refused_by_name_or_calibrated(
 @pytest.mark.parametrize(
     ("file", "old", "new", "field", "says"),
     [
-        (
-            "dump.toml",
-            "position_m = 2",
-            "position_m = 1e6",
-            "errors.position_m",
-            r"at most 100000 \(orbit",
-        ),
+        ("dump.toml", "position_m = 2", "position_m = 1e6", "errors.position_m", r"at most 100000 \(orbit"),
         ("star_camera.toml", "= 100.0", "= 1e308", "focal_length_mm", "at most 100 m"),
         ("remote_camera.toml", "= -0.64", "= 9e15", "ccds.0.y_first_mm", r"focal plane, mm\)"),
         ("installation.toml", "0.003,", "9e15,", "sigma_rad.0", "at most 180°"),

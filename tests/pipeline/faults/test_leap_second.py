@@ -45,7 +45,7 @@ def test_times_across_a_leap_second_are_those_of_erfa(flown: tuple[Mission, Dump
     _, dump = flown
     utc = labels(dump.root, "exposures.csv", "utc_mid")
     assert {label[:19] for label in utc} >= {
-        *("2016-12-31T23:59:59", "2016-12-31T23:59:60", "2017-01-01T00:00:00"),
+        *("2016-12-31T23:59:59", "2016-12-31T23:59:60", "2017-01-01T00:00:00")
     }
     first = labels(dump.root, "strips.csv", "utc_first_row")[0]
     assert first.startswith("2016-12-31T23:59:59.")

@@ -13,6 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from readers import DOCUMENTED, READERS, Reader, mutated, write_sound_files
 
+from boresight.pipeline.errors import RawDataError
+
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -53,6 +55,9 @@ def test_damaged_file_is_read_or_refused(reader: Reader, root: Path) -> None:
                 reader.read(root)
         except DOCUMENTED as error:
             assert 0 < len(str(error)) < 1000
+            if isinstance(error, RawDataError):
+                assert all((error.file, error.field, error.found is not None, error.expected))
+                assert "\n" not in str(error)
 
     try:
         tried()

@@ -6,7 +6,6 @@ import base64
 import gzip
 import io
 import os
-import signal
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -29,17 +28,7 @@ from boresight.pipeline.files.star_tables import read_star_table
 from boresight.pipeline.files.text_files import read_text, toml_tables
 from boresight.pipeline.files.xml_files import read_xml
 
-
-@pytest.fixture(autouse=True)
-def ends_within_20_s() -> Iterator[None]:
-    def expired(*_: object) -> None:
-        raise TimeoutError("20 s")
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.alarm(20)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+pytestmark = pytest.mark.usefixtures("ends_in_time")
 
 
 @pytest.fixture

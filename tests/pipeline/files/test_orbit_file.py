@@ -54,8 +54,7 @@ def assert_as_library(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line",
-    ["{t} {x:.9f} {y:.9f} 0.0 {vx:.12f} {vy:.12f} -1e-3", "{t}\t{x:e}  {y} .5 1. {vx} +2E0 "],
+    "line", ["{t} {x:.9f} {y:.9f} 0.0 {vx:.12f} {vy:.12f} -1e-3", "{t}\t{x:e}  {y} .5 1. {vx} +2E0 "]
 )
 def test_plain_states_are_those_of_the_library_across_a_leap_second(line: str, tmp_path: Path) -> None:
     assert_as_library(written(tmp_path, text_of(60, line)))

@@ -154,10 +154,7 @@ def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
 
 def test_a_foreign_lens_comes_back_from_its_file(tmp_path):
     smooth = SmoothDistortion(
-        degree=3,
-        coefficients_px=np.random.default_rng(3).normal(size=(2, 7)),
-        width_px=1000,
-        height_px=800,
+        degree=3, coefficients_px=np.random.default_rng(3).normal(size=(2, 7)), width_px=1000, height_px=800
     )
     camera = StarCamera(
         focal_m=0.02,

@@ -15,6 +15,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.remote_camera import read_remote_camera
 
 
 def change(name: str, old: str, new: str) -> Callable[[Path], None]:
@@ -240,3 +241,23 @@ def test_damaged_chip_is_named_when_it_is_read(handmade: Path) -> None:
     with pytest.raises(RawDataError) as caught:
         read_grid(handmade / "chips/0.tif", "chips/0.tif", max_pixels=10**6)
     assert caught.value.file == "chips/0.tif"
+
+
+@pytest.mark.parametrize(
+    ("tan_y", "says"),
+    [
+        ((-0.004, -0.002, 0.0, 0.002, 0.004), ""),
+        ((-0.004, 0.003, 0.0, 0.002, 0.004), "tan_y must be strictly monotone"),
+        ((-0.004, -0.00399, 0.0039, 0.00395, 0.004), "reverses the order of the samples"),  # between its rows
+    ],
+)
+def test_looks_that_run_to_and_fro_are_refused_with_their_file(tan_y, says: str, tmp_path: Path) -> None:
+    path, head = tmp_path / "camera.toml", 'model = "look tables"\nlooks = "l.csv"\ndirections = "tangents"\n'
+    path.write_text(f"{head}[[ccds]]\nn_px = 17\n")
+    rows = [f"0,{4 * n},0.001,{y}" for n, y in enumerate(tan_y)]
+    (tmp_path / "l.csv").write_text("\n".join(["ccd,sample,x,y", *rows]) + "\n")
+    if not says:
+        assert read_remote_camera(tmp_path, path, "camera.toml")[0].n_px(0) == 17
+        return
+    with pytest.raises(RawDataError, match=rf"l\.csv: .*{says}"):
+        read_remote_camera(tmp_path, path, "camera.toml")

@@ -165,32 +165,6 @@ def saved_number(path: Path, key: str) -> float:
     return float(content)
 
 
-def test_captions_tell_what_the_tables_hold(html: str, finished):
-    _, result = finished
-    context = json.loads((result / "evidence/context.json").read_text())
-    stars = pq.read_table(result / "sightings/stars.parquet").to_pandas()
-    kept = stars[stars.kept]
-    residual = np.vstack(kept.residual_s)[:, :2] / context["star_camera"]["pixel_rad"]
-    assert f"Mean residual of {len(kept)} stars" in html
-    assert f"Single stars scatter by {np.sqrt((residual**2).mean()):.3f} px rms per axis" in html
-    targets = pq.read_table(result / "sightings/targets.parquet").to_pandas()
-    assert html.count(f"Residuals of {len(targets)} targets on the ground against") == 8  # figures and words
-    ground = pq.read_table(result / "evidence/ground.parquet").to_pandas()
-    used = ground[ground.state == "used"]
-    ce90 = np.percentile(np.hypot(used.residual_along_m, used.residual_across_m), 90)
-    (shown,) = set(
-        re.findall(rf"Residuals of {len(used)} sightings of targets; circle: CE90 ([\d.]+) m", html)
-    )
-    assert float(shown) == approx(ce90, rel=0.1)  # the page interpolates between the sorted radii otherwise
-    angles = pq.read_table(result / "evidence/angles.parquet").to_pandas()
-    spread = np.sqrt(((angles.z / angles.sigma) ** 2).mean())
-    assert f"{len(angles)} pairs of directions; standard deviation of z/σ {spread:.3f}" in html
-    for table, what in ((stars, "stars"), (targets, "targets")):
-        mean = table.normalised[table.kept].mean()
-        text = f"{table.kept.sum()} {what} used, mean {mean:.3f} (2 expected); {(~table.kept).sum()} rejected"
-        assert text in html
-
-
 def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_four_plots(page: Page, finished):
     targets = pq.read_table(finished[1] / "sightings/targets.parquet").to_pandas()
     ground = pq.read_table(finished[1] / "evidence/ground.parquet").to_pandas()

@@ -44,24 +44,6 @@ def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     return dump, (result / "installation.json").read_bytes()
 
 
-def test_cluster_by_address_gives_the_same_bytes(
-    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
-) -> None:
-    from distributed import LocalCluster
-
-    dump, expected = undisturbed
-    begun(tmp_path, finished, exposures=8)
-    options = {
-        "processes": True,
-        "threads_per_worker": 1,
-        "dashboard_address": "127.0.0.1:0",
-        "silence_logs": 50,
-    }
-    with LocalCluster(n_workers=2, **options) as cluster:
-        ran(*of_run(dump, tmp_path, "--scheduler", cluster.scheduler_address))
-    assert (tmp_path / "installation.json").read_bytes() == expected
-
-
 def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
     undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
 ) -> None:
