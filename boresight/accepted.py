@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 __all__ = ["ImageLike", "PathLike", "Progress", "RotationLike", "SiteLike", "Table", "TimeLike", "cell_of"]
 __all__ += [
     "column_of",
-    "columns_of",
     "count_of",
     "counted",
     "flag_of",
@@ -40,6 +39,7 @@ __all__ += [
     "image_of",
     "instance_of",
     "label_of",
+    "values_by_column",
 ]
 __all__ += ["listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument", "path_of"]
 __all__ += [
@@ -392,7 +392,7 @@ def column_of(
     return [read(cell_of(row, key, name, n), f"{name}, row {n}, {key}") for n, row in enumerate(full)]
 
 
-def columns_of(rows: Sequence[Mapping[str, Any]], keys: Iterable[str], name: str) -> list[list[Any]]:
+def values_by_column(rows: Sequence[Mapping[str, Any]], keys: Iterable[str], name: str) -> list[list[Any]]:
     """Columns of a table, each read as its key asks: texts, instants, counts; all others are numbers."""
     read: dict[str, Callable[[Any, str], Any]] = {"ccd": count_of, "time": utc_of}
     read |= dict.fromkeys(("id", "strip", "height_kind", "kind"), label_of)

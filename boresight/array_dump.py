@@ -25,12 +25,13 @@ from boresight.accepted import (
     RotationLike,
     Table,
     cell_of,
-    columns_of,
+    column_of,
     count_of,
     counted,
     floats_of,
     image_of,
     instance_of,
+    label_of,
     listed,
     no_progress,
     number_of,
@@ -40,6 +41,7 @@ from boresight.accepted import (
     rows_of,
     shown,
     vacant_folder_of,
+    values_by_column,
     wrong,
 )
 from boresight.array_stars import (
@@ -221,7 +223,7 @@ def dump_from_arrays(
         _write_targets(folder, rows_of(targets, "targets"), told)
     if points is not None:
         files["points"] = "points.csv"
-        columns = columns_of(rows_of(points, "points"), MEASURED, "points")
+        columns = values_by_column(rows_of(points, "points"), MEASURED, "points")
         write_csv(folder / "points.csv", MEASURED, list(zip(*columns)))
     head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
@@ -268,10 +270,8 @@ def _has_sky(strips: Table) -> bool:
 
 
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None, told: Progress) -> int:
-    rows = [{"kind": "ground", **row} for row in rows]
-    ids, ccds, times, periods, kinds = columns_of(
-        rows, ("id", "ccd", "time", "row_period_s", "kind"), "strips"
-    )
+    ids, ccds, times, periods = values_by_column(rows, ("id", "ccd", "time", "row_period_s"), "strips")
+    kinds = column_of(rows, "kind", "strips", label_of, "ground")
     places: list[tuple[str, int]] = []  # file and number of lines
     types = set()
     for n, row in enumerate(counted(rows, "strips", told)):
@@ -300,7 +300,7 @@ def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]], told: Progre
             pixels = pixels.astype(np.float32)
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
         write_image(folder / file, pixels, **_georeference(affine, crs, at))
-    lines = zip(*columns_of(rows, ("id", *PLACE), "targets"), files)
+    lines = zip(*values_by_column(rows, ("id", *PLACE), "targets"), files)
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], list(lines))
 
 
@@ -335,7 +335,7 @@ def orbit_text(mission: str, frame: str, orbit: Table) -> str:
     rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
-    utc, *columns = columns_of(rows, ORBIT, "orbit")
+    utc, *columns = values_by_column(rows, ORBIT, "orbit")
     numbers = np.array(columns).T
     radius_m = np.linalg.norm(numbers[:, :3], axis=1)
     for n in np.flatnonzero(~((radius_m > 6.4e6) & (radius_m < 5e7)))[:1]:

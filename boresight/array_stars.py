@@ -13,12 +13,12 @@ from boresight.accepted import (
     Progress,
     Table,
     cell_of,
-    columns_of,
     counted,
     floats_of,
     image_of,
     instance_of,
     rows_of,
+    values_by_column,
     wrong,
 )
 from boresight.geometry.star_camera import StarCamera
@@ -62,7 +62,7 @@ def write_exposures(
             types.add(pixels.dtype)
             write_image(folder / file, stored(pixels, stated or 8))
     rows = [{"id": f"e{n + 1:04d}", **row} for n, row in enumerate(rows)]
-    ids, times, lengths = columns_of(rows, ("id", "time", "exposure_s"), "exposures")
+    ids, times, lengths = values_by_column(rows, ("id", "time", "exposure_s"), "exposures")
     lines = list(zip(ids, files, times, lengths))
     write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
     bits = LIST_BITS if of_lists else bits_of(stated, types, "star_bits")
@@ -94,7 +94,7 @@ def write_attitudes(folder: Path, table: Table) -> dict[str, Any]:
     """Write attitudes.csv with its errors; its table of [[star_cameras]] without `attitude_keys`."""
     rows = rows_of(table, "attitudes")
     errors = COVARIANCES if COVARIANCES[0] in rows[0] else SIGMAS
-    columns = columns_of(rows, ("time", *COMPONENTS, *errors), "attitudes")
+    columns = values_by_column(rows, ("time", *COMPONENTS, *errors), "attitudes")
     write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], list(zip(*columns)))
     return HEAD | {"level": "attitudes", "attitudes": "attitudes.csv"}
 

@@ -639,7 +639,9 @@ def _finding(
     if excluded and len(f"{h.cause} {h.item} {text}{excluded}".split()) <= MOST_WORDS:
         text += excluded
     return Finding(
-        **{name: getattr(h, name) for name in STATED},
+        **{name: getattr(h, name) for name in STATED if name not in ("cause", "item")},
+        cause=h.cause,
+        item=h.item,
         subjects=h.subjects,
         text=f"{text}.",
         value=value,

@@ -22,8 +22,8 @@ MAP_PX, MARGIN_PX = 240.0, 10.0
 def calibration_html(
     verdict: str, sentence: str, rows: list[tuple[str, str, Floats]], lon_lat_deg: Floats, kept: Bools
 ) -> str:
-    """The sentence on the verdict's colour, a table of rows about X, Y, Z (name, format, values), and
-    targets on a map, if any.
+    """The sentence on the verdict's colour, a table of rows about X, Y, Z (name, format, values (3,)), and
+    targets at `lon_lat_deg` (N, 2) on a map, if any: which are `kept` (N,).
     """
     colour = COLOURS.get(verdict, REFUTED)
     head = f'<div style="background:{colour};color:#fff;padding:.3em .6em;border-radius:4px">'

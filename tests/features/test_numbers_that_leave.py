@@ -97,7 +97,8 @@ def residuals_of_vectors(folder: Path) -> tuple[Any, Any]:
     u_i = np.array([[0.6, 0.48, 0.64], [-0.48, 0.6, 0.64], [0.64, -0.6, 0.48]])
     tilt = np.column_stack([RESIDUAL, np.zeros(3)])
     stars = Of(u_s=R_CS.apply(u_i) + tilt, u_i=u_i, hip=np.array([11, 22, 33]), exposure_id="7")
-    given = Of(w_c=u_i, target_start=np.array([0, 2, 3]), star_start=np.array([0, 10, 20, 40]))
+    starts = {"target_start": np.array([0, 2, 3]), "star_start": np.array([0, 10, 20, 40])}
+    given = Of(w_c=u_i, target_id=np.array(["1.5/-2.5/30", "4/5/6", "-7/8/9.5"]), **starts)
     attitudes = Of(R_si=R_CS.as_matrix()[None], usable=[True], kept=found.kept, squared_mahalanobis=SQUARES)
     strip = Of(strip_id="7", attitudes=attitudes, exposures=[stars])
     made = {
@@ -108,6 +109,7 @@ def residuals_of_vectors(folder: Path) -> tuple[Any, Any]:
     both |= {"statistic": SQUARES, "p_value": np.exp(-SQUARES / 2.0), "kept": found.kept}  # 2 dof
     targets = both | {"frame": [0, 0, 1], "target": [0, 1, 0], "weight": WEIGHT}
     targets |= {"detectable_arcsec": [11.0, 13.0, 17.0]}
+    targets |= {"lat_deg": [1.5, 4.0, -7.0], "lon_deg": [-2.5, 5.0, 8.0], "height_m": [30.0, 6.0, 9.5]}
     return made, {"targets": targets, "stars": both | {"frame": [1, 2, 2], "star": [1, 2, 13]}}
 
 
@@ -162,7 +164,7 @@ def matches(folder: Path) -> tuple[Any, Any]:
         **numbers,
     )
     entry = Entry(Subject(Kind.TARGET, strip="S", ccd=1, id="U"), Reason.OUT_OF_VIEW, "why", "chip.tif")
-    made = matches_table([StripLine("S", [match], [entry], "")])
+    made = matches_table([StripLine("S", [match], [entry], np.zeros(3), "")])
     right = {"strip_id": "S", "target_id": "T", "outcome": "placed", "sample_px": 101.5, "line_px": 2002.25}
     right |= {"sigma_sample_px": 0.2, "sigma_line_px": 0.5, "covariance_px2": -0.01, "reason": ""}
     right |= {"predicted_sample_px": 99.0, "predicted_line_px": 1990.0}
