@@ -1,5 +1,5 @@
-"""Put the true output of the commands of docs/tutorial.md behind them, and of the two on README's first
-screen: `python scripts/refresh_tutorial.py`.
+"""Put the true output of the commands of docs/tutorial.md and docs/first-year.md behind them, and of the two
+on README's first screen: `python scripts/refresh_tutorial.py`.
 
 A block that follows `<!-- run -->` is run in a fresh folder beside a link to `fixtures`: console blocks
 command by command (`$ cat NAME` makes the file from what stands there), Python blocks as one script.
@@ -21,6 +21,7 @@ from boresight.console import command_line
 
 ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "docs" / "tutorial.md"
+FIRST_YEAR = ROOT / "docs" / "first-year.md"
 README = ROOT / "README.md"
 FIRST_SCREEN = re.compile(r"(\n\$ boresight calibrate fixtures/mini.*?)(?=```)", re.DOTALL)
 BLOCK = re.compile(r"<!-- run -->\n```(console|python)\n(.*?)```\n(?:\n```text\n(.*?)```\n)?", re.DOTALL)
@@ -43,7 +44,9 @@ def steps(kind: str, text: str, shown: str) -> list[Step]:
 
 
 def run(kind: str, step: Step) -> str:
-    """What a step prints to standard output, run in the present folder. `RuntimeError` when it fails."""
+    """What a step prints to standard output, run in the present folder. `RuntimeError` when it fails; what a
+    result is said to be by an exit status of 3 or more is no failure.
+    """
     if kind == "python":
         with contextlib.redirect_stdout(io.StringIO()) as out:
             exec(step.command, {})
@@ -53,7 +56,7 @@ def run(kind: str, step: Step) -> str:
         Path(arguments[0]).write_text(step.shown)
         return step.shown
     done = CliRunner().invoke(command_line(), arguments)
-    if done.exit_code:
+    if done.exit_code in (1, 2):
         raise RuntimeError(f"{step.command}\n{done.output}") from done.exception
     return done.stdout
 
@@ -86,11 +89,12 @@ def first_screen(tutorial: str) -> str:
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as name:
-        with contextlib.chdir(prepared(Path(name))):
-            text = refreshed(TUTORIAL.read_text())
-        TUTORIAL.write_text(text)
-        README.write_text(FIRST_SCREEN.sub(lambda m: first_screen(text), README.read_text(), count=1))
+    for page in (FIRST_YEAR, TUTORIAL):
+        with tempfile.TemporaryDirectory() as name:
+            with contextlib.chdir(prepared(Path(name))):
+                text = refreshed(page.read_text())
+            page.write_text(text)
+    README.write_text(FIRST_SCREEN.sub(lambda m: first_screen(text), README.read_text(), count=1))
 
 
 if __name__ == "__main__":

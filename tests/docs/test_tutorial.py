@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 from refresh_tutorial import (  # noqa: E402
     BLOCK,
     FIRST_SCREEN,
+    FIRST_YEAR,
     README,
     TUTORIAL,
     first_screen,
@@ -26,8 +27,8 @@ from refresh_tutorial import (  # noqa: E402
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 TIMES = re.compile(
-    r"\d+\.\d+ s(?= ->)|\d+ bytes(?= ->)"
-)  # a file's length is that of its numbers' last digits
+    r"\d+\.\d+ s(?= ->)|\d+ bytes(?= ->)|\b[0-9a-f]{16,32}\b"
+)  # a file's length and digest are those of its numbers' last digits
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,16 @@ def test_every_command_prints_what_the_page_shows(blocks, demo, tmp_path, monkey
     for kind, step in others:
         assert_same(run(kind, step), step.shown, step.command)
     assert len(others) >= 7
+
+
+def test_the_first_year_of_a_mission_prints_what_its_page_shows(tmp_path, monkeypatch):
+    monkeypatch.chdir(prepared(tmp_path))
+    text = FIRST_YEAR.read_text()
+    of_page = list(BLOCK.finditer(text))
+    assert text.count("```console") == len(of_page) >= 4
+    for block in of_page:
+        for step in steps(block[1], block[2], block[3] or ""):
+            assert_same(run(block[1], step), step.shown, step.command)
 
 
 def test_every_program_of_the_page_is_run(blocks):
@@ -71,7 +82,8 @@ def assert_same(printed: str, shown: str, command: str) -> None:
     """Words and counts exactly; decimal numbers to four units of their last printed digit, or to 2e-9.
 
     Between the kernels of OpenBLAS, NumPy and OpenCV for several processors theta of the demo differs by up
-    to 2e-9 rad, 5e-5 of its sigma. How long it took and how long a file is are not compared.
+    to 2e-9 rad, 5e-5 of its sigma. How long it took, how long a file is and digests are not
+    compared.
     """
     printed, shown = TIMES.sub("so much", printed), TIMES.sub("so much", shown)
     where = f"{command}: printed\n{printed}\nthe page shows\n{shown}\nrun scripts/refresh_tutorial.py"
