@@ -14,7 +14,7 @@ time, each with the prior variance q dt on each axis (q in rad²/s).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -471,22 +471,9 @@ def fit_columns(
     """The best coefficients of columns (K, m); with a density (rad²/s) the walk's ramps after them. `rows`:
     for each, what one more step before that row would bring.
     """
-    prior: Floats = np.zeros(3 * X.shape[1])
-    if density > 0.0:
-        knots = _knots(series.t_s)
-        X = np.hstack([X, _ramps(series.t_s, knots)])
-        prior = np.concatenate([prior, np.repeat(1.0 / (density * np.diff(knots)), 3)])
-    m = X.shape[1]
-    blocks = np.empty((m, 3, m, 3))
-    for a, b in np.ndindex(3, 3):
-        blocks[:, a, :, b] = X.T @ (series.F[:, a, b, None] * X)
-    N = blocks.reshape(3 * m, 3 * m)
-    cross = (X.T @ series.F_shared.reshape(len(X), -1)).reshape(3 * m, -1)
-    whole = np.block([[N + np.diag(prior), cross], [cross.T, series.shared_F]])
-    right = np.concatenate([(X.T @ series.right).ravel(), series.shared_right])
-    # coefficients are radians, shared unknowns are in units of their prior: scaled for the factorisation
-    scale = 1.0 / np.sqrt(np.diag(whole))
-    factor = cho_factor(whole * np.outer(scale, scale), lower=True)
+    normal = _Normal.of(series, X, with_walk=density > 0.0)
+    X, right, m = normal.X, normal.right, normal.X.shape[1]
+    prior, scale, factor = normal.factored(series, density)
     x = scale * cho_solve(factor, scale * right)
     inverse = cho_solve(factor, np.eye(len(x)))[: 3 * m, : 3 * m] * np.outer(scale[: 3 * m], scale[: 3 * m])
     gains, logs = np.empty(0), np.empty(0)
@@ -512,10 +499,45 @@ def fit_columns(
         covariance=0.5 * (inverse + inverse.T),
         shared=x[3 * m :],
         explained=float(x @ right),
-        log_volume=_log_volume(N, cross, series.shared_F, prior),
+        log_volume=_log_volume(normal.N, normal.cross, series.shared_F, prior),
         gains=gains,
         log_determinants=logs,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """Normal equations of columns, of the walk's ramps after them, and of the shared unknowns."""
+
+    X: Floats  # (K, m)
+    steps_s: Floats  # (w,) lengths of the ramps, the last w columns
+    N: Floats  # (3 m, 3 m)
+    cross: Floats  # (3 m, n) with the shared unknowns
+    right: Floats  # (3 m + n,)
+
+    @classmethod
+    def of(cls, series: MountingSeries, X: Floats, with_walk: bool) -> _Normal:
+        knots = _knots(series.t_s) if with_walk else np.zeros(1)
+        if with_walk:
+            X = np.hstack([X, _ramps(series.t_s, knots)])
+        m, (a, b) = X.shape[1], np.triu_indices(3)
+        upper = X.T @ (series.F[:, a, b, None] * X[:, None, :]).reshape(len(X), -1)
+        blocks = np.empty((m, 3, m, 3))
+        blocks[:, a, :, b] = blocks[:, b, :, a] = np.swapaxes(upper.reshape(m, len(a), m), 0, 1)
+        cross = (X.T @ series.F_shared.reshape(len(X), -1)).reshape(3 * m, -1)
+        right = np.concatenate([(X.T @ series.right).ravel(), series.shared_right])
+        return cls(X, np.diff(knots), blocks.reshape(3 * m, 3 * m), cross, right)
+
+    def factored(self, series: MountingSeries, density: float) -> tuple[Floats, Floats, tuple[Any, bool]]:
+        """Prior information (3 m,) of the columns with a density of the walk, the scale (3 m + n,) of all
+        unknowns, and the factor of the equations so scaled: coefficients are radians, shared unknowns are in
+        units of their prior.
+        """
+        prior, w = np.zeros(len(self.N)), len(self.steps_s)
+        prior[len(prior) - 3 * w :] = np.repeat(1.0 / (density * self.steps_s), 3) if w else 0.0
+        whole = np.block([[self.N + np.diag(prior), self.cross], [self.cross.T, series.shared_F]])
+        scale = 1.0 / np.sqrt(np.diag(whole))
+        return prior, scale, cho_factor(whole * np.outer(scale, scale), lower=True)
 
 
 def _log_volume(N: Floats, cross: Floats, shared_F: Floats, prior: Floats) -> float:
@@ -536,9 +558,13 @@ def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
     span = float(series.t_s[-1] - series.t_s[0])
     rest = fit_columns(series, X)
 
+    normal = _Normal.of(series, X, with_walk=True)
+
     def loss(log_density: float) -> float:
-        fit = fit_columns(series, X, float(np.exp(log_density)))
-        return fit.log_volume - fit.explained
+        prior, scale, factor = normal.factored(series, float(np.exp(log_density)))
+        right = scale * normal.right
+        explained = float(right @ cho_solve(factor, right))
+        return _log_volume(normal.N, normal.cross, series.shared_F, prior) - explained
 
     around = np.log(sigma2 / span)
     grid = around + np.linspace(-4.0, 10.0, 8)
@@ -583,8 +609,8 @@ def _ramps(t_s: Floats, knots: Floats) -> Floats:
 
 
 def _from(values: Floats, rows: Ints) -> Floats:
-    """Sums over the rows k >= row, for each of `rows`."""
-    return np.cumsum(values[::-1], axis=0)[::-1][rows]
+    """Sums over the rows k >= row, for each of `rows`, increasing."""
+    return np.cumsum(np.add.reduceat(values, rows, axis=0)[::-1], axis=0)[::-1]
 
 
 def _block(covariance: Floats, first: int, count: int) -> Floats:
