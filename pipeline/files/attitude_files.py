@@ -208,9 +208,10 @@ def _covariance(column: dict[str, Floats], file: str) -> Floats | None:
     """(N, 3, 3) covariances, rad², or None where the file states none."""
     if SIGMAS[0] in column:
         sigma = np.column_stack([column[name] for name in SIGMAS])
-        covariance = sigma[:, :, None] ** 2 * np.eye(3)
-        bad = ~np.all((sigma > 0.0) & (sigma <= LARGEST_ARCSEC), axis=1)
-        what = "sigma"
+        within = (sigma > 0.0) & (sigma <= LARGEST_ARCSEC)
+        covariance = np.where(within, sigma, 1.0)[:, :, None] ** 2 * np.eye(3)
+        bad = ~within.all(axis=1)
+        what, stated = "sigma", sigma
     elif COVARIANCES[0] in column:
         covariance = np.empty((len(column["qx"]), 3, 3))
         for pair, name in zip(PAIRS, COVARIANCES):
@@ -221,13 +222,13 @@ def _covariance(column: dict[str, Floats], file: str) -> Floats | None:
         bad = np.ones(len(covariance), dtype=bool)
         smallest = np.linalg.eigvalsh(covariance[within])[:, 0] if within.any() else np.zeros(0)
         bad[within] = smallest <= 1e-12 * scale[within]
-        what = "covariance"
+        what, stated = "covariance", covariance
     else:
         return None
     if bad.any():
         k = int(np.argmax(bad))
         expected = f"positive (definite), sigma at most {LARGEST_ARCSEC:g} arcsec"
-        raise RawDataError(file, f"valid row {k + 1}, {what}", covariance[k].tolist(), expected)
+        raise RawDataError(file, f"valid row {k + 1}, {what}", stated[k].tolist(), expected)
     return covariance * ARCSEC**2
 
 
