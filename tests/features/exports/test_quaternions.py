@@ -44,9 +44,10 @@ def test_attitudes_between_the_exported_ones_are_those_of_the_track(
     t_s = instants_to_interpolate(attitude, 0.0, 10.0, LIMIT_PX * pixel_rad)
     at_s = np.random.default_rng(2).uniform(0.01, 9.99, 4000)
     _, of_ticks = on_ticks(Epoch.from_utc("2020-08-16T12:02:20"), t_s)
-    for given in (t_s, of_ticks):
+    # beside the middles of the steps, by which these are chosen, a tenth more; ticks of 1 us move a jump
+    for given, most in ((t_s, 1.1 * LIMIT_PX), (of_ticks, 1.25 * LIMIT_PX)):
         missed = (read(given, attitude.R_si(given), at_s) * attitude.R_si(at_s).inv()).magnitude()
-        assert missed.max() < 0.01 * pixel_rad
+        assert missed.max() < most * pixel_rad
     # no more of them than needed: without errors the longest steps, and the 100 breaks
     assert len(t_s) < (182 if jitter_rad == 0.0 else 3000)
 
