@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Iterable
 from typing import TypeGuard
 
 import numpy as np
@@ -38,7 +39,8 @@ def star_list_of(
     flux_dn: ArrayLike | None = None,
 ) -> StarList:
     """The stars, brightest first; arguments as of `Stars.of_centroids`."""
-    if len(size_px) != 2 or not all(isinstance(side, numbers.Integral) and side > 0 for side in size_px):
+    sides = list(size_px) if isinstance(size_px, Iterable) else []
+    if len(sides) != 2 or not all(isinstance(side, numbers.Integral) and side > 0 for side in sides):
         raise wrong("size_px", size_px, "(width, height) in whole pixels")
     snr = None
     if isinstance(xy_px, pd.DataFrame):

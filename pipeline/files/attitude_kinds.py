@@ -52,7 +52,7 @@ def rotations_of(values: Floats, sequence: str, file: str) -> Rotation:
             expected = f"a rotation, its elements within {UNIT_LENGTH:g}"
             raise RawDataError(file, f"attitude {bad[0] + 1}", values[bad[0]].tolist(), expected)
         return Rotation.from_matrix(R_ab)
-    length = np.linalg.norm(values, axis=1)
+    length = np.hypot.reduce(values, axis=1)  # no squares, which may overflow
     if len(bad := np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_LENGTH))):
         found = f"{values[bad[0]].tolist()} of length {length[bad[0]]:.6g}"
         raise RawDataError(file, f"attitude {bad[0] + 1}", found, f"length 1 within {UNIT_LENGTH:g}")
