@@ -47,6 +47,10 @@ class StarSightings:
     cov_s: Floats = array("N, 3, 3", "covariance of u_s, rad²")
     snr: Floats | None = array("N", "signal-to-noise ratio of the detections; None: not known", default=None)
 
+    def told(self) -> list[str]:
+        """Lines of the log."""
+        return [f"{self.exposure_id}: {len(self.hip)} stars"]
+
 
 @record(kw_only=True)
 class ExposureAttitudes:

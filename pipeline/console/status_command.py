@@ -7,11 +7,8 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.console.messages import (
-    Answer,
-)
+from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.record_tables import plain
-from boresight.pipeline.results.status import run_status, status_lines
 
 __all__ = ["status_command"]
 
@@ -23,5 +20,7 @@ def status_command(
 
     Example: boresight status result
     """
+    from boresight.pipeline.results.status import run_status, status_lines  # loads all stages of a run
+
     found = run_status(result)
     return Answer(text="\n".join(status_lines(found)), content=plain(found))

@@ -22,8 +22,9 @@ from boresight.pipeline.results.summary import finding_lines, omission_lines
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.stage_words import stage_words
 from boresight.pipeline.run.unit_store import read_meta, read_unit
+from boresight.pipeline.stages.coverage import covers
 from boresight.pipeline.stages.exposure import star_tasks
-from boresight.pipeline.stages.strip import MatchedTargets, covers
+from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "saved_omissions", "status_lines"]

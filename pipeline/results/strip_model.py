@@ -26,7 +26,7 @@ from boresight.pipeline.results.ownership import MARKER, check_dump_of, dump_fol
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, settings_from_values
 from boresight.pipeline.stages.coverage import rows_not_covered
-from boresight.pipeline.stages.head import rows_of_heads
+from boresight.pipeline.stages.head_rows import rows_of_heads
 
 __all__ = [
     "Calibrated",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,14 +14,16 @@ from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.strip_table import Strip
-from boresight.pipeline.stages.head import HeadSightings
-from boresight.pipeline.stages.strip import covers
+
+if TYPE_CHECKING:
+    from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
 
 __all__ = [
     "attitudes_around",
     "attitudes_in_s",
     "carriers",
     "covered_strips",
+    "covers",
     "rows_not_covered",
     "stated_mountings",
     "turn_to_reference",
@@ -126,3 +129,14 @@ def _others_that_cover(dump: Dump, first: float, last: float) -> str:
             if not rows_not_covered(t_s[(t_s >= first - 1.0) & (t_s <= last + 1.0)], first, last):
                 return head.name
     return ""
+
+
+def covers(dump: Dump, strip: Strip) -> bool:
+    """Whether the orbit has states for every row of a strip."""
+    label = np.array([0.0, strip.lines - 1.0]) * strip.row_period_s + strip.t_first_row_s
+    instants = label + dump.line_camera.delay_to_middle_s(strip.row_period_s)
+    try:
+        dump.orbit.positions_i(instants)
+    except ValueError:
+        return False
+    return True

@@ -9,6 +9,7 @@ disk; the directions are computed from it each time.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -38,7 +39,6 @@ from boresight.geometry.sightings import GroundReferences, GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.coordinate_slips import contradiction
-from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS, ChipFile, StripPoints
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.strip_table import Strip
@@ -51,7 +51,6 @@ __all__ = [
     "StripTask",
     "compass",
     "contradicting_targets",
-    "covers",
     "displaced_m",
     "footprint_e",
     "ground_sightings",
@@ -122,6 +121,13 @@ class MatchedTargets:
         "largest distance along an axis of a position from where its template was predicted; 0: no template",
         default=0.0,
     )
+
+    def told(self) -> list[str]:
+        """Lines of the log: counts, and each reason why something is not used."""
+        reasons = Counter(entry.reason for entry in self.omissions)
+        text = f"{self.strip_id}: {len(self.target_id)} targets matched"
+        text += "".join(f", {n} {reason}" for reason, n in reasons.most_common())
+        return [text, *(f"{entry.subject.name}: {entry.text}" for entry in self.omissions)]
 
     @property
     def contradicting(self) -> tuple[Entry, ...]:
@@ -496,14 +502,3 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
         max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
         begins=tuple(n - first for n in orbit.begins if first < n < last),
     )
-
-
-def covers(dump: Dump, strip: Strip) -> bool:
-    """Whether the orbit has states for every row of a strip."""
-    label = np.array([0.0, strip.lines - 1.0]) * strip.row_period_s + strip.t_first_row_s
-    instants = label + dump.line_camera.delay_to_middle_s(strip.row_period_s)
-    try:
-        dump.orbit.positions_i(instants)
-    except ValueError:
-        return False
-    return True

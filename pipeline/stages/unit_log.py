@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
 from typing import Any
 
 from boresight.geometry.ledger import Entry
-from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.errors import printable
-from boresight.pipeline.stages.strip import MatchedTargets
 
 __all__ = ["log_unit"]
 
@@ -28,11 +25,4 @@ def log_unit(stage: str, outcome: Any, computed: bool) -> None:
 def _lines(outcome: Any) -> list[str]:
     if isinstance(outcome, Entry):
         return [f"{outcome.subject.name}: not used, {outcome.text}"]
-    if isinstance(outcome, StarSightings):
-        return [f"{outcome.exposure_id}: {len(outcome.hip)} stars"]
-    if isinstance(outcome, MatchedTargets):
-        reasons = Counter(entry.reason for entry in outcome.omissions)
-        text = f"{outcome.strip_id}: {len(outcome.target_id)} targets matched"
-        text += "".join(f", {n} {reason}" for reason, n in reasons.most_common())
-        return [text, *(f"{entry.subject.name}: {entry.text}" for entry in outcome.omissions)]
-    return [type(outcome).__name__]
+    return outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]
