@@ -1,9 +1,9 @@
-"""Errors of the satellite that last longer than a pass: position and clock as processes in time.
+"""Errors of the satellite that last longer than a pass: position, clock and attitudes as processes in time.
 
 Where the mission states a correlation time T, the errors at two instants have the correlation
 exp(-|t - t'| / T), whatever pass the instants are of; those of the position are independent along the track,
-across it and in height. Passes that are still correlated are eliminated together. Where it is not stated, an
-error is constant over a pass and independent from pass to pass.
+across it and in height, those of a head about its axes. Passes that are still correlated are eliminated
+together. Where it is not stated, an error is constant over a pass and independent from pass to pass.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ def correlated_passes(
     prepared: Sequence[PreparedStrip], settings: CalibrationSettings
 ) -> list[tuple[PreparedStrip, list[int]]]:
     """Passes that are eliminated together, joined to one, and which of `prepared` they are."""
-    longest = max(settings.position_time_s, settings.clock_time_s)
+    lasting_s = [error.time_s for one in prepared for error in one.lasting]
+    longest = max([settings.position_time_s, settings.clock_time_s, *lasting_s])
     groups: list[list[int]] = []
     before: tuple[str, str, float] = "", "", -np.inf
     for n in sorted(range(len(prepared)), key=lambda n: (*_shared(prepared[n]), *_span_s(prepared[n]), n)):
@@ -54,9 +55,8 @@ def _span_s(one: PreparedStrip) -> tuple[float, float]:
 
 def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> PreparedStrip:
     """Passes as one, each with attitudes of its own."""
-    if not (settings.position_time_s or settings.clock_time_s):
-        (alone,) = passes
-        return alone
+    if len(passes) == 1 and not (settings.position_time_s or settings.clock_time_s):
+        return passes[0]
     number = np.repeat(np.arange(len(passes)), [len(one.t_s) for one in passes])
     columns = (f.name for f in fields(PreparedStrip) if (shape_of(f) or ("",))[0] == "J")
     joined = {
@@ -68,7 +68,9 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
     position = _process(settings.sigma_position_m * joined["move_s"], t_s, settings.position_time_s, number)
     late, camera = settings.sigma_clock_s * joined["late_s"][:, :, None], joined["camera"]
     clock = _process(late, t_s, settings.clock_time_s, number, camera)
-    phi = _blocks([one.shared_s[:, :, : one.n_phi] for one in passes])
+    phi, ties = _with_lasting(
+        passes, _blocks([one.shared_s[:, :, : one.n_phi] for one in passes]), _ties(passes)
+    )
     last = [one.unknowns.index("position/x") for one in passes]
     motion = _blocks([one.shared_s[:, :, one.n_phi : n] for one, n in zip(passes, last)])
     names = [name for one in passes for name in one.unknowns[: one.n_phi]]
@@ -85,7 +87,8 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
         weights=sparse.block_diag([one.weights for one in passes], format="csr"),
         shared_s=np.concatenate([phi, motion, position, clock], axis=2),
         unknowns=tuple(names),
-        ties=_ties(passes),
+        ties=ties,
+        lasting=(),
         heads=heads,
         by_alignments_s=np.concatenate([of_heads(p.heads, p.by_alignments_s, heads) for p in passes]),
         n_phi=phi.shape[2],
@@ -107,6 +110,30 @@ def _process(columns: Floats, t_s: Floats, time_s: float, number: Ints, of: Ints
         own = np.unique(np.column_stack([number, of]), axis=0, return_inverse=True)[1]
         root = np.eye(int(own.max(initial=-1)) + 1)[own]
     return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def _with_lasting(
+    passes: Sequence[PreparedStrip], phi: Floats, ties: tuple[HeadTie, ...]
+) -> tuple[Floats, tuple[HeadTie, ...]]:
+    """Change (J, 3, P) of the targets' directions, and ties, by attitude unknowns of all passes that are
+    independent, from those by unknowns that are correlated from pass to pass where they are one error.
+    """
+    ends = np.cumsum([one.n_phi for one in passes])
+    found = [
+        (error, end - len(one.lasting) + n)
+        for one, end in zip(passes, ends)
+        for n, error in enumerate(one.lasting)
+        if error.time_s
+    ]
+    turn = np.eye(phi.shape[2])
+    for key in {(error.head, error.name) for error, _ in found}:
+        own = [(error, column) for error, column in found if (error.head, error.name) == key]
+        first, last, time_s = np.array([(e.first_s, e.last_s, e.time_s) for e, _ in own]).T
+        apart = np.maximum(first[:, None] - last, first - last[:, None])
+        values, vectors = np.linalg.eigh(np.exp(-np.maximum(apart, 0.0) / time_s))
+        columns = np.array([column for _, column in own])
+        turn[np.ix_(columns, columns)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return phi @ turn, tuple(replace(tie, by_phi=tie.by_phi @ turn) for tie in ties)
 
 
 def _blocks(parts: Sequence[Floats]) -> Floats:

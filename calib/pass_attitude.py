@@ -11,8 +11,10 @@ and the constant errors of the heads; the rows tell something of these and of th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.heads import HeadTie
@@ -24,6 +26,7 @@ from boresight.geometry.attitude import (
     interpolation_weights,
     linear_weights,
 )
+from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.attitude_smoother import HeadRows, SmoothedAttitude, most_likely_motion
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, array, record, scalar
@@ -46,6 +49,7 @@ class PassAttitude:
     root_s: Floats = array("J, 3, P", "rotation about the axes of s by unknowns of unit variance, rad")
     names: tuple[str, ...] = array("P", "of these unknowns")
     n_phi: int = scalar("of them, the first, that the rows of heads tell of")
+    lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
     weights: Floats = array("J, U", "by which a rotation of the exposures rotates it; dense or sparse")
     heads: tuple[str, ...] = scalar("heads whose alignments change it")
     by_alignments: Floats = array("J, 3, A", "rotation about the axes of s by these, three each")
@@ -98,22 +102,26 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
         middle = D[len(D) // 2]
         turned = Rotation.from_rotvec(weights[inside] @ (D * middle.inv()).as_rotvec())
         R_si_targets[inside] = (turned * middle * strip.R_oi_targets[inside]).as_matrix()
-    covariance = strip.noise.coloured_covariance_s(nodes.t_s)
+    noise, constant, lasting = strip.noise.within(*_ends(nodes.t_s), strip.carrier)
+    covariance = noise.coloured_covariance_s(nodes.t_s)
     each = np.arange(K)
     own_s = nodes.covariance(own_s)
     covariance[each, :, each, :] += own_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
     root = np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K)
     between = _by_motion(motion, nodes.t_s, t_s, weights, inside)
     moved = (np.eye(3)[:, None, :] * between[:, None, :, None]).reshape(len(t_s), 3, -1)
-    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"]
+    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [one.name for one in lasting]
     motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PassAttitude(
         inside=inside,
         R_si=R_si_targets,
         rate_s=_rotation_rate(nodes.t_s, nodes.R_si),
-        root_s=np.concatenate([np.tensordot(weights, root, axes=1), moved], axis=2),
+        root_s=np.concatenate(
+            [np.tensordot(weights, root, axes=1), inside[:, None, None] * constant, moved], axis=2
+        ),
         names=(*names, *motions),
         n_phi=len(names),
+        lasting=lasting,
         weights=weights @ nodes.share,
         heads=(),
         by_alignments=np.zeros((len(t_s), 3, 0)),
@@ -131,8 +139,10 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     by_constants: Floats = np.zeros((J, 3, 3 * len(heads)))
     told: Floats = np.zeros((0, 1 + 3 * len(heads)))
     dof = 0
+    parts = [head.noise.within(*_ends(times), name) for head, name in zip(rows, heads)]
     if inside.any():
-        found = SmoothedAttitude.of(rows, q, strip.gyro)
+        within = [replace(head, noise=rest) for head, (rest, *_) in zip(rows, parts)]
+        found = SmoothedAttitude.of(within, q, strip.gyro)
         R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
         part = found.root_s(t_s[inside])
         root = np.zeros((J, 3, -(-part.shape[2] // IN_STEPS_OF) * IN_STEPS_OF))
@@ -141,12 +151,8 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         rest, dof = np.eye(1, told.shape[1]) * np.sqrt(found.chi2), found.dof
         told = np.concatenate([found.constants, rest])
     r, T = told[:, 0], told[:, 1:]
-    constant: Floats = np.zeros((3 * len(heads), 0))
-    for h, head in enumerate(rows):
-        own = np.flatnonzero(head.noise.constant_rad > 0.0)
-        column = np.zeros((3 * len(heads), len(own)))
-        column[3 * h : 3 * h + 3] = head.noise.R_sn.as_matrix()[:, own] * head.noise.constant_rad[own]
-        constant = np.concatenate([constant, column], axis=1)
+    constant = block_diag(*(columns for _, columns, _ in parts))
+    lasting = tuple(one for *_, errors in parts for one in errors)
     is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
     n, m = root.shape[2], constant.shape[1]
     tie = HeadTie(
@@ -161,13 +167,18 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         R_si=R_si,
         rate_s=_rotation_rate(times, rows[0].R_so * _used(strip)[2]),
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
-        names=(*(f"attitude/{k}" for k in range(n)), *(f"constant/{k}" for k in range(m))),
+        names=(*(f"attitude/{k}" for k in range(n)), *(f"{one.head}/{one.name}" for one in lasting)),
         n_phi=n + m,
+        lasting=lasting,
         weights=linear_weights(times, t_s, inside),
         heads=tie.heads,
         by_alignments=-by_constants[:, :, is_known],
         ties=(tie,) if others and inside.any() else (),
     )
+
+
+def _ends(times: Floats) -> tuple[float, float]:
+    return (float(times[0]), float(times[-1])) if len(times) else (0.0, 0.0)
 
 
 def _here(t_s: Floats, times: Floats) -> Bools:

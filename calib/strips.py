@@ -43,6 +43,7 @@ from boresight.calib.shared_unknowns import (
 )
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
+from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
 
@@ -107,6 +108,7 @@ class PreparedStrip:
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
+    lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
 
     @property
     def unit(self) -> Ints:
@@ -202,7 +204,7 @@ class LinearStrips:
 
 # What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.
 OF_GROUND = ("target_id", "ccd", "t_s", "u_c", "cov_c", "is_star")
-OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "heads", "n_phi")
+OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "heads", "n_phi", "lasting")
 
 
 def prepare_strips(

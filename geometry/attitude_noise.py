@@ -5,18 +5,32 @@ Of attitudes at instants t_k, a small right-handed rotation about each axis of t
     w² δ_kl + a² exp(-|t_k - t_l| / τ) + c²,
 
 white noise from row to row, a first-order autoregressive process AR(1) (seconds: stars that cross pixels, the
-filter of the head), and a constant over the record or strip (errors that pass over many minutes). Angles in
-radians, times in seconds.
+filter of the head), and a constant over the record or strip (errors that pass over many minutes), which may
+be correlated with that of other passes over a time T. A process that outlasts a pass is split: what of it is
+the same at both ends of the pass is one more constant. Angles in radians, times in seconds.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["NO_NOISE", "AttitudeNoise"]
+__all__ = ["NO_NOISE", "AttitudeNoise", "LastingError"]
+
+
+@record(by_value=True)
+class LastingError:
+    """An error of a head about one of its axes that is constant over a pass and goes on after it."""
+
+    head: str = scalar("name of the head")
+    name: str = scalar("which of its errors, and about which axis: the same in all passes")
+    time_s: float = scalar("time over which it is correlated; 0: independent from pass to pass")
+    first_s: float = scalar("begin of the pass; the instant for which the error holds, where it is one")
+    last_s: float = scalar("end of the pass, or the same instant")
 
 
 @record(kw_only=True)
@@ -30,6 +44,11 @@ class AttitudeNoise:
     correlated_rad: Floats = array("3", "1-sigma of the AR(1) process")
     correlation_time_s: Floats = array("3", "in which its correlation falls to 1/e")
     constant_rad: Floats = array("3", "1-sigma, constant over a pass: strips of one time")
+    constant_time_s: Floats = array(
+        "3",
+        "in which its correlation from pass to pass falls to 1/e; 0: independent",
+        default_factory=lambda: np.zeros(3),
+    )
     R_sn: Rotation = scalar("axes of the head to frame s", default=Rotation.identity())
 
     def __post_init__(self) -> None:
@@ -44,6 +63,31 @@ class AttitudeNoise:
         """(3, 3) covariance of the white part of one attitude, rad², frame s."""
         R = self.R_sn.as_matrix()
         return np.asarray((R * self.white_rad**2) @ R.T)
+
+    def within(
+        self, first_s: float, last_s: float, head: str
+    ) -> tuple[AttitudeNoise, Floats, tuple[LastingError, ...]]:
+        """The noise of one pass without what is constant in it, and these constants: rotations (3, m) about
+        the axes of s, 1-sigma each, rad, and what they are.
+        """
+        span, tau = last_s - first_s, self.correlation_time_s
+        kept = np.where(tau >= span, np.exp(-span / tau), 0.0)
+        rest = replace(
+            self,
+            correlated_rad=self.correlated_rad * np.sqrt(1.0 - kept),
+            correlation_time_s=np.where(kept < 1.0, tau * (1.0 - kept), tau),
+            constant_rad=np.zeros(3),
+        )
+        middle, R = 0.5 * (first_s + last_s), self.R_sn.as_matrix()
+        columns, errors = [], []
+        for name, sizes, times, begin, end in (
+            ("constant", self.constant_rad, self.constant_time_s, middle, middle),
+            ("correlated", self.correlated_rad * np.sqrt(kept), tau, first_s, last_s),
+        ):
+            for a in np.flatnonzero(sizes > 0.0).tolist():
+                columns.append(R[:, a] * sizes[a])
+                errors.append(LastingError(head, f"{name}/{'xyz'[a]}", float(times[a]), begin, end))
+        return rest, np.array(columns).reshape(-1, 3).T, tuple(errors)
 
     def coloured_covariance_s(self, t_s: Floats) -> Floats:
         """(K, 3, K, 3) covariance, rad², frame s, of all but the white part at instants (K,)."""

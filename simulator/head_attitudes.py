@@ -52,18 +52,17 @@ def with_heads(
     """The strips with attitudes of heads instead of stars; `alignment` are the R_sh assumed for the heads
     after the first, which is the reference head.
     """
-    return [_strip(*one, heads, alignment, duration_s, rng) for one in zip(strips, truth.motion)]
+    drawn = zip(*(_attitudes(truth.motion, head, duration_s, rng) for head in heads))
+    return [_strip(*one, heads, alignment) for one in zip(strips, truth.motion, drawn)]
 
 
 def _strip(
     strip: StripSightings,
     motion: DrawnStripMotion,
+    drawn: Sequence[tuple[Array, Rotation]],
     heads: Sequence[HeadPlan],
     alignment: Sequence[Rotation],
-    duration_s: float,
-    rng: np.random.Generator,
 ) -> StripSightings:
-    drawn = [_attitudes(motion, head, duration_s, rng) for head in heads]
     t_s, R_hi = drawn[0]
     exposures = tuple(
         exposure_without_stars(f"{strip.strip_id}/{k:04d}", float(t)) for k, t in enumerate(t_s)
@@ -91,17 +90,24 @@ def _strip(
 
 
 def _attitudes(
-    motion: DrawnStripMotion, head: HeadPlan, duration_s: float, rng: np.random.Generator
-) -> tuple[Array, Rotation]:
-    """Instants (K,) and measured attitudes (K,), GCRS to the head."""
-    begin, end = -head.margin_s, duration_s + head.margin_s
+    motions: Sequence[DrawnStripMotion], head: HeadPlan, duration_s: float, rng: np.random.Generator
+) -> list[tuple[Array, Rotation]]:
+    """Instants (K,) and measured attitudes (K,) of each strip, GCRS to the head."""
+    begin, end, noise = -head.margin_s, duration_s + head.margin_s, head.noise
     since: Array = np.arange(begin, end + 1e-9, head.step_s, dtype=np.float64) + head.shift_s
-    t_s = motion.begin_s + since
-    noise = head.noise
-    error = noise.white_rad * rng.standard_normal((len(t_s), 3)) + noise.constant_rad * rng.standard_normal(3)
-    error += correlated_noise(noise.correlated_rad, noise.correlation_time_s, len(t_s), head.step_s, rng)
-    error += head.wrong_rad * rng.standard_normal(3)
-    return t_s, Rotation.from_rotvec(error) * head.R_ch.inv() * motion.R_ci(t_s)
+    times = [motion.begin_s + since for motion in motions]
+    constant = noise.constant_rad * rng.standard_normal((len(motions), 3))
+    for axis in np.flatnonzero(noise.constant_time_s):
+        sigma, time_s = noise.constant_rad[axis : axis + 1], noise.constant_time_s[axis : axis + 1]
+        begins = np.array([motion.begin_s for motion in motions])
+        constant[:, axis] = correlated_noise(sigma, time_s, begins, rng)[:, 0]
+    slow = correlated_noise(noise.correlated_rad, noise.correlation_time_s, np.concatenate(times), rng)
+    found = []
+    for n, (motion, t_s) in enumerate(zip(motions, times)):
+        error = noise.white_rad * rng.standard_normal((len(t_s), 3)) + constant[n]
+        error += slow[n * len(since) : (n + 1) * len(since)] + head.wrong_rad * rng.standard_normal(3)
+        found.append((t_s, Rotation.from_rotvec(error) * head.R_ch.inv() * motion.R_ci(t_s)))
+    return found
 
 
 def with_gyro(
@@ -129,14 +135,10 @@ def with_gyro(
     return found
 
 
-def correlated_noise(
-    sigma: Array, time_s: Array, count: int, step_s: float, rng: np.random.Generator
-) -> Array:
-    """AR(1) noise (count, A) of standard deviations (A,) and correlation times (A,) at equal steps."""
-    keep = np.exp(-step_s / np.asarray(time_s))
-    values = np.empty((count, len(keep)))
-    state = rng.standard_normal(len(keep))
-    for k in range(count):
-        values[k] = state
-        state = keep * state + np.sqrt(1.0 - keep**2) * rng.standard_normal(len(keep))
+def correlated_noise(sigma: Array, time_s: Array, t_s: Array, rng: np.random.Generator) -> Array:
+    """AR(1) noise (K, A) of standard deviations (A,) and correlation times (A,), at increasing instants."""
+    values = rng.standard_normal((len(t_s), len(time_s)))
+    keep = np.exp(-np.diff(t_s)[:, None] / time_s)
+    for k, kept in enumerate(keep, start=1):
+        values[k] = kept * values[k - 1] + np.sqrt(1.0 - kept**2) * values[k]
     return values * sigma

@@ -25,7 +25,7 @@ NOISE = [
 
 
 def errors(rng: np.random.Generator, head: int) -> np.ndarray:
-    slow = correlated_noise(CORRELATED[head], TIME[head], ROWS, STEP, rng)
+    slow = correlated_noise(CORRELATED[head], TIME[head], T, rng)
     return ARCSEC * (WHITE[head] * rng.standard_normal((ROWS, 3)) + slow)
 
 

@@ -233,12 +233,15 @@ class NoiseFile(_Strict):
     correlated_arcsec: OfAxes | None = None
     correlation_time_s: OfAxesTimes | None = None
     constant_arcsec: OfAxes | None = None
+    constant_time_s: OfAxesTimes | None = None
     origin: Literal["stated", "estimated", "assumed"] = "stated"
 
     @model_validator(mode="after")
     def _correlation_is_complete(self) -> Self:
         if (self.correlated_arcsec is None) != (self.correlation_time_s is None):
             raise ValueError("correlated_arcsec and correlation_time_s come together or not at all")
+        if self.constant_time_s is not None and self.constant_arcsec is None:
+            raise ValueError("constant_time_s comes with constant_arcsec")
         return self
 
 

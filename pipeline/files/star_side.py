@@ -333,6 +333,7 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
         correlated_rad=of(stated.correlated_arcsec, ARCSEC),
         correlation_time_s=of(stated.correlation_time_s, 1.0, otherwise=1.0),
         constant_rad=of(stated.constant_arcsec, ARCSEC),
+        constant_time_s=of(stated.constant_time_s, 1.0),
     )
 
 

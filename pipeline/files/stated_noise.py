@@ -52,7 +52,9 @@ def state_noise(root: Path, noise: Mapping[str, AttitudeNoise]) -> Path:
     for table, head in zip(document["star_cameras"], heads, strict=True):  # type: ignore[arg-type]
         found = noise[str(head["name"])]
         # Stars, or errors in the rows of a table of attitudes, are the one statement of the white part.
-        table["noise"] = noise_keys(found, "white_arcsec" in head.get("noise", {}))  # type: ignore[index]
+        before = head.get("noise", {})
+        lasts = {key: before[key] for key in ("constant_time_s",) if key in before}  # no record shows it
+        table["noise"] = noise_keys(found, "white_arcsec" in before) | lasts  # type: ignore[index]
     text = tomlkit.dumps(document)
     write_text(path, text)
     read_toml(path, DumpFile, "dump.toml")

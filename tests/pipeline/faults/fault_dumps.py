@@ -230,8 +230,7 @@ def drawn(noise: _Noise, t_s: np.ndarray, rng: np.random.Generator) -> np.ndarra
     error += (sigma["constant"] * rng.standard_normal((of_strip[-1] + 1, 3)))[of_strip]
     for n in range(of_strip[-1] + 1):
         rows = np.flatnonzero(of_strip == n)
-        step_s, times = float(np.diff(t_s[rows]).mean()), np.full(3, noise.correlation_s)
-        error[rows] += correlated_noise(sigma["coloured"], times, len(rows), step_s, rng)
+        error[rows] += correlated_noise(sigma["coloured"], np.full(3, noise.correlation_s), t_s[rows], rng)
     return error
 
 
