@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
+from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
@@ -118,6 +119,10 @@ class StripPlan:
     sigma_ccd_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)  # per axis, rms of each CCD's own shift,
     # slope (rotation along x, scale along y) and bend (quadratic)
     distortion_scope: str = "camera"  # one curve for all strips, or "strip"
+    sigma_motion_rad: float = 0.0  # motion between the exposures that is stated, per axis, rms
+    motion_time_s: float = 0.8  # over which it is smooth
+    gyro: GyroNoise | None = None  # of a gyro between the exposures; None: there is none
+    gyro_step_s: float = 0.1  # from row to row of it
     sigma_target_m: float = 0.0  # per axis, of the targets' own coordinates
     same_targets: bool = False  # all strips see the same ones on one and the same track: one error each
     gross_stars: float = 0.0  # share of stars with a wrong identity: anywhere in the field

@@ -14,6 +14,7 @@ import pandas as pd
 from boresight.calib.forecast import Forecast
 from boresight.display import axes_or_new
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.gyro import GyroNoise
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.pipeline.files.text_files import toml_tables
@@ -110,12 +111,38 @@ class PlannedSky:
 
 
 @dataclass(frozen=True, slots=True)
+class PlannedGyro:
+    """`[gyro]`: a gyro between the star exposures of strips of the ground, the same about every axis."""
+
+    random_walk_arcsec: float = 0.0  # 1-sigma after one second; 0: there is no gyro
+    bias_walk_arcsec_s: float = 1e-4  # 1-sigma by which the bias changes in one second
+    bias_arcsec_s: float = 200.0  # 1-sigma of the bias
+    white_arcsec: float = 0.01  # 1-sigma of an angle by itself, its resolution
+    step_s: float = 0.1  # from row to row
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.step_s <= 100.0:
+            raise ValueError(f"step_s must be 0.001 to 100, got {self.step_s}")
+
+    @property
+    def noise(self) -> GyroNoise | None:
+        """Its errors; None without a gyro. `ValueError` unless all are positive."""
+        sizes = self.bias_walk_arcsec_s, self.bias_arcsec_s, self.white_arcsec
+        walk, drift, bias, white = (ARCSEC * size for size in (self.random_walk_arcsec, *sizes))
+        if not self.random_walk_arcsec:
+            return None
+        return GyroNoise(random_walk_rad=walk, bias_walk_rad_s=drift, bias_rad_s=bias, white_rad=white)
+
+
+@dataclass(frozen=True, slots=True)
 class PlannedErrors:
     """`[errors]`: 1-sigma of what is common to a strip or a camera (defaults: the paper's Table 1)."""
 
     position_m: float = 2.0
     clock_s: float = 1e-4
     vibration_arcsec: float = 0.1
+    motion_arcsec: float = 6.0
+    motion_s: float = 0.8
     distortion_px: float = 0.3
     distortion_length_px: float = 2000.0
 
@@ -128,6 +155,7 @@ class Plan:
     strips: PlannedStrips = field(default_factory=PlannedStrips)
     targets: PlannedTargets = field(default_factory=PlannedTargets)
     sky: PlannedSky = field(default_factory=PlannedSky)
+    gyro: PlannedGyro = field(default_factory=PlannedGyro)
     errors: PlannedErrors = field(default_factory=PlannedErrors)
 
 
@@ -306,11 +334,15 @@ def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:
         sigma_position_m=e.position_m,
         sigma_clock_s=e.clock_s,
         sigma_vibration_rad=e.vibration_arcsec * ARCSEC,
+        sigma_motion_rad=e.motion_arcsec * ARCSEC,
+        motion_time_s=e.motion_s,
         sigma_distortion_rad=e.distortion_px * pixel_rad,
         distortion_length_px=e.distortion_length_px,
         distortion_pixel_rad=pixel_rad,
         sigma_ccd_rad=(OF_LOOK_DISTORTION * e.distortion_px * pixel_rad,) * 3,
         sigma_target_m=t.sigma_m,
+        gyro=plan.gyro.noise,
+        gyro_step_s=plan.gyro.step_s,
     )
     return campaign, cameras
 

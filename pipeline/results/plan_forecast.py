@@ -17,6 +17,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.head_attitudes import with_gyro
 from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = [
@@ -43,6 +44,8 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
         sigma_position_m=plan.sigma_position_m,
         sigma_clock_s=plan.sigma_clock_s,
         sigma_vibration_rad=plan.sigma_vibration_rad,
+        sigma_motion_rad=plan.sigma_motion_rad,
+        motion_time_s=plan.motion_time_s,
         sigma_distortion_rad=plan.sigma_distortion_rad,
         distortion_length_px=plan.distortion_length_px,
         distortion_pixel_rad=plan.distortion_pixel_rad,
@@ -57,8 +60,21 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
 def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = PLAN_DRAWS) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan, cameras), robust=False)
-    strips, truth = draw_strips(replace(plan, strips=draws), cameras, np.random.default_rng(0))
-    return forecast_from_strips(strips, truth.R_cs, settings)
+    return forecast_from_strips(
+        _drawn(plan, draws, cameras, np.random.default_rng(0)), cameras.R_cs, settings
+    )
+
+
+def _drawn(
+    plan: StripPlan, draws: int, cameras: CameraPair, rng: np.random.Generator
+) -> list[StripSightings]:
+    """Strips of a plan, with the rows of its gyro from the first exposure of each to the last."""
+    strips, truth = draw_strips(replace(plan, strips=draws), cameras, rng)
+    if plan.gyro is None:
+        return strips
+    rows = int(np.ceil((plan.duration_s + 2.0 * plan.exposure_margin_s) / plan.gyro_step_s)) + 1
+    t_s = plan.gyro_step_s * np.arange(rows) - plan.exposure_margin_s
+    return with_gyro(strips, truth, cameras.R_cs, plan.gyro, t_s, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +92,17 @@ def compare_campaigns(ground: StripPlan, sky: SkyPart, cameras: CameraPair) -> d
     """
     rng = np.random.default_rng(0)
     settings = replace(settings_of_plan(ground, cameras), robust=False)
-    below, truth = draw_strips(replace(ground, strips=PLAN_DRAWS), cameras, rng)
+    below = _drawn(ground, PLAN_DRAWS, cameras, rng)
     rates = (-sky.rate_rad_s, sky.rate_rad_s)
     above = draw_sky_strips(replace(sky.plan, strips=PLAN_DRAWS), cameras, rng, rates_rad_s=rates)
     both = with_attitudes([*below, *above], settings.attitudes)  # once for the three forecasts
     below, above = both[: len(below)], both[len(below) :]
-    pairs, prior = strip_pairs(both, truth.R_cs, settings)
+    pairs, prior = strip_pairs(both, cameras.R_cs, settings)
     of_sky = np.char.startswith(pairs.names, "sky")
     total = ground.strips * pairs.F[~of_sky].mean(axis=0) + sky.strips * pairs.F[of_sky].mean(axis=0)
     return {
-        "ground": forecast_from_strips(below, truth.R_cs, settings).sigma(ground.strips),
-        "sky": forecast_from_strips(above, truth.R_cs, settings).sigma(sky.strips),
+        "ground": forecast_from_strips(below, cameras.R_cs, settings).sigma(ground.strips),
+        "sky": forecast_from_strips(above, cameras.R_cs, settings).sigma(sky.strips),
         "both": Forecast(total, prior, settings.sigma_observable_rad).sigma(1.0),
     }
 

@@ -19,6 +19,7 @@ from boresight.features.planning import campaign_plan
 from boresight.features.planning.campaign_plan import (
     Plan,
     PlannedErrors,
+    PlannedGyro,
     PlannedSky,
     PlannedStrips,
     forecast_plan,
@@ -75,6 +76,18 @@ def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone(few_draws: None)
     of_z = found.by_targets[found.by_targets["axis"] == "Z"]["sigma_arcsec"].to_numpy()
     assert of_z[-1] < 0.5 * of_z[0]
     assert not len(found.campaigns)  # of the ground alone there is nothing to compare
+
+
+def test_a_gyro_carries_two_exposures_over_a_strip(few_draws: None) -> None:
+    errors = PlannedErrors(position_m=0.0, clock_s=0.0, distortion_px=0.0)
+    few = PlannedStrips(count=12, exposures=2, duration_s=4.0)
+    without, good, poor = (
+        forecast_plan(Plan(strips=few, errors=errors, gyro=PlannedGyro(random_walk_arcsec=walk)))
+        .table["sigma_arcsec"]
+        .to_numpy()[:3]
+        for walk in (0.0, 0.02, 10.0)
+    )
+    assert np.all(good < 0.5 * without) and np.all(good < 0.9 * poor)
 
 
 def test_strips_of_the_sky_are_forecast_as_they_are_planned(
