@@ -73,7 +73,7 @@ def _drawn(
     if plan.gyro is None:
         return strips
     rows = int(np.ceil((plan.duration_s + 2.0 * plan.exposure_margin_s) / plan.gyro_step_s)) + 1
-    t_s = plan.gyro_step_s * np.arange(rows) - plan.exposure_margin_s
+    t_s: Floats = plan.gyro_step_s * np.arange(rows, dtype=np.float64) - plan.exposure_margin_s
     return with_gyro(strips, truth, cameras.R_cs, plan.gyro, t_s, rng)
 
 
