@@ -63,6 +63,8 @@ from boresight.pipeline.stages.sky_strip import as_matched
 
 __all__ = ["write_evidence", "write_joint_evidence"]
 
+MOST_MEANS = 1500  # instants at which attitudes are plotted
+
 
 def write_evidence(
     result: Path,
@@ -94,7 +96,7 @@ def write_evidence(
         "exposure": exposure,
         "ground": ground,
         "unmatched": unmatched,
-        "allan": _allan(dump, settings),
+        **_attitude_noise(dump, settings),
         "map": scene_pictures(scenes, dump, calibration, executor),
     }
     for name, table in tables.items():
@@ -315,19 +317,31 @@ def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
     return motions
 
 
-def _allan(dump: Dump, settings: Settings) -> pa.Table:
-    """Allan deviation of the attitudes of the longest piece without a gap; no row without attitudes."""
-    found = attitude_signal(dump, settings)
-    names = ""
-    times: Floats = np.zeros(0)
-    deviation: Floats = np.zeros((0, 3))
+def _attitude_noise(dump: Dump, settings: Settings) -> dict[str, pa.Table]:
+    """Allan deviation of the attitudes of the longest piece without a gap, and means of them over equal
+    times, `MOST_MEANS` at most; no rows without attitudes.
+    """
+    found, names = attitude_signal(dump, settings), ""
+    times, t_s = np.zeros(0), np.zeros(0)
+    deviation, turns = np.zeros((0, 3)), np.zeros((0, 3))
     if found is not None:
-        names, signal = " and ".join(found[0]), found[1]
+        heads, signal, t_s = found
+        names = " and ".join(heads)
         longest = max(signal.pieces, key=lambda piece: piece.stop - piece.start)
-        times, deviation = allan_deviation(signal.values[longest], signal.step_s)
-    columns = {"averaged_s": arrow_array(times), "deviation_rad": fixed_list(deviation[:, :3])}
-    table = pa.table(columns)
-    return table.replace_schema_metadata({b"heads": names.encode()})
+        turns, t_s = signal.values[longest], t_s[longest]
+        times, deviation = allan_deviation(turns, signal.step_s)
+        each = -(-len(turns) // MOST_MEANS)
+        t_s, turns = (
+            a[: len(a) // each * each].reshape(-1, each, *a.shape[1:]).mean(1) for a in (t_s, turns)
+        )
+    tables = {
+        "allan": {"averaged_s": arrow_array(times), "deviation_rad": fixed_list(deviation[:, :3])},
+        "attitude_noise": {"t_s": arrow_array(t_s), "turn_rad": fixed_list(turns[:, :3])},
+    }
+    return {
+        name: pa.table(columns).replace_schema_metadata({b"heads": names.encode()})
+        for name, columns in tables.items()
+    }
 
 
 def _matches(calibration: DumpCalibration) -> pa.Table:

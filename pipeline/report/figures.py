@@ -34,6 +34,7 @@ __all__ = [
     "allan_plot",
     "angle_histogram",
     "angle_spread",
+    "attitudes_in_time",
     "ccd_means",
     "convergence",
     "covariance_ellipses",
@@ -358,13 +359,38 @@ def allan_plot(saved: Saved) -> Drawing | None:
         axes.marks(times, measured, curve.marker, Pen(colour=curve.colour), curve.name.lower())
         axes.line(times, expected, Pen(colour=curve.colour, dash=curve.dash, width=1.2))
     axes.legend()
-    heads = (saved.allan.schema.metadata or {}).get(b"heads", b"").decode()
-    what = f"the difference of {heads}" if " and " in heads else f"{heads} against the nominal motion"
     text = (
-        f"Attitudes about the axes of the star camera: {what}. Lines: white noise, which averages out; what "
+        f"{_whose_attitudes(saved.allan)} Lines: white noise, which averages out; what lies above them is "
+        "correlated noise or motion of the satellite."
     )
-    text += "lies above them is correlated noise or motion of the satellite."
     return drawn(figure, "allan", text, f"Allan deviation over {len(times)} times. {text}")
+
+
+def attitudes_in_time(saved: Saved) -> Drawing | None:
+    """Attitudes that star cameras deliver, less their median, against time; None where they deliver none."""
+    t = column(saved.attitude_noise, "t_s")
+    if not len(t):
+        return None
+    turns = list_values(saved.attitude_noise, "turn_rad", 3) / ARCSEC
+    turns -= np.median(turns, axis=0)
+    figure, first_s = Figure(2.6), float(np.floor(t[0]))
+    after = utc_text(saved.context["epoch_utc"], first_s)
+    axes = figure.panel(
+        Axis.over(f"seconds after {after} UTC", t - first_s),
+        Axis.over("arc-seconds, less their median", turns),
+    )
+    for curve, values in zip(AXES, turns.T):
+        pen = Pen(colour=curve.colour, dash=curve.dash, width=0.9)
+        axes.line(t - first_s, values, pen, curve.name.lower())
+    axes.legend()
+    text = f"{_whose_attitudes(saved.attitude_noise)} A step is a jump of a head; slow waves are its drift."
+    return drawn(figure, "attitudes", text, f"Attitudes at {len(t)} instants. {text}")
+
+
+def _whose_attitudes(table: pa.Table) -> str:
+    heads = (table.schema.metadata or {}).get(b"heads", b"").decode()
+    what = f"the difference of {heads}" if " and " in heads else f"{heads} against the nominal motion"
+    return f"Attitudes about the axes of the star camera: {what}."
 
 
 def _ellipse(covariance: Floats) -> tuple[Floats, Floats]:

@@ -40,6 +40,7 @@ __all__ = ["report_html", "template", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
+STATISTICS = ("stars", "targets", "exposures", "attitudes", "attitudes in time")  # with a figure each
 TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
@@ -70,7 +71,7 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
     strip_stars = strip_star_rows(saved, most_matches)
     has_stars = saved.context["star_camera"] is not None
     drawn = page_figures(saved, targets, exposures, strip_stars)
-    statistics = [drawn.get(f"of {what}") for what in ("stars", "targets", "exposures", "attitudes")]
+    statistics = [drawn.get(f"of {what}") for what in STATISTICS]
     cards: Any = template("observations.html.j2").module
     more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
     more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}

@@ -24,6 +24,7 @@ def page_figures(
     drawings: dict[str, Any] = {
         "of targets": figures.squared_residual_histogram(saved, "targets", seen),
         "of attitudes": figures.allan_plot(saved),
+        "of attitudes in time": figures.attitudes_in_time(saved),
         "convergence": figures.convergence(saved),
         "ellipses": figures.covariance_ellipses(saved),
         "on the sky": strips_on_sky(saved, strip_stars),

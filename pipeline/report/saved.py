@@ -41,6 +41,7 @@ EVIDENCE: dict[str, dict[str, pa.DataType]] = {
     "ground": dict(zip(GROUND.names, GROUND.types)),
     "map": {"scene": _WHOLE, "strip_id": _TEXT, "box_m": fixed(4), "jpeg": pa.binary()},
     "allan": {"averaged_s": _NUMBER, "deviation_rad": fixed(3)},
+    "attitude_noise": {"t_s": _NUMBER, "turn_rad": fixed(3)},
     "exposure": {"xy_px": fixed(2), "snr": _NUMBER, "state": _TEXT, "hip": _WHOLE},
 }
 
@@ -95,6 +96,7 @@ class Saved:
     unmatched: pa.Table = scalar("evidence/unmatched.parquet")
     map: pa.Table = scalar("evidence/map.parquet")
     allan: pa.Table = scalar("evidence/allan.parquet")
+    attitude_noise: pa.Table = scalar("evidence/attitude_noise.parquet")
     requirement: dict[str, Any] = scalar("requirement.json; empty where there is none")
     identity: dict[str, str] = scalar("which result this is, by name")
     about: dict[str, str] = scalar("what its operator says of it; empty where nothing")

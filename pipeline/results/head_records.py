@@ -41,10 +41,10 @@ def noise_of_heads(dump: Dump, settings: Settings, lowest_hz: float = LOWEST_HZ)
     return noise_of_tracks(dump, [head_track(dump, head, settings)[0] for head in dump.heads], lowest_hz)
 
 
-def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Signal] | None:
-    """Names of the heads that deliver attitudes, and the signal that shows their noise, rotation vectors in
-    rad: their differences, or that of a single one against the nominal motion. None without such heads or
-    with too few attitudes.
+def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Signal, Floats] | None:
+    """Names of the heads that deliver attitudes, the signal that shows their noise, rotation vectors in rad,
+    and its instants: their differences, or that of a single one against the nominal motion. None without
+    such heads or with too few attitudes.
     """
     solved = [head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]
     if not solved:
@@ -52,9 +52,9 @@ def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Si
     try:
         if len(solved) == len(dump.heads) > 1:
             tracks = [head_track(dump, head, settings)[0] for head in solved]
-            return tuple(track.name for track in tracks), _differences(dump, tracks)
+            return tuple(track.name for track in tracks), *_differences(dump, tracks)
         track = head_track(dump, solved[0], settings)[0]
-        return (track.name,), _single(track, LOWEST_HZ)
+        return (track.name,), _single(track, LOWEST_HZ), track.t_s
     except (DataNotSufficientError, ValueError):  # too short, or no common instants: no signal
         return None
 
@@ -85,7 +85,7 @@ def noise_of_tracks(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float = 
     longest = max(
         (strip.lines * strip.row_period_s for strip in (*dump.strips, *dump.sky_strips)), default=0.0
     )
-    signal = _single(tracks[0], lowest_hz) if len(tracks) == 1 else _differences(dump, tracks)
+    signal = _single(tracks[0], lowest_hz) if len(tracks) == 1 else _differences(dump, tracks)[0]
     try:
         fit = fit_noise(signal, max(longest, PIECE_S))
     except ValueError as error:
@@ -101,7 +101,7 @@ def _single(track: HeadTrack, lowest_hz: float) -> Signal:
     return Signal(values=values, pieces=pieces, step_s=step, enters=np.eye(3)[None], lowest_hz=lowest_hz)
 
 
-def _differences(dump: Dump, tracks: Sequence[HeadTrack]) -> Signal:
+def _differences(dump: Dump, tracks: Sequence[HeadTrack]) -> tuple[Signal, Floats]:
     """The further heads against the reference head at the instants that all have in common."""
     reference, *others = tracks
     pairs = [common_instants(reference, other) for other in others]
@@ -118,4 +118,5 @@ def _differences(dump: Dump, tracks: Sequence[HeadTrack]) -> Signal:
         R_sh = dump.R_cs0.inv() * head.R_cs0
         mean = (R_si * R_hi.inv() * R_sh.inv()).as_rotvec()
         moved.append((R_hi, Rotation.from_rotvec(np.median(mean, axis=0)) * R_sh))
-    return difference_signal(R_si, moved, pieces_of(reference.t_s[rows]))
+    t_s = reference.t_s[rows]
+    return difference_signal(R_si, moved, pieces_of(t_s)), t_s

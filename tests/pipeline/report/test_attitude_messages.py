@@ -73,6 +73,11 @@ def test_allan_deviation_begins_with_the_noise_of_single_attitudes(of_attitudes,
     assert np.all(first > 0.5 * sigma) and first[2] < 2.0 * sigma[2]
     page = (of_attitudes / "report.html").read_text()
     assert "Allan deviation, arc-seconds" in page and "STR1 against the nominal motion" in page
+    in_time = pq.read_table(of_attitudes / "evidence/attitude_noise.parquet")
+    turns = list_values(in_time, "turn_rad", 3)
+    assert np.allclose(np.diff(in_time.column("t_s").to_numpy()), 0.2, atol=1e-6)
+    assert np.allclose(np.sqrt(0.5 * np.mean(np.diff(turns, axis=0) ** 2, axis=0)), first, rtol=1e-6)
+    assert "arc-seconds, less their median" in page
 
 
 def test_a_mission_with_star_images_has_neither(finished):
