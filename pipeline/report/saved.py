@@ -110,12 +110,18 @@ class Saved:
         """The number of evidence/context.json under `key`."""
         return number_from(self.context, "evidence/context.json", key, form, scale=scale)
 
-    def cell(self, table: str, column: str, row: int, form: str) -> Number:
-        """One cell of a table; `table` is its path without `.parquet`. Form "UTC": seconds as a time."""
+    def cell(
+        self, table: str, column: str, row: int, form: str, scale: float = 1.0, root: bool = False
+    ) -> Number:
+        """One cell of a table; `table` is its path without `.parquet`; of a list one element, "xy_px.0". Form
+        "UTC": seconds as a time.
+        """
         form = f"{UTC_FROM}{self.context['epoch_utc']}" if form == "UTC" else form
-        value = getattr(self, table.rpartition("/")[2]).column(column)[row].as_py()
-        source, key = f"{table}.parquet", f"{column}.{row}"
-        return Number(exact=float(value), source=source, key=key, form=form)
+        name, _, element = column.partition(".")
+        value, key = getattr(self, table.rpartition("/")[2]).column(name)[row].as_py(), f"{name}.{row}"
+        value, key = (value[int(element)], f"{key}.{element}") if element else (value, key)
+        exact = math.sqrt(value) if root else float(value)
+        return Number(exact=exact, source=f"{table}.parquet", key=key, form=form, scale=scale, root=root)
 
 
 def number_from(
