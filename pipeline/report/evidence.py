@@ -42,7 +42,7 @@ from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.files.whole_file import make_own_folder, write_inside
+from boresight.pipeline.files.whole_file import make_own_folder, write_inside, write_json
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
@@ -54,7 +54,6 @@ from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.head_records import attitude_signal
 from boresight.pipeline.results.plan_forecast import improvements
-from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import exposure_image
