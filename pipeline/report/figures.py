@@ -28,7 +28,8 @@ from boresight.pipeline.report.drawing import (
     drawn,
 )
 from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
-from boresight.pipeline.report.saved import Saved, utc_text
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.template import utc_text
 
 __all__ = [
     "allan_plot",

@@ -15,7 +15,8 @@ from boresight.geometry.ledger import Kind, State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.marks import strip_style
-from boresight.pipeline.report.saved import Number, Saved
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.template import Number
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [
@@ -104,10 +105,9 @@ class TargetCard(SeenCard):
     @property
     def words(self) -> str:
         """One line: what it is and what became of it."""
-        if "residual_m" not in self.numbers:
-            return f"{self.name}: {self.state}" + (f", {self.why}" if self.cause else "")
-        residual, sigmas = self.numbers["residual_m"], self.numbers["sigmas"]
-        text = f"{self.name}: {self.state}, residual {residual.text} m ({sigmas.text} σ)"
+        text = f"{self.name}: {self.state}"
+        if "residual_m" in self.numbers:
+            text += f", residual {self.numbers['residual_m'].text} m ({self.numbers['sigmas'].text} σ)"
         return f"{text}, {self.why}" if self.cause else text
 
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import functools
-import html
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unicodedata import category
-
-import jinja2
-from markupsafe import Markup
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
@@ -23,15 +18,16 @@ from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
 from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.page_figures import page_figures
-from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
+from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
+from boresight.pipeline.report.template import Number, number_from, template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
-__all__ = ["report_html", "template", "write_report"]
+__all__ = ["report_html", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
@@ -101,44 +97,6 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
-
-
-def template(name: str) -> jinja2.Template:
-    """A Jinja template that escapes all text and shows each `Number` with its source."""
-    return _environment().get_template(name)
-
-
-@functools.cache  # with the templates that it has compiled
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
-        autoescape=True,
-        finalize=_visible,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def _visible(value: Any) -> Any:
-    """A number with its source; text without characters that act unseen, such as those that reverse it."""
-    if isinstance(value, Number):
-        return _number(value)
-    if isinstance(value, Markup) or not isinstance(value, str) or value.isprintable():
-        return value
-    return "".join(c if c in "\n\t" or category(c)[0] != "C" else repr(c)[1:-1] for c in value)
-
-
-def _number(value: Number) -> Markup:
-    """HTML `data` element: the formatted number, with its source as attributes for verification."""
-    parts = {"value": repr(value.exact), "data-source": value.source, "data-key": value.key}
-    parts["data-form"] = value.form
-    if value.scale != 1.0:
-        parts["data-scale"] = repr(value.scale)
-    if value.root:
-        parts["data-root"] = "1"
-    attributes = " ".join(f'{name}="{html.escape(text)}"' for name, text in parts.items())
-    return Markup(f"<data {attributes}>{html.escape(value.text)}</data>")
 
 
 def _summary(saved: Saved) -> dict[str, Any]:
