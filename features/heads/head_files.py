@@ -15,10 +15,9 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.stated_noise import noise_keys
-from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
 from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.pipeline.results.head_records import HeadNoise
-from boresight.pipeline.results.writing import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

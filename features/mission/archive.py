@@ -40,7 +40,7 @@ from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
 from boresight.pipeline.results.folder import results_in
 from boresight.pipeline.results.identity import result_id
 from boresight.pipeline.results.reading import pairs_in
-from boresight.pipeline.results.writing import pairs_table
+from boresight.pipeline.results.sightings_tables import pairs_table
 
 __all__ = ["ArchivedSeries", "add_mounting", "add_results", "series_of"]
 

@@ -33,9 +33,8 @@ from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.files.text_tables import table_csv
-from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
 from boresight.pipeline.report.panels import INK, OURS, THIRD, legend_below, panels
-from boresight.pipeline.results.writing import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,10 +15,9 @@ from boresight.features.mission.trends import Trend, trend_of
 from boresight.features.mission.trends_page import trends_html
 from boresight.pipeline.console.arguments import RequireArcsec, RequireMetres
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED, Answer
-from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.files.whole_file import write_json, write_text
 from boresight.pipeline.results.calibration_file import calibration_text
 from boresight.pipeline.results.requirement import Requirement
-from boresight.pipeline.results.writing import write_json
 
 __all__ = ["trends_command"]
 

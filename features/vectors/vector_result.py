@@ -22,8 +22,8 @@ from boresight.geometry.vector_sets import VectorSets
 from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import arrow_array
-from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
-from boresight.pipeline.results.writing import installation_facts, pairs_table, write_tables
+from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
+from boresight.pipeline.results.writing import installation_facts, write_tables
 from boresight.pipeline.run.settings import Settings
 
 __all__ = ["vector_facts", "vector_tables", "why_not", "write_vector_result"]

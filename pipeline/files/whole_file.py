@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.json_text import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +25,7 @@ __all__ = [
     "remove_abandoned",
     "write_figure",
     "write_inside",
+    "write_json",
     "write_text",
     "write_whole",
 ]
@@ -78,6 +80,11 @@ def write_inside(path: Path, write: Any) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write `text` in UTF-8."""
     write_whole(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write `content` as JSON, whole or not at all; null stands for what is not finite."""
+    write_text(path, json_text(content) + "\n")
 
 
 def write_figure(path: Path, figure: Figure, dpi: int = 120) -> None:

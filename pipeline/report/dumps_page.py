@@ -14,10 +14,9 @@ from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import data_uri
-from boresight.pipeline.report.page import template
-from boresight.pipeline.report.saved import number_from
 from boresight.pipeline.report.sheet import SheetBasis, angles, basis_of, matrix_numbers
 from boresight.pipeline.report.small_maps import small_maps
+from boresight.pipeline.report.template import number_from, template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import identity_of_result, saved_about
@@ -31,15 +30,19 @@ def write_dumps_report(result: Path) -> Path:
     """Write `report.html` of a result of several dumps; its path. `RawDataError` names a missing file."""
     installation = read_json(result / "installation.json")
     omissions = read_sightings(result, "ledger", "kind name reason file").to_pylist()
+    make = _cameras_page if "cameras" in installation else _joint_page
     path = result / "report.html"
-    if "cameras" in installation:
-        write_text(path, _cameras_page(result, installation, omissions))
-        return path
+    write_text(path, make(result, installation, omissions))
+    return path
+
+
+def _joint_page(result: Path, installation: dict[str, Any], omissions: list[dict[str, Any]]) -> str:
+    """The page of several dumps of one camera."""
     joint = matrix_numbers(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
     dumps = _dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"})
     budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}
-    text = template("dumps.html.j2").render(
+    return template("dumps.html.j2").render(
         joint=joint,
         budget=budget_rows(budget, installation, JOINT_BUDGET),
         sigma_m=sigma_m,
@@ -53,8 +56,6 @@ def write_dumps_report(result: Path) -> Path:
         drift=_drift(result),
         about=saved_about(result),
     )
-    write_text(path, text)
-    return path
 
 
 def _cameras_page(result: Path, installation: dict[str, Any], omissions: list[dict[str, Any]]) -> str:

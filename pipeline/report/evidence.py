@@ -40,9 +40,9 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.star_side import StarImages
-from boresight.pipeline.files.table_files import arrow_array, fixed_list
+from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import read_toml
-from boresight.pipeline.files.whole_file import make_own_folder, write_inside
+from boresight.pipeline.files.whole_file import make_own_folder, write_inside, write_json
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
@@ -54,7 +54,6 @@ from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.head_records import attitude_signal
 from boresight.pipeline.results.plan_forecast import improvements
-from boresight.pipeline.results.writing import write_json
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import exposure_image
@@ -225,8 +224,7 @@ def _altitude_m(dump: Dump, calibration: DumpCalibration) -> Floats:
 def _inputs(dump: Dump) -> pa.Table:
     """Input files by name with size and SHA-256."""
     rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
-    names = ("file", "bytes", "sha256")
-    return pa.table({name: arrow_array([row[n] for row in rows]) for n, name in enumerate(names)})
+    return arrow_rows(rows, pa.schema(list(EVIDENCE["inputs"].items())))
 
 
 def _files(dump: Dump) -> Iterator[str]:
@@ -241,12 +239,12 @@ def _head(dump: Dump) -> DumpFile:
     return read_toml(dump.root / "dump.toml", DumpFile, "dump.toml")
 
 
-def _fingerprint(path: Path, name: str) -> tuple[str, int, str]:
+def _fingerprint(path: Path, name: str) -> dict[str, Any]:
     """Name, bytes and SHA-256; -1 and empty for a file that cannot be read."""
     try:
-        return name, path.stat().st_size, content_digest(path)
+        return {"file": name, "bytes": path.stat().st_size, "sha256": content_digest(path)}
     except OSError:
-        return name, -1, ""
+        return {"file": name, "bytes": -1, "sha256": ""}
 
 
 def _convergence(calibration: DumpCalibration) -> pa.Table:
@@ -256,29 +254,22 @@ def _convergence(calibration: DumpCalibration) -> pa.Table:
     estimate = calibration.estimate
     pairs = estimate.pairs
     order = [strip.strip_id for strip in calibration.strips if strip.strip_id in set(pairs.names.tolist())]
-    row = {name: n for n, name in enumerate(pairs.names.tolist())}
+    index = {name: n for n, name in enumerate(pairs.names.tolist())}
     passes = passes_of(calibration.strips)
     count = {one.strip_id: (len(one.exposures), len(one.ground.target_id)) for one in passes}
     F, F_theta = np.zeros(pairs.F.shape[1:]), np.zeros(pairs.F_theta.shape[1:])
-    theta, sigma, frames, targets = [], [], [], []
+    rows, frames, targets = list[dict[str, Any]](), 0, 0
     limit = calibration.settings.sigma_observable_rad
     for name in order:
-        F, F_theta = F + pairs.F[row[name]], F_theta + pairs.F_theta[row[name]]
+        F, F_theta = F + pairs.F[index[name]], F_theta + pairs.F_theta[index[name]]
         so_far = solve_total(F, F_theta, estimate.prior_shared, sigma_observable_rad=limit)
-        seen = len(so_far.unobservable) == 0
-        theta.append(so_far.theta if seen else np.full(3, np.nan))
-        sigma.append(np.sqrt(np.diag(so_far.covariance)) if seen else np.full(3, np.inf))
-        frames.append(count[name][0])
-        targets.append(count[name][1])
-    return pa.table(
-        {
-            "strip_id": arrow_array(order, pa.string()),
-            "frames": arrow_array(np.cumsum(np.array(frames, dtype=np.int64))),
-            "targets": arrow_array(np.cumsum(np.array(targets, dtype=np.int64))),
-            "theta_rad": fixed_list(np.array(theta).reshape(-1, 3)),
-            "sigma_rad": fixed_list(np.array(sigma).reshape(-1, 3)),
-        }
-    )
+        theta, sigma = so_far.theta, np.sqrt(np.diag(so_far.covariance))
+        if len(so_far.unobservable):
+            theta, sigma = np.full(3, np.nan), np.full(3, np.inf)
+        frames, targets = frames + count[name][0], targets + count[name][1]
+        row = {"strip_id": name, "frames": frames, "targets": targets}
+        rows.append(row | {"theta_rad": theta.tolist(), "sigma_rad": sigma.tolist()})
+    return arrow_rows(rows, pa.schema(list(EVIDENCE["convergence"].items())))
 
 
 def _angles(calibration: DumpCalibration) -> pa.Table:
@@ -290,18 +281,15 @@ def _angles(calibration: DumpCalibration) -> pa.Table:
 def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
     attitudes, found = calibration.attitudes, calibration.estimate.targets
     index = {exposure.t_s: k for k, exposure in enumerate(calibration.stars)}
-    kept = {
-        key: bool(good)
-        for key, good in zip(
-            zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist()), found.kept
-        )
-    }
+    names = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist())
+    kept = dict(zip(names, found.kept.tolist()))
     orbits: dict[str, NominalMotion] = {task.strip.strip_id: task.orbit for task in calibration.tasks}
     orbits |= {task.strip.strip_id: task.nominal for task in calibration.sky.tasks}
     motions = []
     for strip in calibration.strips:
         rows = [index[exposure.t_s] for exposure in strip.exposures]
         ground = zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist())
+        used = [kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground]
         motions.append(
             MeasuredStrip(
                 strip=strip,
@@ -309,9 +297,7 @@ def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
                 R_si=Rotation.from_matrix(attitudes.R_si[rows]),
                 covariance_s=attitudes.covariance_s[rows],
                 stars_kept=tuple(attitudes.kept[attitudes.stars(k)] for k in rows),
-                targets_kept=np.array(
-                    [kept.get((strip.strip_id, name, ccd), False) for name, ccd in ground], dtype=bool
-                ),
+                targets_kept=np.array(used, dtype=bool),
             )
         )
     return motions

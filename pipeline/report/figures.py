@@ -28,7 +28,8 @@ from boresight.pipeline.report.drawing import (
     drawn,
 )
 from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
-from boresight.pipeline.report.saved import Saved, utc_text
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.template import utc_text
 
 __all__ = [
     "allan_plot",
@@ -179,11 +180,8 @@ def ground_scatter(saved: Saved) -> Drawing:
     ce90 = float(saved.context["accuracy"][0]["ce90_m"] or 0.0)
     reach = 1.15 * float(np.abs([*across, *along, ce90, 1e-3]).max())
     figure, edges, beside = Figure(WIDTH_IN), np.linspace(-reach, reach, 21), 0.8
-    axes = figure.panel(
-        Axis("across the track, m", -reach, reach),
-        Axis("along the track, m", -reach, reach),
-        (0, beside, 0.2, 1),
-    )
+    both = (Axis(f"{which} the track, m", -reach, reach) for which in ("across", "along"))
+    axes = figure.panel(*both, (0, beside, 0.2, 1))
     axes.marks(across, along, "o")
     axes.line(*_ellipse(ce90**2 * np.eye(2)), Pen(colour=AXES[1].colour, width=1.4))
     for values, is_turned, place in ((across, False, (0, beside, 0, 0.19)), (along, True, (0.81, 1, 0.2, 1))):
@@ -282,14 +280,9 @@ def covariance_ellipses(saved: Saved) -> list[Drawing]:
             f"{names}: 1σ {np.sqrt(part[0, 0]):.4g}″ and {np.sqrt(part[1, 1]):.4g}″, "
             f"correlation {correlation:+.3f}."
         )
-        drawings.append(
-            drawn(
-                figure,
-                f"ellipse-{names.lower()}",
-                f"{text} Solid: 1σ (39 %), dashed: 95 %; both axes have one scale.",
-                f"Covariance ellipse of the axes {text}",
-            )
-        )
+        caption = f"{text} Solid: 1σ (39 %), dashed: 95 %; both axes have one scale."
+        words = f"Covariance ellipse of the axes {text}"
+        drawings.append(drawn(figure, f"ellipse-{names.lower()}", caption, words))
     return drawings
 
 
@@ -310,12 +303,8 @@ def squared_residual_histogram(saved: Saved, table_name: str, what: str) -> Draw
     axes.legend()
     mean = float(good.mean()) if len(good) else float("nan")
     text = f"{len(good)} {what} used, mean {mean:.3f} (2 expected); {int((~kept).sum())} rejected."
-    return drawn(
-        figure,
-        f"normalised-{table_name}",
-        text,
-        f"Histogram of squared residuals over their variance. {text}",
-    )
+    words = f"Histogram of squared residuals over their variance. {text}"
+    return drawn(figure, f"normalised-{table_name}", text, words)
 
 
 def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
@@ -327,12 +316,11 @@ def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
     figure = Figure(2.6)
     t = column(table, "t_s")
     first_s = float(np.floor(t[0])) if len(t) else 0.0
-    after, t, shown = utc_text(saved.context["epoch_utc"], first_s), t - first_s, np.nan_to_num(ratio)
+    label = f"seconds after {utc_text(saved.context['epoch_utc'], first_s)} UTC"
+    t, shown = t - first_s, np.nan_to_num(ratio)
     spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable])) if usable.any() else 0.0
     high = 1.05 * max(1.0 + spread, *shown)
-    axes = figure.panel(
-        Axis.over(f"seconds after {after} UTC", t), Axis("χ² / degrees of freedom", 0.0, high)
-    )
+    axes = figure.panel(Axis.over(label, t), Axis("χ² / degrees of freedom", 0.0, high))
     axes.band(max(1.0 - spread, 0.0), 1.0 + spread)
     axes.level(1.0, DASHED)
     spots = [

@@ -7,6 +7,7 @@ need the images; what the estimate and the dump alone show is in the verdict.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -53,10 +54,8 @@ def _looks(one: StripOnGround, rows: Sequence[Mapping[str, Any]]) -> dict[str, l
     if all(row["state"] != State.UNMATCHED for row in own):
         return seen
     for row in own:
-        if row["state"] in seen:
-            window = _window(one, row)
-            if window is not None:
-                seen[row["state"]].append((row["target_id"], *window))
+        if row["state"] in seen and (window := _window(one, row)) is not None:
+            seen[row["state"]].append((row["target_id"], *window))
     return seen
 
 
@@ -88,15 +87,11 @@ def _window(one: StripOnGround, row: Mapping[str, Any]) -> tuple[float, float] |
     if ccd not in images.ccds:
         return None
     lines, samples = images.shape(ccd)
-    x, y = (
-        int(np.clip(row[f"{name}_px"], 16, size - 17))
-        for name, size in (("sample", samples), ("line", lines))
-    )
-    try:
+    x, y = (int(np.clip(row[name], 16, n - 17)) for name, n in (("sample_px", samples), ("line_px", lines)))
+    with suppress(RawDataError, ValueError):
         window = images.read(ccd, max(0, y - 16), y + 17, max(0, x - 16), x + 17).astype(float)
-    except (RawDataError, ValueError):
-        return None
-    return float(window.mean()), float(window.std())
+        return float(window.mean()), float(window.std())
+    return None
 
 
 def _share_of_swath(dump: Dump, calibration: DumpCalibration) -> float:

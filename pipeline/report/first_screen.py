@@ -12,13 +12,13 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import State
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.observations import TargetCard
-from boresight.pipeline.report.saved import Number, Saved, number_from
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.template import Number, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
-__all__ = ["FirstScreen", "Found", "Help", "Items", "Required", "first_screen", "required", "sigma_on_ground"]
+__all__ = ["FirstScreen", "Found", "Help", "Required", "first_screen", "required", "sigma_on_ground"]
 
-# Most groups of things that are not used, and most names of each, on the page's first screen.
-MOST_GROUPS, MOST_ITEMS = 4, 4
+MOST_GROUPS = 4  # of things that are not used, on the page's first screen
 
 
 @record(kw_only=True)
@@ -45,14 +45,6 @@ class Help:
 
 
 @record(kw_only=True)
-class Items:
-    """Targets of a strip that were not used for one cause."""
-
-    rows: tuple[TargetCard, ...] = scalar("the targets")
-    shown: tuple[TargetCard, ...] = scalar("the first of them")
-
-
-@record(kw_only=True)
 class Found:
     """A finding, and the targets that it explains."""
 
@@ -61,7 +53,6 @@ class Found:
     text: str = scalar("the numbers, and what to check")
     is_fault: bool = scalar("an input is probably wrong")
     rows: tuple[TargetCard, ...] = scalar("targets that it explains")
-    shown: tuple[TargetCard, ...] = scalar("the first of them")
 
 
 @record(kw_only=True)
@@ -79,7 +70,9 @@ class FirstScreen:
         "by kind: how many are not used, and how many for which reason"
     )
     findings: tuple[Found, ...] = scalar("what to look at, the most specific first")
-    items: tuple[Items, ...] = scalar("targets in view that were not used and that no finding explains")
+    items: tuple[tuple[TargetCard, ...], ...] = scalar(
+        "targets in view that were not used and that no finding explains, of one strip and cause each"
+    )
 
 
 def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
@@ -187,19 +180,16 @@ def _findings(saved: Saved, targets: Sequence[TargetCard]) -> tuple[Found, ...]:
         names = dict.fromkeys((subject["strip"], subject["id"]) for subject in one["explains"])
         those = tuple(row for name in names for row in rows.get(name, ()))
         texts = {name: one[name] for name in ("cause", "item", "text", "is_fault")}
-        found.append(Found(**texts, rows=those, shown=those[:MOST_ITEMS]))
+        found.append(Found(**texts, rows=those))
     return tuple(found)
 
 
-def _items(unused: Sequence[TargetCard]) -> tuple[Items, ...]:
+def _items(unused: Sequence[TargetCard]) -> tuple[tuple[TargetCard, ...], ...]:
     """Groups of one strip and cause, the smallest first: single targets are likelier to be a mistake."""
     groups: dict[tuple[str, str, str], list[TargetCard]] = {}
     for row in unused:
         groups.setdefault((row.strip_id, row.state, row.why), []).append(row)
-    return tuple(
-        Items(rows=tuple(rows), shown=tuple(rows[:MOST_ITEMS]))
-        for rows in sorted(groups.values(), key=len)[:MOST_GROUPS]
-    )
+    return tuple(map(tuple, sorted(groups.values(), key=len)[:MOST_GROUPS]))
 
 
 def _rejected(saved: Saved) -> tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]:

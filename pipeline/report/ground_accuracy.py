@@ -43,12 +43,11 @@ def accuracy_rows(strip_id: Texts, track_m: Floats) -> list[dict[str, Any]]:
 
 
 def _empirical(strip_id: str, track_m: Floats) -> dict[str, Any]:
-    if not len(track_m):
-        unknown = [float("nan")] * 2
-        return {"strip_id": strip_id, "n": 0, "rms_m": unknown, "ce90_m": float("nan"), "le90_m": unknown}
+    n = len(track_m)
+    track_m = track_m if n else np.full((1, 2), np.nan)
     return {
         "strip_id": strip_id,
-        "n": len(track_m),
+        "n": n,
         "rms_m": np.sqrt(np.mean(track_m**2, axis=0)).tolist(),
         "ce90_m": float(np.quantile(np.linalg.norm(track_m, axis=1), SHARE)),
         "le90_m": np.quantile(np.abs(track_m), SHARE, axis=0).tolist(),
@@ -58,33 +57,19 @@ def _empirical(strip_id: str, track_m: Floats) -> dict[str, Any]:
 def predicted_accuracy(
     covariance_rad2: Floats, range_m: float, tangents: Floats, sigma_position_m: float, sigma_along_m: float
 ) -> dict[str, Any]:
-    """Predicted 1-sigma, CE90 and LE90 (m) of a pixel's place on flat ground in a strip that was not used
-    for the calibration, at the worst of the look directions `tangents`.
+    """Predicted `sigma_m` and `le90_m` along and across the track, and `ce90_m`, of a pixel's place on flat
+    ground in a strip that was not used for the calibration, at the worst of the camera's look directions
+    x/z, y/z, `tangents` (N, 2).
 
-    Parameters
-    ----------
-    covariance_rad2 : (3, 3) array
-        Of the installation matrix, axes of c.
-    range_m : float
-        Distance to the ground along the camera's axis.
-    tangents : (N, 2) array
-        Look directions x/z and y/z of the camera.
-    sigma_position_m : float
-        Stated error of the orbit, per axis.
-    sigma_along_m : float
-        Stated error of the clock times the speed over the ground.
-
-    Returns
-    -------
-    dict
-        `sigma_m` and `le90_m` along and across the track, `ce90_m`.
+    The covariance (3, 3) of the installation matrix is about the axes of c, `range_m` the distance to the
+    ground along the camera's axis; stated are the orbit's error per axis, `sigma_position_m`, and the clock's
+    times the speed over the ground, `sigma_along_m`.
     """
     worst, covariance = -1.0, np.zeros((2, 2))
     for x, y in np.asarray(tangents, dtype=float):
         J = range_m * np.array([[-x * y, 1.0 + x * x, -y], [-1.0 - y * y, x * y, x]])  # d place / d rotation
-        here = J @ covariance_rad2 @ J.T + np.diag(
-            [sigma_position_m**2 + sigma_along_m**2, sigma_position_m**2]
-        )
+        own = np.diag([sigma_position_m**2 + sigma_along_m**2, sigma_position_m**2])
+        here = J @ covariance_rad2 @ J.T + own
         if np.trace(here) > worst:
             worst, covariance = float(np.trace(here)), here
     sigma = np.sqrt(np.diag(covariance))

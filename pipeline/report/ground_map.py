@@ -33,6 +33,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
+from boresight.pipeline.report.star_preview import jpeg_of
 from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
@@ -176,11 +177,8 @@ def scene_json(scene: MapScene) -> dict[str, object]:
     """What the map draws of a scene without its targets and pictures."""
     strips = []
     for one in scene.strips:
-        outlines = [
-            np.round(scene.plane_m(outline), 1).tolist()
-            for outline in one.outlines_e
-            if np.isfinite(outline).all()
-        ]
+        seen = one.outlines_e[np.isfinite(one.outlines_e).all(axis=(1, 2))]
+        outlines = [np.round(scene.plane_m(outline), 1).tolist() for outline in seen]
         strips.append({"id": one.strip_id, "outlines_m": outlines})
     return {"lat_deg": scene.lat_deg, "lon_deg": scene.lon_deg, "box_m": list(scene.box_m), "strips": strips}
 
@@ -189,14 +187,12 @@ def ground_table(scenes: Sequence[MapScene], dump: Dump, calibration: DumpCalibr
     """One row for each target and CCD of a strip that was used, rejected or not matched, and for each target
     beside a scene that no strip shows (`strip_id` empty, `ccd` -1).
     """
-    parts = []
+    every = list[dict[str, object]]()
     for number, scene in enumerate(scenes):
         rows = [row for one in scene.strips for row in _rows_of_strip(one, calibration)]
-        named = {str(row["target_id"]) for row in rows}
-        rows += _out_of_view(scene, dump, named)
-        parts.append(_placed(rows, number, scene, dump))
-    rows = [row for part in parts for row in part]
-    return arrow_rows(rows, SCHEMA)
+        rows += _out_of_view(scene, dump, {str(row["target_id"]) for row in rows})
+        every += _placed(rows, number, scene, dump)
+    return arrow_rows(every, SCHEMA)
 
 
 def _rows_of_strip(one: StripOnGround, calibration: DumpCalibration) -> Iterator[dict[str, object]]:
@@ -209,12 +205,10 @@ def _rows_of_strip(one: StripOnGround, calibration: DumpCalibration) -> Iterator
     names = list(zip(matched.target_id.tolist(), matched.ccd.tolist()))
     rows = np.array([row_of.get(key, -1) for key in names], dtype=np.int64)
     residuals_m = _residuals_m(one, matched, rows, found)
-    for n, (target, ccd) in enumerate(names):
-        row = int(rows[n])
-        used = row >= 0 and bool(found.kept[row])
+    for n, ((target, ccd), row) in enumerate(zip(names, rows.tolist())):
         subject = Subject(Kind.TARGET, strip=strip_id, ccd=int(ccd), id=target)
-        entry, state = (why.get(subject, Entry(subject)), State.REJECTED)
-        if used:
+        entry, state = why.get(subject, Entry(subject)), State.REJECTED
+        if row >= 0 and found.kept[row]:
             entry, state = Entry(subject), State.USED
         numbers = dict(zip((f"residual_{axis}_m" for axis in RESIDUALS), residuals_m[n].tolist()))
         if row >= 0:
@@ -313,11 +307,9 @@ def _placed(
 def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
     """Temperatures (N,) of the reference head at instants (N,); NaN where they are not stated."""
     source = dump.heads[0].source
-    stated = source.rows.temperature_c if isinstance(source, SolvedAttitudes) else None
-    if stated is None:
+    if not isinstance(source, SolvedAttitudes) or source.rows.temperature_c is None:
         return np.full(len(t_s), np.nan)
-    assert isinstance(source, SolvedAttitudes)
-    return np.interp(t_s, source.rows.t_s, stated, left=np.nan, right=np.nan)
+    return np.interp(t_s, source.rows.t_s, source.rows.temperature_c, left=np.nan, right=np.nan)
 
 
 def scene_pictures(
@@ -349,10 +341,7 @@ def scene_pictures(
 def _picture(
     scene: int, strip_id: str, box_m: Sequence[float], image: NDArray[np.uint8]
 ) -> dict[str, object]:
-    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 70])
-    if not done:
-        raise OSError("a picture of the map could not be encoded")
-    return {"scene": scene, "strip_id": strip_id, "box_m": list(box_m), "jpeg": encoded.tobytes()}
+    return {"scene": scene, "strip_id": strip_id, "box_m": list(box_m), "jpeg": jpeg_of(image, 70)}
 
 
 def _lattice(scene: MapScene, box_m: Sequence[float]) -> tuple[Floats, Floats, tuple[int, int]]:
@@ -404,13 +393,10 @@ def _quicklook(view: _View) -> NDArray[np.float32]:
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
     with suppress(RawDataError):  # reported as an omission
         seen = overview(images, ccd, one.task.settings)
-        x, y = (
-            (at - first) / pitch for at, first, pitch in zip((sample, line), seen.first_px, seen.pitch_px)
-        )
+        x, y = ((v - first) / by for v, first, by in zip((sample, line), seen.first_px, seen.pitch_px))
         inside = (sample > -0.5) & (sample < samples - 0.5) & (line > -0.5) & (line < lines - 0.5)
-        picture[inside] = cv2.remap(seen.means, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[
-            inside
-        ]
+        shown = cv2.remap(seen.means, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        picture[inside] = shown[inside]
     return picture
 
 
@@ -429,13 +415,15 @@ def _joined(parts: Sequence[NDArray[np.float32]]) -> NDArray[np.uint8]:
 
 def _weights(pixels: int) -> Floats:
     """Weights (pixels, NODES) of the nodes at the pixels of a side, for linear interpolation."""
-    places = (np.arange(pixels) + 0.5) / pixels * (NODES - 1)
-    return np.maximum(0.0, 1.0 - np.abs(places[:, None] - np.arange(NODES)))
+    return np.maximum(0.0, 1.0 - np.abs(_on_lattice(pixels)[:, None] - np.arange(NODES)))
+
+
+def _on_lattice(pixels: int) -> Floats:
+    """Places (pixels,) of the pixels of a side on a lattice of `NODES` nodes that spans it."""
+    return (np.arange(pixels) + 0.5) / pixels * (NODES - 1)
 
 
 def _lattice_map(rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Places of a picture's pixels on the lattice of `NODES`² nodes that spans it."""
-    x = ((np.arange(columns) + 0.5) / columns * (NODES - 1)).astype(np.float32)
-    y = ((np.arange(rows) + 0.5) / rows * (NODES - 1)).astype(np.float32)
-    grid = np.meshgrid(x, y)
-    return grid[0], grid[1]
+    x, y = np.meshgrid(*(_on_lattice(size).astype(np.float32) for size in (columns, rows)))
+    return x, y

@@ -21,18 +21,9 @@ _DIAGONAL = 0.7  # of that distance, along x and along y, on a diagonal
 def place_labels(points: Floats, sizes: Floats, gap: float | Floats, frame: Floats, taken: Floats) -> Floats:
     """Centres (N, 2) of labels, the first labels first; NaN where one finds no room.
 
-    Parameters
-    ----------
-    points : (N, 2) array
-        The marks that the labels belong to, in the units of the picture.
-    sizes : (N, 2) array
-        Width and height of each label.
-    gap : float or (N,) array
-        From each mark's middle to its label.
-    frame : (4,) array
-        The picture: smallest x and y, largest x and y.
-    taken : (M, 4) array
-        Boxes that no label may cover, as `frame`.
+    Labels of width and height `sizes` (N, 2) stand at a `gap` (N,) from the middles of their marks, `points`
+    (N, 2), inside the picture `frame` (4,), smallest x and y, largest x and y, and cover no box of `taken`
+    (M, 4). All in units of the picture.
     """
     places = np.full((len(points), 2), np.nan)
     gaps = np.broadcast_to(gap, len(points))

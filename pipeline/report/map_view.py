@@ -89,23 +89,22 @@ def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
         left = (n % columns) * cell_w + 0.5 * (cell_w - (east - west) * scale)
         top = (n // columns) * cell_h + CAPTION + 0.5 * (size[1] - (north - south)) * scale
         origins.append((left - west * scale, top + north * scale))
-    place = {n: (ox, oy) for n, (ox, oy) in enumerate(origins)}
     causes = Counter(row.why or row.state for row in rows if row.state in (State.REJECTED, State.UNMATCHED))
     numbers = {cause: str(n) for n, (cause, _) in enumerate(causes.most_common(), start=1)}
     stretch = _stretch(column(saved.ground, "residual_m"))
     points = check_points_on_map(saved)
     own = _stretch(np.array([np.hypot(*point.error_m) for point in points]))
-    spots = tuple(_spot(saved, row, place, scale, stretch, numbers) for row in reversed(rows))
+    spots = tuple(_spot(saved, row, origins, scale, stretch, numbers) for row in reversed(rows))
     used = sum(1 for row in rows if row.state == "used")
     return MapView(
         height=round(-(-len(scenes) // columns) * cell_h, 1),
         metres=1.0 / scale,
         residual_metres=1.0 / stretch,
-        scenes=tuple(_scene(saved, n, place[n], scale) for n in range(len(scenes))),
+        scenes=tuple(_scene(saved, n, origin, scale) for n, origin in enumerate(origins)),
         spots=spots,
         causes=tuple((numbers[cause], cause, n) for cause, n in causes.most_common()),
         check_metres=1.0 / own if points else 0.0,
-        checks=tuple(_check(point, place[point.scene], scale, own) for point in points),
+        checks=tuple(_check(point, origins[point.scene], scale, own) for point in points),
         words=f"Map of {_count(len(strip_numbers(saved)), 'strip')} with {_count(len(rows), 'target')}, "
         f"{used} used.",
     )
@@ -188,13 +187,13 @@ def _outline(points_m: Sequence[Sequence[float]], origin: tuple[float, float], s
 def _spot(
     saved: Saved,
     row: TargetCard,
-    place: dict[int, tuple[float, float]],
+    origins: Sequence[tuple[float, float]],
     scale: float,
     stretch: float,
     numbers: dict[str, str],
 ) -> SpotView:
     at = saved.ground.slice(row.row, 1).to_pylist()[0]
-    ox, oy = place[at["scene"]]
+    ox, oy = origins[at["scene"]]
     x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
     dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
     number = numbers.get(row.why or row.state, "") if row.state in (State.REJECTED, State.UNMATCHED) else ""
@@ -208,8 +207,5 @@ def _arrow(x: float, y: float, dx: float, dy: float) -> str:
         return ""
     shown = min(1.0, LONGEST / float(np.hypot(dx, dy)))
     dx, dy = dx * shown, dy * shown
-    head = np.array(
-        [[-0.3 * dx - 0.14 * dy, -0.3 * dy + 0.14 * dx], [-0.3 * dx + 0.14 * dy, -0.3 * dy - 0.14 * dx]]
-    )
-    (ax, ay), (bx, by) = head.tolist()
+    (ax, ay), (bx, by) = ((-0.3 * dx - side * dy, -0.3 * dy + side * dx) for side in (0.14, -0.14))
     return f"M{x:.2f} {y:.2f}l{dx:.2f} {dy:.2f}l{ax:.2f} {ay:.2f}m{-ax:.2f} {-ay:.2f}l{bx:.2f} {by:.2f}"

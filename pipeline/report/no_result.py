@@ -9,7 +9,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.page import template
+from boresight.pipeline.report.template import template
 
 __all__ = ["write_no_result"]
 
@@ -37,6 +37,5 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
         omissions_in_all=len(rows),
         version=__version__,
     )
-    path = result / "report.html"
-    write_text(path, text)
+    write_text(path := result / "report.html", text)
     return path

@@ -8,16 +8,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from scipy.special import chdtrc
 
 from boresight.geometry.ledger import Kind, State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.marks import strip_style
-from boresight.pipeline.report.saved import Number, Saved
+from boresight.pipeline.report.saved import Saved
+from boresight.pipeline.report.template import Number
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [
+    "KEYS",
     "Aims",
     "ExposureCard",
     "Pictures",
@@ -26,6 +29,7 @@ __all__ = [
     "data_uri",
     "exposure_rows",
     "pictures_of",
+    "rows_by_key",
     "shown_pictures",
     "strip_numbers",
     "target_rows",
@@ -101,10 +105,9 @@ class TargetCard(SeenCard):
     @property
     def words(self) -> str:
         """One line: what it is and what became of it."""
-        if "residual_m" not in self.numbers:
-            return f"{self.name}: {self.state}" + (f", {self.why}" if self.cause else "")
-        residual, sigmas = self.numbers["residual_m"], self.numbers["sigmas"]
-        text = f"{self.name}: {self.state}, residual {residual.text} m ({sigmas.text} σ)"
+        text = f"{self.name}: {self.state}"
+        if "residual_m" in self.numbers:
+            text += f", residual {self.numbers['residual_m'].text} m ({self.numbers['sigmas'].text} σ)"
         return f"{text}, {self.why}" if self.cause else text
 
 
@@ -139,16 +142,14 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
     """
     table = saved.ground.to_pylist()
     number = strip_numbers(saved)
-    matched = {_key(row): n for n, row in enumerate(saved.matches.select(KEYS).to_pylist())}
-    unmatched = {_key(row): n for n, row in enumerate(saved.unmatched.select(KEYS).to_pylist())}
-    sighted = {_key(row): n for n, row in enumerate(saved.targets.select(KEYS).to_pylist())}
+    matched, unmatched, sighted = map(rows_by_key, (saved.matches, saved.unmatched, saved.targets))
     sigmas = np.nan_to_num(column(saved.ground, "sigmas"), nan=np.inf)
     order = sorted(range(len(table)), key=lambda n: (RANK[table[n]["state"]], -sigmas[n]))
     used = [n for n in order if table[n]["state"] == State.USED]
     shown, printed = set(used[:most_pictures]), set(used[:MOST_PRINTED])
     rows = []
     for n in order:
-        row, key = table[n], _key(table[n])
+        row, key = table[n], tuple(table[n][name] for name in KEYS)
         pictures = None
         if key in matched and (row["state"] != State.USED or n in shown):
             pictures = pictures_of(saved, "matches", matched[key])
@@ -189,8 +190,9 @@ FORMS = {
 SIGHTED = {"correlation": ".3f", "probability_wrong": ".1e", "detectable_m": ".2f"}
 
 
-def _key(row: dict[str, Any]) -> tuple[str, str, int]:
-    return row["strip_id"], row["target_id"], row["ccd"]
+def rows_by_key(table: pa.Table) -> dict[tuple[Any, ...], int]:
+    """Rows of a table by their `KEYS`."""
+    return {key: n for n, key in enumerate(zip(*(table.column(name).to_pylist() for name in KEYS)))}
 
 
 def _numbers(saved: Saved, row: int, sighted: int | None) -> dict[str, Number]:
@@ -268,27 +270,25 @@ def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:
     table, names = "sightings/exposures", saved.exposures.column("exposure_id").to_pylist()
     usable = saved.exposures.column("usable").to_pylist()
     forms = {"t_s": "UTC", "stars": ".0f", "chi2": ".1f", "dof": ".0f"}
+    states = ["used" if good else "rejected" for good in usable]
     rows = []
-    for n, name in enumerate(names):
-        numbers = {key: saved.cell(table, key, n, form) for key, form in forms.items()}
-        cause, reason = reasons.pop(name, ("", ""))
-        size, dof = numbers["chi2"].exact, numbers["dof"].exact
+    for n, name in enumerate(dict.fromkeys([*names, *reasons])):
+        state = states[n] if n < len(names) else "not used"
+        cells = forms.items() if n < len(names) else ()
+        numbers = {key: saved.cell(table, key, n, form) for key, form in cells}
+        dof = numbers["dof"].exact if numbers else 0.0
+        cause, reason = reasons.get(name, ("", "")) if state != "used" else ("", "")
         rows.append(
             ExposureCard(
                 link=f"e{n}",
                 exposure_id=name,
-                state="used" if usable[n] else "rejected",
-                cause="" if usable[n] else cause,
-                reason="" if usable[n] else reason,
+                state=state,
+                cause=cause,
+                reason=reason,
                 numbers=numbers,
-                p_value=float(chdtrc(dof, size)) if dof > 0 else float("nan"),
+                p_value=float(chdtrc(dof, numbers["chi2"].exact)) if dof > 0 else float("nan"),
                 rejected=tuple(stars.get(name, ())),
             )
-        )
-    for n, (name, (cause, reason)) in enumerate(reasons.items(), start=len(names)):
-        none: dict[str, Any] = {"numbers": {}, "p_value": float("nan"), "rejected": ()}
-        rows.append(
-            ExposureCard(link=f"e{n}", exposure_id=name, state="not used", cause=cause, reason=reason, **none)
         )
     return tuple(rows)
 

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import functools
-import html
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from unicodedata import category
-
-import jinja2
-from markupsafe import Markup
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
@@ -21,26 +16,21 @@ from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
-from boresight.pipeline.report.observations import (
-    data_uri,
-    exposure_rows,
-    strip_numbers,
-    target_rows,
-)
+from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.page_figures import page_figures
-from boresight.pipeline.report.saved import Number, Saved, number_from, read_saved
+from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
+from boresight.pipeline.report.template import Number, number_from, template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
-__all__ = ["report_html", "template", "write_report"]
+__all__ = ["report_html", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
-STATISTICS = ("stars", "targets", "exposures", "attitudes", "attitudes in time")  # with a figure each
 TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
@@ -69,13 +59,9 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
     """The text of the report, part by part: with thousands of targets tens of MB, as one text twice that."""
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
-    has_stars = saved.context["star_camera"] is not None
-    drawn = page_figures(saved, targets, exposures, strip_stars)
-    statistics = [drawn.get(f"of {what}") for what in STATISTICS]
-    cards: Any = template("observations.html.j2").module
-    more_cards = {row.link: str(cards.target_card(row)) for row in targets if not row.printed}
-    more_cards |= {row.link: str(cards.exposure_card(row)) for row in exposures if not row.printed}
-    more_cards |= {row.link: str(cards.star_card(row)) for row in strip_stars if not row.printed}
+    of: Any = template("observations.html.j2").module
+    every = ((of.target_card, targets), (of.exposure_card, exposures), (of.star_card, strip_stars))
+    more_cards = {row.link: str(card(row)) for card, rows in every for row in rows if not row.printed}
     return template("page.html.j2").generate(
         saved=saved,
         summary=_summary(saved),
@@ -95,19 +81,11 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
         },
-        residuals=[drawn[name] for name in ("scatter", "of ccds") if name in drawn]
-        + drawn.get("residuals", []),
+        **page_figures(saved, targets, exposures, strip_stars),
         interior=_interior(saved),
-        star_residuals=drawn.get("star residuals", []),
-        on_sky=drawn.get("on the sky"),
         seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
         or "targets",
         iterations=_iterations(saved),
-        convergence=drawn["convergence"],
-        angles=[drawn["angles"], drawn["spread of angles"]] if has_stars else [],
-        star_map=drawn.get("star map"),
-        ellipses=drawn["ellipses"],
-        statistics=[drawing for drawing in statistics if drawing is not None],
         image=_star_image(saved),
         states=STATES,
         omissions=saved.ledger.slice(0, MOST_ROWS).to_pylist(),
@@ -119,44 +97,6 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
-
-
-def template(name: str) -> jinja2.Template:
-    """A Jinja template that escapes all text, with the filter `number` for `Number`."""
-    return _environment().get_template(name)
-
-
-@functools.cache  # with the templates that it has compiled
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
-        autoescape=True,
-        finalize=_visible,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["number"] = _number
-    return environment
-
-
-def _visible(value: Any) -> Any:
-    """Text without characters that act unseen, such as those that reverse its direction."""
-    if isinstance(value, Markup) or not isinstance(value, str) or value.isprintable():
-        return value
-    return "".join(c if c in "\n\t" or category(c)[0] != "C" else repr(c)[1:-1] for c in value)
-
-
-def _number(value: Number) -> Markup:
-    """HTML `data` element: the formatted number, with its source as attributes for verification."""
-    parts = {"value": repr(value.exact), "data-source": value.source, "data-key": value.key}
-    parts["data-form"] = value.form
-    if value.scale != 1.0:
-        parts["data-scale"] = repr(value.scale)
-    if value.root:
-        parts["data-root"] = "1"
-    attributes = " ".join(f'{name}="{html.escape(text)}"' for name, text in parts.items())
-    return Markup(f"<data {attributes}>{html.escape(value.text)}</data>")
 
 
 def _summary(saved: Saved) -> dict[str, Any]:
@@ -176,18 +116,13 @@ def _summary(saved: Saved) -> dict[str, Any]:
     }
 
 
-def _iterations(saved: Saved) -> list[dict[str, Any]]:
-    return [
-        {
-            "step": [
-                saved.context_number(f"iterations.{n}.theta_step_rad.{i}", "+.3e", scale=TO_ARCSEC)
-                for i in range(3)
-            ],
-            "chi2": saved.context_number(f"iterations.{n}.chi2", ".2f"),
-            "targets": saved.context_number(f"iterations.{n}.targets", ".1f"),
-        }
-        for n in range(len(saved.context["iterations"]))
-    ]
+def _iterations(saved: Saved) -> Iterator[list[Number]]:
+    """Step of theta about X, Y, Z, arcsec, chi2 and targets of each iteration."""
+    number = saved.context_number
+    for n in range(len(saved.context["iterations"])):
+        at = f"iterations.{n}"
+        step = [number(f"{at}.theta_step_rad.{i}", "+.3e", scale=TO_ARCSEC) for i in range(3)]
+        yield [*step, number(f"{at}.chi2", ".2f"), number(f"{at}.targets", ".1f")]
 
 
 def _checked(saved: Saved) -> dict[str, Any] | None:
@@ -237,10 +172,10 @@ def _by_strip(
     """
     order, rows = strip_numbers(saved), []
     for n, one in enumerate(accuracy):
-        key, name = f"accuracy.{n}", one["strip_id"]
-        parts = {part: [number(f"{key}.{part}.{i}", ".2f") for i in (0, 1)] for part in ("rms_m", "le90_m")}
-        counts = {"n": number(f"{key}.n", ".0f"), "ce90_m": number(f"{key}.ce90_m", ".2f")}
-        rows.append({"name": name, "style": strip_style(order.get(name, 0))} | parts | counts)
+        name, parts = one["strip_id"], ("rms_m.0", "rms_m.1", "ce90_m", "le90_m.0", "le90_m.1")
+        numbers = [number(f"accuracy.{n}.{part}", ".2f") for part in parts]
+        count = number(f"accuracy.{n}.n", ".0f")
+        rows.append({"name": name, "style": strip_style(order.get(name, 0)), "numbers": [count, *numbers]})
     return rows
 
 
@@ -251,15 +186,13 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     about = json.loads(metadata[b"about"])
     table, camera = saved.detections, saved.context["star_camera"]
     places, names = list_values(table, "xy_px", 2).tolist(), table.column("hip").to_pylist()
+    found = zip(places, column(table, "snr"), table.column("state").to_pylist(), names)
     marks = [
         star_detection(round(x, 3), round(y, 3), snr, state, STATES, f"HIP {hip}" if hip else "")
-        for (x, y), snr, state, hip in zip(
-            places, column(table, "snr"), table.column("state").to_pylist(), names
-        )
+        for (x, y), snr, state, hip in found
     ]
     size_px = camera["width_px"], camera["height_px"]
-    jpeg = metadata[b"jpeg"]
-    picture = star_picture(jpeg, int(str(about["shrunk"])), size_px, marks, STATES)
+    picture = star_picture(metadata[b"jpeg"], int(str(about["shrunk"])), size_px, marks, STATES)
     seen = ", ".join(f"{picture['counts'][name]} {text}" for name, text in STATES.items())
     words = f"Star image {about['exposure_id']} with {len(marks)} detections: {seen}"
     return picture | {"about": about, "words": words}

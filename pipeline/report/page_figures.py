@@ -19,26 +19,23 @@ def page_figures(
     exposures: Sequence[ExposureCard],
     strip_stars: Sequence[SeenCard],
 ) -> dict[str, Any]:
-    """Drawings by name; of stars and of targets where there are any."""
+    """Drawings by their names in the page's template; of stars and of targets where there are any."""
+    has_stars = saved.context["star_camera"] is not None
     seen = "stars of strips" if strip_stars and not targets else "targets"
-    drawings: dict[str, Any] = {
-        "of targets": figures.squared_residual_histogram(saved, "targets", seen),
-        "of attitudes": figures.allan_plot(saved),
-        "of attitudes in time": figures.attitudes_in_time(saved),
+    statistics = [
+        figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None,
+        figures.squared_residual_histogram(saved, "targets", seen),
+        figures.exposure_chi2(saved, exposures) if has_stars else None,
+        figures.allan_plot(saved),
+        figures.attitudes_in_time(saved),
+    ]
+    return {
         "convergence": figures.convergence(saved),
         "ellipses": figures.covariance_ellipses(saved),
-        "on the sky": strips_on_sky(saved, strip_stars),
+        "on_sky": strips_on_sky(saved, strip_stars),
+        "angles": [figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],
+        "star_map": figures.star_residual_map(saved) if has_stars else None,
+        "statistics": [drawing for drawing in statistics if drawing is not None],
+        "residuals": figures.residual_panels(saved, targets) if targets or not strip_stars else [],
+        "star_residuals": figures.star_residual_panels(saved, strip_stars) if strip_stars else [],
     }
-    if saved.context["star_camera"] is not None:
-        drawings |= {
-            "of stars": figures.squared_residual_histogram(saved, "stars", "stars"),
-            "of exposures": figures.exposure_chi2(saved, exposures),
-            "angles": figures.angle_histogram(saved),
-            "spread of angles": figures.angle_spread(saved),
-            "star map": figures.star_residual_map(saved),
-        }
-    if targets or not strip_stars:
-        drawings["residuals"] = figures.residual_panels(saved, targets)
-    if strip_stars:
-        drawings["star residuals"] = figures.star_residual_panels(saved, strip_stars)
-    return drawings

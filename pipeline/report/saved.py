@@ -1,29 +1,27 @@
-"""Saved files of a result that a report is made from, and numbers that carry their source."""
+"""Saved files of a result that a report is made from."""
 
 from __future__ import annotations
 
-import functools
 import math
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import pyarrow as pa
 
-from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.report.ground_map import SCHEMA as GROUND
+from boresight.pipeline.report.template import UTC_FROM, Number, number_from
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
 
-__all__ = ["EVIDENCE", "Number", "Saved", "number_from", "read_saved", "utc_text"]
+__all__ = ["EVIDENCE", "Saved", "read_saved"]
 
-UTC_FROM = "UTC from "  # form of a number that counts seconds from the epoch behind it
 # Types of columns, and the columns of pictures of targets.
 _TEXT, _WHOLE, _NUMBER = pa.string(), pa.int64(), pa.float64()
 _PICTURES = {"strip_id": _TEXT, "target_id": _TEXT, "ccd": _WHOLE} | {
@@ -44,36 +42,6 @@ EVIDENCE: dict[str, dict[str, pa.DataType]] = {
     "attitude_noise": {"t_s": _NUMBER, "turn_rad": fixed(3)},
     "exposure": {"xy_px": fixed(2), "snr": _NUMBER, "state": _TEXT, "hip": _WHOLE},
 }
-
-
-@record(kw_only=True)
-class Number:
-    """A number of a page with the file and key that it comes from; shown as `exact * scale` in `form`."""
-
-    exact: float = scalar("unscaled value")
-    source: str = scalar("file in the result folder")
-    key: str = scalar("path of keys and indices in that file, separated by dots")
-    form: str = scalar('format specification of the shown text, or "UTC from" and an epoch')
-    scale: float = scalar("factor before formatting, such as rad to arcsec", default=1.0)
-    root: bool = scalar("`exact` is the square root of the saved value", default=False)
-
-    @property
-    def text(self) -> str:
-        """Shown text: "not known" for NaN, "no limit" for infinity."""
-        value = self.exact * self.scale
-        if not math.isfinite(value):
-            return "not known" if math.isnan(value) else "no limit"
-        if self.form.startswith(UTC_FROM):
-            return utc_text(self.form.removeprefix(UTC_FROM), value, 24)
-        return format(value, self.form).replace("-", "\N{MINUS SIGN}")
-
-
-_epoch = functools.cache(Epoch.from_utc)
-
-
-def utc_text(epoch_utc: str, t_s: float, digits: int = 19) -> str:
-    """The date and time of `t_s` seconds after an epoch."""
-    return _epoch(epoch_utc).utc_from_seconds([t_s])[0][:digits].replace("T", " ")
 
 
 @record(kw_only=True)
@@ -112,24 +80,18 @@ class Saved:
         """The number of evidence/context.json under `key`."""
         return number_from(self.context, "evidence/context.json", key, form, scale=scale)
 
-    def cell(self, table: str, column: str, row: int, form: str) -> Number:
-        """One cell of a table; `table` is its path without `.parquet`. Form "UTC": seconds as a time."""
+    def cell(
+        self, table: str, column: str, row: int, form: str, scale: float = 1.0, root: bool = False
+    ) -> Number:
+        """One cell of a table; `table` is its path without `.parquet`; of a list one element, "xy_px.0". Form
+        "UTC": seconds as a time.
+        """
         form = f"{UTC_FROM}{self.context['epoch_utc']}" if form == "UTC" else form
-        value = getattr(self, table.rpartition("/")[2]).column(column)[row].as_py()
-        source, key = f"{table}.parquet", f"{column}.{row}"
-        return Number(exact=float(value), source=source, key=key, form=form)
-
-
-def number_from(
-    content: Any, source: str, key: str, form: str, *, scale: float = 1.0, root: bool = False
-) -> Number:
-    """The number that the JSON `content` of the file `source` holds under `key`; null is NaN."""
-    value = content
-    for part in key.split("."):
-        value = value[int(part)] if isinstance(value, list) else value[part]
-    exact = math.nan if value is None else float(value)
-    exact = math.sqrt(exact) if root else exact
-    return Number(exact=exact, source=source, key=key, form=form, scale=scale, root=root)
+        name, _, element = column.partition(".")
+        value, key = getattr(self, table.rpartition("/")[2]).column(name)[row].as_py(), f"{name}.{row}"
+        value, key = (value[int(element)], f"{key}.{element}") if element else (value, key)
+        exact = math.sqrt(value) if root else float(value)
+        return Number(exact=exact, source=f"{table}.parquet", key=key, form=form, scale=scale, root=root)
 
 
 def read_saved(result: Path) -> Saved:

@@ -11,7 +11,7 @@ from boresight.geometry.sightings import StarSightings
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["STATES", "StarPreview", "sky_stretch", "star_preview", "stretched_jpeg"]
+__all__ = ["STATES", "StarPreview", "jpeg_of", "sky_stretch", "star_preview", "stretched_jpeg"]
 
 # What became of a detection, and the words for it.
 STATES = {
@@ -74,20 +74,20 @@ def stretched_jpeg(image: NDArray[np.generic]) -> tuple[bytes, int]:
 
     Raises `OSError` if it cannot be encoded.
     """
-
     shrunk = 1
     while max(image.shape) / shrunk > LONG_SIDE_PX:
         shrunk *= 2
     h, w = (side // shrunk * shrunk for side in image.shape)
-    small = (
-        image[:h, :w].reshape(h // shrunk, shrunk, w // shrunk, shrunk).max(axis=(1, 3)).astype(np.float32)
-    )
-    done, encoded = cv2.imencode(
-        ".jpg", (255.0 * sky_stretch(small)).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 72]
-    )
+    small = image[:h, :w].reshape(h // shrunk, shrunk, w // shrunk, shrunk).max(axis=(1, 3))
+    return jpeg_of((255.0 * sky_stretch(small.astype(np.float32))).astype(np.uint8), 72), shrunk
+
+
+def jpeg_of(grey: NDArray[np.uint8], quality: int) -> bytes:
+    """A grey picture (H, W) as JPEG. Raises `OSError` if it cannot be encoded."""
+    done, encoded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
-        raise OSError("the star image could not be encoded")
-    return encoded.tobytes(), shrunk
+        raise OSError("a picture could not be encoded")
+    return encoded.tobytes()
 
 
 def sky_stretch(image: NDArray[np.float32]) -> NDArray[np.float32]:

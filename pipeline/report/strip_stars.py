@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.report.marks import strip_style
-from boresight.pipeline.report.observations import SeenCard, pictures_of
-from boresight.pipeline.report.saved import Number, Saved
+from boresight.pipeline.report.observations import KEYS, SeenCard, pictures_of, rows_by_key
+from boresight.pipeline.report.saved import Saved
 
 __all__ = ["strip_star_rows"]
 
 MOST_PRINTED = 12  # cards of used stars that a print shows
 TARGETS = "sightings/targets"  # table of a result, without suffix
-SHAPES = {  # of each number: column, element (-1: a plain column), form, factor, whether it is a root
-    "sigmas": ("normalised", -1, ".2f", 1.0, True),
-    "sample_px": ("xy_px", 0, ".3f", 1.0, False),
-    "line_px": ("xy_px", 1, ".3f", 1.0, False),
-    "sigma_sample_px": ("cov_px", 0, ".3f", 1.0, True),
-    "sigma_line_px": ("cov_px", 3, ".3f", 1.0, True),
-    "residual_x": ("residual_c", 0, "+.3f", 1.0 / ARCSEC, False),
-    "residual_y": ("residual_c", 1, "+.3f", 1.0 / ARCSEC, False),
+CELLS: dict[str, tuple[Any, ...]] = {  # of each number: column, form, factor, whether it is a root
+    "t_s": ("t_s", "UTC"),
+    "probability_wrong": ("probability_wrong", ".1e"),
+    "sigmas": ("normalised", ".2f", 1.0, True),
+    "sample_px": ("xy_px.0", ".3f"),
+    "line_px": ("xy_px.1", ".3f"),
+    "sigma_sample_px": ("cov_px.0", ".3f", 1.0, True),
+    "sigma_line_px": ("cov_px.3", ".3f", 1.0, True),
+    "residual_x": ("residual_c.0", "+.3f", 1.0 / ARCSEC),
+    "residual_y": ("residual_c.1", "+.3f", 1.0 / ARCSEC),
 }
 
 
@@ -31,16 +34,14 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[SeenCard, ...]:
     table = saved.targets.to_pylist()
     stars = [n for n, row in enumerate(table) if math.isinf(row["range_m"])]
     strips = sorted({table[n]["strip_id"] for n in stars})
-    pictured = {
-        (row["strip_id"], row["target_id"], row["ccd"]): n
-        for n, row in enumerate(saved.matches.select(["strip_id", "target_id", "ccd"]).to_pylist())
-    }
+    pictured = rows_by_key(saved.matches)
     order = sorted(stars, key=lambda n: (table[n]["kept"], -table[n]["normalised"]))
     used = [n for n in order if table[n]["kept"]]
     shown, printed, rows = set(used[:most_pictures]), set(used[:MOST_PRINTED]), []
     for n in order:
         row = table[n]
-        at = pictured.get((row["strip_id"], row["target_id"], row["ccd"]))
+        at = pictured.get(tuple(row[name] for name in KEYS))
+        seen = not row["kept"] or n in shown
         shape, colour = strip_style(strips.index(row["strip_id"]))
         rows.append(
             SeenCard(
@@ -52,30 +53,9 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[SeenCard, ...]:
                 state="used" if row["kept"] else "rejected",
                 shape=shape,
                 colour=colour,
-                numbers=_numbers(saved, n),
-                pictures=None
-                if at is None or (row["kept"] and n not in shown)
-                else pictures_of(saved, "matches", at, ".0f"),
+                numbers={name: saved.cell(TARGETS, of[0], n, *of[1:]) for name, of in CELLS.items()},
+                pictures=pictures_of(saved, "matches", at, ".0f") if at is not None and seen else None,
                 printed=n in printed or not row["kept"],
             )
         )
     return tuple(rows)
-
-
-def _numbers(saved: Saved, row: int) -> dict[str, Number]:
-    found = {
-        "t_s": saved.cell(TARGETS, "t_s", row, "UTC"),
-        "probability_wrong": saved.cell(TARGETS, "probability_wrong", row, ".1e"),
-    }
-    for name, (column, element, form, factor, root) in SHAPES.items():
-        cell = saved.targets.column(column)[row].as_py()
-        value = float(cell if element < 0 else cell[element])
-        found[name] = Number(
-            exact=math.sqrt(value) if root else value,
-            source=f"{TARGETS}.parquet",
-            key=f"{column}.{row}" if element < 0 else f"{column}.{row}.{element}",
-            form=form,
-            scale=factor,
-            root=root,
-        )
-    return found

@@ -9,7 +9,7 @@ import numpy as np
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.report.saved import Number, number_from
+from boresight.pipeline.report.template import Number, number_from
 from boresight.pipeline.results.summary import kind_of, two_digits
 
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
@@ -20,6 +20,17 @@ REMEDIES = {
     "Y": "more strips average errors of position along the track and of the clock; a better clock",
     "Z": "targets near both ends of the swath, and more strips",
 }
+# Numbers of a check and their forms.
+FORMS = {
+    "statistic": ".4g",
+    "expected": ".4g",
+    "n": ".0f",
+    "p_value": ".2g",
+    "p_plain": ".2g",
+    "limit": ".2g",
+}
+# Outcomes of a check by the keys of the verdict that say so; the first that holds.
+OUTCOMES = {"holds": "holds", "is_caution": "smaller than stated", "fails": "fails"}
 
 
 @record(kw_only=True)
@@ -120,19 +131,8 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
         checks=tuple(
             CheckRow(
                 kind=str(check["kind"]),
-                statistic=number(f"checks.{n}.statistic", ".4g"),
-                expected=number(f"checks.{n}.expected", ".4g"),
-                n=number(f"checks.{n}.n", ".0f"),
-                p_value=number(f"checks.{n}.p_value", ".2g"),
-                p_plain=number(f"checks.{n}.p_plain", ".2g"),
-                limit=number(f"checks.{n}.limit", ".2g"),
-                outcome="holds"
-                if check["holds"]
-                else "smaller than stated"
-                if check["is_caution"]
-                else "fails"
-                if check["fails"]
-                else "not applicable",
+                **{name: number(f"checks.{n}.{name}", form) for name, form in FORMS.items()},
+                outcome=next((words for key, words in OUTCOMES.items() if check[key]), "not applicable"),
                 look_at=tuple(map(str, check["look_at"])),
                 names=tuple(" = ".join(map(str, group)) for group in check["names"]),
             )
@@ -143,7 +143,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
         weakest_arcsec=number("weakest_sigma_rad", ".4f", 1.0 / ARCSEC),
         direction=tuple(number(f"weakest_axis_c.{axis}", "+.3f") for axis in range(3)),
         blind=tuple(
-            _blind_row(installation, source, n) for n in range(len(installation.get("blind_spots", ())))
+            _blind_row(installation, source, n) for n, _ in enumerate(installation.get("blind_spots", ()))
         ),
     )
 

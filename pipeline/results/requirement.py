@@ -12,7 +12,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.results.writing import write_json
+from boresight.pipeline.files.whole_file import write_json
 
 __all__ = ["FILE", "Requirement", "is_met", "requirement_lines", "saved_requirement", "write_requirement"]
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import MappingProxyType
 
 import pyarrow as pa
 
+from boresight.calib.information import InformationPairs
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.table_files import fixed, read_parquet
+from boresight.pipeline.files.table_files import arrow_array, fixed, fixed_list, read_parquet
 
-__all__ = ["COLUMNS", "read_sightings", "sightings_schema"]
+__all__ = ["COLUMNS", "pairs_table", "read_sightings", "sightings_schema"]
 
 # Types of columns.
 _TEXT, _WHOLE, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
@@ -38,6 +40,15 @@ COLUMNS = MappingProxyType(
 def sightings_schema(table: str) -> pa.Schema:
     """Names and types of the columns of `table`."""
     return pa.schema(list(COLUMNS[table].items()))
+
+
+def pairs_table(pairs: InformationPairs) -> pa.Table:
+    """One row a pass: its name, and all numbers of its pair in one list, whose names are in the metadata. A
+    column for each number takes ten times as long to read.
+    """
+    names, numbers = pairs.numbers()
+    table = pa.table({"name": arrow_array(pairs.names), "values": fixed_list(numbers)})
+    return table.replace_schema_metadata({"names": json.dumps(names)})
 
 
 def read_sightings(result: Path, table: str, names: str) -> pa.Table:

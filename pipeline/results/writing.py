@@ -6,7 +6,6 @@ Everything but run.json is identical, bit for bit, for the same inputs, settings
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate, TargetResiduals
-from boresight.calib.information import InformationPairs
 from boresight.calib.predicted_earth import is_earth
 from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
@@ -33,12 +31,11 @@ from boresight.pipeline import __version__
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
 from boresight.pipeline.diagnosis.unused_rows import Rows
-from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
-from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_text
+from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_json
 from boresight.pipeline.results.folder import DUMPS
-from boresight.pipeline.results.sightings_tables import COLUMNS, sightings_schema
+from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
 from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.sky_strip import SkyTask
@@ -48,12 +45,10 @@ __all__ = [
     "blind_spots_json",
     "installation_facts",
     "joint_ground_m_per_rad",
-    "pairs_table",
     "verdict_json",
     "write_dumps",
     "write_installation",
     "write_joint_result",
-    "write_json",
     "write_result",
     "write_run",
     "write_sightings",
@@ -164,11 +159,6 @@ def write_run(result: Path, facts: dict[str, Any]) -> None:
     """Times, counts and machine of a run: what may differ between two runs with the same result."""
     write_json(result / "run.json", facts)
     remove_abandoned(result)  # of worker processes that were killed during the run
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write `content` as JSON, whole or not at all; null stands for what is not finite."""
-    write_text(path, json_text(content) + "\n")
 
 
 def verdict_json(verdict: Verdict, rows: Sequence[Rows] = ()) -> dict[str, Any]:
@@ -394,15 +384,6 @@ def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
             }
         )
     return arrow_rows(rows, sightings_schema("passes"))
-
-
-def pairs_table(pairs: InformationPairs) -> pa.Table:
-    """One row a pass: its name, and all numbers of its pair in one list, whose names are in the metadata. A
-    column for each number takes ten times as long to read.
-    """
-    names, numbers = pairs.numbers()
-    table = pa.table({"name": arrow_array(pairs.names), "values": fixed_list(numbers)})
-    return table.replace_schema_metadata({"names": json.dumps(names)})
 
 
 def _tests_table(verdict: Verdict) -> pa.Table:

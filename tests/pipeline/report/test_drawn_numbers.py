@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,7 @@ from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.sheet import angles
 from boresight.pipeline.report.star_image import star_detection
 from boresight.pipeline.report.strip_stars import strip_star_rows
@@ -137,7 +139,9 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
     }
     table = pa.Table.from_pylist([row])
     no_matches = pa.table({name: [] for name in ("strip_id", "target_id", "ccd")})
-    saved = SimpleNamespace(targets=table, matches=no_matches, cell=lambda _, name, n, form: row[name])
+    context = {"epoch_utc": "2025-03-20T03:40:00Z"}
+    saved = SimpleNamespace(targets=table, matches=no_matches, context=context)
+    saved.cell = partial(Saved.cell, saved)
     (star,) = strip_star_rows(saved, 3)  # type: ignore[arg-type]
     arcsec = 648_000.0 / np.pi
     expected = {
