@@ -22,6 +22,10 @@ from boresight.geometry.record import Floats, array, record, scalar
 __all__ = ["NO_NOISE", "AttitudeNoise", "LastingError"]
 
 
+FASTER = 0.26  # is what is left of a split process: the mean over the pass keeps its variance within 1 %
+NO_EFFECT = 1e-6  # of the variance of a process: less is no constant of its own
+
+
 @record(by_value=True)
 class LastingError:
     """An error of a head about one of its axes that is constant over a pass and goes on after it."""
@@ -71,11 +75,12 @@ class AttitudeNoise:
         the axes of s, 1-sigma each, rad, and what they are.
         """
         span, tau = last_s - first_s, self.correlation_time_s
-        kept = np.where(tau >= span, np.exp(-span / tau), 0.0)
+        kept = np.exp(-span / tau)
+        kept[kept < NO_EFFECT] = 0.0
         rest = replace(
             self,
             correlated_rad=self.correlated_rad * np.sqrt(1.0 - kept),
-            correlation_time_s=np.where(kept < 1.0, tau * (1.0 - kept), tau),
+            correlation_time_s=np.where(kept < 1.0, tau * (1.0 - kept) * (1.0 - FASTER * np.sqrt(kept)), tau),
             constant_rad=np.zeros(3),
         )
         middle, R = 0.5 * (first_s + last_s), self.R_sn.as_matrix()

@@ -36,3 +36,17 @@ def test_white_part_has_the_stated_error_about_each_axis_of_the_head(name: str) 
         assert of_the_head @ noise.white_covariance_s @ of_the_head == pytest.approx(
             noise.white_rad[axis] ** 2
         )
+
+
+@pytest.mark.parametrize("span_s", np.geomspace(0.05, 60.0, 9).tolist())
+@pytest.mark.parametrize("name", HEADS)
+def test_noise_of_a_pass_and_its_constants_are_the_noise(name: str, span_s: float) -> None:
+    noise = HEADS[name]
+    t_s = 100.0 + np.linspace(0.0, span_s, 400)
+    rest, constants, errors = noise.within(t_s[0], t_s[-1], name)
+    split = rest.coloured_covariance_s(t_s) + (constants @ constants.T)[:, None, :]
+    stated = noise.coloured_covariance_s(t_s)
+    assert np.allclose(split[0, :, 0], stated[0, :, 0], rtol=1e-12)  # of a single instant
+    means = [np.linalg.eigvalsh(one.mean(axis=(0, 2))) for one in (split, stated)]
+    assert np.allclose(*means, rtol=0.01)  # of the mean over the pass
+    assert len(errors) == constants.shape[1] and {error.head for error in errors} <= {name}
