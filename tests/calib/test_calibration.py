@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from boresight.calib.calibration import _noise_scale, calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.information import solve_total
-from boresight.calib.joint_solution import Problem, linear_solution
+from boresight.calib.joint_solution import Problem, linearised, solve_weighted
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
@@ -221,7 +221,7 @@ def test_factor_of_the_noise_allows_for_the_tail_that_is_rejected():
     strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(9))
     settings = CalibrationSettings(probability_false_alarm=0.05)
     problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
-    step = linear_solution(problem, BOLD, np.ones(24), 1.0)
+    step = solve_weighted(problem, linearised(problem, BOLD, 1.0), np.ones(24))
     robust, _ = _noise_scale(step, problem.inside, 1.0, settings)
     plain, _ = _noise_scale(step, problem.inside, 1.0, replace(settings, robust=False))
     draws = np.random.default_rng(1).chisquare(2, 1_000_000)
