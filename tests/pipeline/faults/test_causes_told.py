@@ -510,11 +510,6 @@ def test_a_ccd_that_is_rotated_in_a_single_scan_is_told_with_its_angle(with_faul
     assert first.value == pytest.approx(mrad, abs=4.0 * first.sigma)
 
 
-def test_a_sound_dump_of_another_seed_is_consistent_without_a_finding(with_fault):
-    verdict = with_fault("ground", lambda dump: None, seed=2).verdict
-    assert verdict.outcome is Outcome.CONSISTENT and not any(one.is_fault for one in verdict.findings)
-
-
 @pytest.fixture(scope="module")
 def one_way(made_once) -> Path:
     """Two scans of the sky in the same direction."""
