@@ -452,16 +452,13 @@ def painted(strip: str, level: int, dump: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "strip", "level"),
-    [
-        *(("ground", "s02", 0), ("ground", "s02", 255)),  # dead, saturated
-        *(("scans", "sky01", 17), ("scans", "sky01", 255), ("scans", "sky02", 0)),  # 17: one grey value
-    ],
+    [("ground", "s02", 0), ("scans", "sky01", 255), ("scans", "sky02", 17)],  # dead, saturated, one grey
 )
 def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(with_fault, name, strip, level):
     found = with_fault(name, partial(painted, strip, level)).verdict
     (told,) = [one for one in found.findings if one.is_fault]
     assert found.outcome is Outcome.FINDINGS and told.item == f"strip {strip}"
-    assert "grey" in told.text and (level < 255 or name == "ground" or "saturated" in told.text)
+    assert "grey" in told.text and (level < 255 or "saturated" in told.text)
 
 
 def test_where_no_strip_gives_anything_the_reason_comes_first(with_fault):
