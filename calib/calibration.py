@@ -51,8 +51,8 @@ from boresight.calib.joint_solution import (
     Problem,
     Step,
     iteration_record,
-    linear_solution,
     linearised,
+    solve_weighted,
     squared_mahalanobis,
 )
 from boresight.calib.orbit_bias import common_bias
@@ -215,7 +215,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     fit = _solve(problem, R_cs0, test)
     residuals = _residuals(strips, prepared, problem, fit, test)
     rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
-    R_cs = corrected(fit.step.R_cs, fit.step.solution.theta)
+    R_cs = corrected(fit.step.about.R_cs, fit.step.solution.theta)
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
     matrices, scale_s = (R_cs, R_cs0), _star_noise(strips)
@@ -234,7 +234,8 @@ def strip_pairs(
     problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, None, cameras)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
-    return linear_solution(problem, about, problem.inside.astype(float), 1.0).pairs, problem.prior_shared
+    step = solve_weighted(problem, linearised(problem, about, 1.0), problem.inside.astype(float))
+    return step.pairs, problem.prior_shared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,29 +262,36 @@ def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
     iterations: list[Iteration] = []
     weight, rivals = kept.astype(float), dict[int, Ints]()
     step = _iterated(problem, R_cs0, weight, iterations, 1.0)
-    R_cs = step.R_cs
+    R_cs = step.about.R_cs
     if settings.robust and np.any(squared_mahalanobis(step)[kept] > GROSS):
         R_cs, kept = refine_geman_mcclure(problem, l1_start(problem, R_cs0), iterations, 1.0)
     for _ in range(5 if settings.estimate_noise else 1):
         if settings.robust:
-            about = linearised(problem, R_cs, scale[0])
-            kept = snoop(problem, about, kept, test.limit)
-            weight, rivals = weigh(problem, about, kept, test.limit)
-        step = _iterated(problem, R_cs, weight, iterations, scale[0])
+            step = snoop(problem, linearised(problem, R_cs, scale[0], step), kept, test.limit, step)
+            kept = step.weight == 1.0
+            weight, rivals = weigh(problem, step, test.limit)
+        step = _iterated(problem, R_cs, weight, iterations, scale[0], step)
         if settings.estimate_noise:
             scale = _noise_scale(step, weight == 1.0, scale[0], settings)
-            step = _iterated(problem, step.R_cs, weight, iterations, scale[0])
-        R_cs = step.R_cs
+            step = _iterated(problem, step.about.R_cs, weight, iterations, scale[0])
+        R_cs = step.about.R_cs
     return _Fit(step, iterations, weight, rivals, scale)
 
 
 def _iterated(
-    problem: Problem, R_cs: Rotation, weight: Floats, iterations: list[Iteration], scale_c: float
+    problem: Problem,
+    R_cs: Rotation,
+    weight: Floats,
+    iterations: list[Iteration],
+    scale_c: float,
+    step: Step | None = None,
 ) -> Step:
-    """Gauss-Newton on the weighted targets until the correction vanishes; the last step, about its matrix."""
+    """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `step` where
+    that is the same; the last step, about its matrix.
+    """
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = linear_solution(problem, R_cs, weight, scale_c)
+        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, step), weight, step)
         iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break

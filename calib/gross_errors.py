@@ -45,7 +45,6 @@ from boresight.calib.joint_solution import (
     Problem,
     Step,
     iteration_record,
-    linear_solution,
     linearised,
     readmitted,
     solve_weighted,
@@ -78,25 +77,27 @@ def _too_many(problem: Problem, kept: Bools) -> bool:
     return bool(np.sum(problem.inside & ~kept) > max(MOST_REJECTED * np.sum(problem.inside), FEW_REJECTED))
 
 
-def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float) -> Bools:
-    """The targets (J,) to keep, searched from `kept`: no rejection, re-admission, exchange decreases (1)."""
+def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float, known: Step | None = None) -> Step:
+    """The solution with the targets to keep, searched from `kept` (J,), whose solution may be `known`: no
+    rejection, re-admission or exchange decreases (1).
+    """
 
     def solved(kept: Bools) -> tuple[Step, float]:
-        step = solve_weighted(problem, about, kept.astype(float))
+        step = solve_weighted(problem, about, kept.astype(float), known)
         return step, step.chi2 + limit * int(np.sum(problem.inside & ~kept))
 
     step, criterion = solved(kept)
     while True:
-        for other in _moves(problem, about, kept, step, limit):
+        for other in _moves(problem, kept, step, limit):
             moved, value = solved(other)
             if value < criterion - SMALLEST_GAIN * limit:
                 kept, step, criterion = other, moved, value
                 break
         else:
-            return kept
+            return step
 
 
-def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: float) -> Iterator[Bools]:
+def _moves(problem: Problem, kept: Bools, step: Step, limit: float) -> Iterator[Bools]:
     """Sets of targets to try: one less, all that pass re-admitted, the best of them; at last, exchanges.
 
     For an exchange a rejected target is re-admitted and the one with the largest residual then is rejected;
@@ -116,7 +117,7 @@ def _moves(problem: Problem, about: Linearised, kept: Bools, step: Step, limit: 
         return
     nearest = np.flatnonzero(rejected)
     nearest = nearest[np.lexsort((problem.rank[nearest], statistic[nearest]))]
-    for first, (then, _) in zip(nearest.tolist(), readmitted(about, kept, step, nearest)):
+    for first, (then, _) in zip(nearest.tolist(), readmitted(step, nearest)):
         more = kept | (rows == first)
         other = _largest(then, more, problem.rank)
         if then[other] > statistic[first]:
@@ -131,16 +132,16 @@ def _largest(values: Floats, among: Bools, rank: Ints) -> int:
     return int(rows[np.argmin(rank[rows])])
 
 
-def weigh(problem: Problem, about: Linearised, kept: Bools, limit: float) -> tuple[Floats, dict[int, Ints]]:
-    """Weights (J,) of the targets, and the rivals (N,) of each target not in `kept`: those that may be wrong
+def weigh(problem: Problem, step: Step, limit: float) -> tuple[Floats, dict[int, Ints]]:
+    """Weights (J,) of the targets, and the rivals (N,) of each that `step` rejects: those that may be wrong
     in its place, the odds being below 19 to 1 against. It has weight 0 only where (2) is at least 0.7. Where
     too many are rejected, they have weight 0 and no rivals.
     """
+    kept = step.weight == 1.0
     weight, rivals, rejected = kept.astype(float), {}, np.flatnonzero(problem.inside & ~kept)
     if not len(rejected) or _too_many(problem, kept):
         return weight, {int(j): np.zeros(0, dtype=np.int64) for j in rejected}
-    step = solve_weighted(problem, about, weight)
-    for j, (statistic, variance) in zip(rejected.tolist(), readmitted(about, kept, step, rejected)):
+    for j, (statistic, variance) in zip(rejected.tolist(), readmitted(step, rejected)):
         rivals[j] = np.flatnonzero(kept & (statistic[j] - statistic < 2.0 * np.log(SEPARABLE_ODDS)))
         suspects = np.append(j, rivals[j])
         whitener = step.whitener[suspects]
@@ -205,7 +206,7 @@ def refine_geman_mcclure(
     scale = max(3.0, 3.0 * float(np.median(at_start[problem.inside])))
     weight = problem.inside * (1.0 + (at_start / scale) ** 2) ** -2.0
     for _ in range(40):
-        step = linear_solution(problem, R_cs, weight, scale_c)
+        step = solve_weighted(problem, linearised(problem, R_cs, scale_c), weight)
         iterations.append(iteration_record(step, weight))
         R_cs = corrected(R_cs, step.solution.theta)
         scale, before = max(3.0, 0.5 * scale), weight

@@ -83,10 +83,17 @@ MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work g
 class Hypothesis(InputError):
     """One kind of error of one input, and what one unit of it does."""
 
-    change_c: Floats = array(
-        "J, 3", "change of u_c - w by one unit, frame c, rad; J targets in order of strips"
-    )
+    rows: Ints = array("K", "targets that it moves, of all in order of strips")
+    moves_c: Floats = array("K, 3", "change of u_c - w of these by one unit, frame c, rad")
+    n_targets: int = scalar("of all strips")
     star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
+
+    @property
+    def change_c(self) -> Floats:
+        """Change (J, 3) of u_c - w of all targets by one unit, frame c, rad."""
+        change = np.zeros((self.n_targets, 3))
+        change[self.rows] = self.moves_c
+        return change
 
     @property
     def largest(self) -> float:
@@ -181,7 +188,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
-    return [one for one in found if np.any(one.change_c)]
+    return [one for one in found if np.any(one.moves_c)]
 
 
 def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
@@ -206,7 +213,7 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
             for one in _of_star_camera(of)
         ]
-    return [one for one in found if np.any(one.change_c)]
+    return [one for one in found if np.any(one.moves_c)]
 
 
 def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
@@ -224,15 +231,18 @@ def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
         usual=usual,
         usual_of=key,
         rarity=rarity,
-        change_c=change_c,
+        rows=np.arange(len(change_c)),
+        moves_c=change_c,
+        n_targets=len(change_c),
     )
 
 
 def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-    """A hypothesis for each error in each place."""
+    """A hypothesis for each error, of all targets, in each place."""
     for item, subjects, here in places:
+        rows = np.flatnonzero(here)
         for one in errors:
-            yield replace(one, item=item, subjects=subjects, change_c=one.change_c * here[:, None])
+            yield replace(one, item=item, subjects=subjects, rows=rows, moves_c=one.moves_c[rows])
 
 
 # --- Places
@@ -299,8 +309,8 @@ def _later_passes(of: HypothesisInputs) -> Iterator[Place]:
 def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Rows dated late, a period of the rows that is too long, and a clock that bends."""
     late = _late(of)
-    long = _error(of, "row period", PERCENT / MILLI * _since_first_row(of)[:, None] * late.change_c)
-    curved = _error(of, "clock of the rows, curved", _bend(_part_of_pass(of))[:, None] * late.change_c)
+    long = _error(of, "row period", PERCENT / MILLI * _since_first_row(of)[:, None] * late.moves_c)
+    curved = _error(of, "clock of the rows, curved", _bend(_part_of_pass(of))[:, None] * late.moves_c)
     yield from _in_each(_all_strips(of), [replace(late, field="utc_first_row, time_of_row"), long, curved])
     yield from _in_each([*_passes(of), *_strips(of, fewest=2)], [late, long, curved])
 
@@ -309,7 +319,7 @@ def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
     line, since = of.column("line"), _since_first_row(of)
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
-    late = _error(of, "lines of a strip", -period / MILLI * _late(of).change_c)
+    late = _error(of, "lines of a strip", -period / MILLI * _late(of).moves_c)
     for places, most in ((list(_strips(of)), OF_STRIP), (list(_images(of)), OF_CCD)):
         for item, subjects, here in places:
             for first in _breaks(line[here], min(most, MOST_BREAKS // len(places))):
@@ -370,7 +380,7 @@ def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
     places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
     for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
         turns = _turns(of, f"mounting {what}", ABOUT_AXES)
-        yield from _in_each(places, [replace(one, change_c=profile[:, None] * one.change_c) for one in turns])
+        yield from _in_each(places, [replace(one, moves_c=profile[:, None] * one.moves_c) for one in turns])
 
 
 def _turns(of: HypothesisInputs, cause: str, axes: Sequence[str]) -> list[Hypothesis]:
@@ -419,7 +429,8 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
             dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
         change.append(-dv_s)
     stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
-    return Hypothesis(**stated, change_c=of.in_c(np.concatenate(change)))
+    moves_c = of.in_c(np.concatenate(change))
+    return Hypothesis(**stated, rows=np.arange(len(moves_c)), moves_c=moves_c, n_targets=len(moves_c))
 
 
 # --- Cameras

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
@@ -28,8 +29,8 @@ __all__ = [
     "Linearised",
     "Problem",
     "Step",
+    "absorbed",
     "iteration_record",
-    "linear_solution",
     "linearised",
     "readmitted",
     "respond",
@@ -129,14 +130,14 @@ class Linearised:
 
     R_cs: Rotation
     strips: list[LinearStrips]  # one a group
+    scale_c: float = 1.0  # factor of the image measurements' standard deviations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One linear solution about `R_cs` with given weights."""
+    """One linear solution with given weights."""
 
-    R_cs: Rotation  # matrix about which the problem is linearised
-    strips: list[LinearStrips]  # one a group, about it
+    about: Linearised  # the problem about a matrix
     pairs: InformationPairs  # normal equations of each strip
     solution: Solution  # theta and the shared unknowns
     chi2: float  # weighted sum of squares, priors included, less that of the heads by themselves
@@ -148,17 +149,17 @@ class Step:
     def leverage(self) -> Floats:
         """Covariance (J, 2, 2) of the fitted direction in units of the noise."""
         covariance = self.solution.covariance_all
-        return np.concatenate([_leverage(*of, covariance) for of in zip(self.strips, self.reduced)])
+        return np.concatenate([_leverage(*of, covariance) for of in zip(self.about.strips, self.reduced)])
 
     @cached_property
     def whitener(self) -> Floats:
         """(J, 2, 2), takes residuals in rad along the two tangent axes to `whitened`."""
-        return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.strips])
+        return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.about.strips])
 
     @property
     def measured(self) -> Floats:
         """Part (J, 2, 2) of the whitened noise that the image measurement makes."""
-        return np.concatenate([line.measured.reshape(-1, 2, 2) for line in self.strips])
+        return np.concatenate([line.measured.reshape(-1, 2, 2) for line in self.about.strips])
 
     @property
     def residual_c(self) -> Floats:
@@ -176,19 +177,22 @@ class Step:
         return np.sqrt(np.diag(self.solution.covariance))
 
 
-def linearised(problem: Problem, R_cs: Rotation, scale_c: float) -> Linearised:
-    """The problem about `R_cs`; `scale_c` is a factor of the image measurements' standard deviations."""
+def linearised(problem: Problem, R_cs: Rotation, scale_c: float, known: Step | None = None) -> Linearised:
+    """The problem about `R_cs`, that of the solution `known` where it is the same; `scale_c` is a factor of
+    the image measurements' standard deviations.
+    """
+    if known and known.about.R_cs is R_cs and known.about.scale_c == scale_c:
+        return known.about
     strips = [linearise(group, R_cs, problem.settings, scale_c) for group in problem.groups]
-    return Linearised(R_cs, strips)
+    return Linearised(R_cs, strips, scale_c)
 
 
-def linear_solution(problem: Problem, R_cs: Rotation, weight: Floats, scale_c: float) -> Step:
-    """The weighted least-squares solution about `R_cs`; `weight` (J,) between 0 and 1."""
-    return solve_weighted(problem, linearised(problem, R_cs, scale_c), weight)
-
-
-def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
-    """Eliminate each strip's own unknowns, add, solve, and compute all residuals; `weight` (J,)."""
+def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: Step | None = None) -> Step:
+    """Eliminate each strip's own unknowns, add, solve, and compute all residuals; `weight` (J,) between 0
+    and 1. A solution `known` is returned where it is the same.
+    """
+    if known and known.about is about and np.array_equal(known.weight, weight):
+        return known
     reduced, first = [], 0
     for group, line in zip(problem.groups, about.strips):
         last = first + group.inside.size
@@ -206,8 +210,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats) -> Step:
     solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
     x = np.concatenate([solution.theta, solution.shared])
     return Step(
-        R_cs=about.R_cs,
-        strips=about.strips,
+        about=about,
         pairs=pairs,
         solution=solution,
         chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2 + of_prior,
@@ -287,16 +290,15 @@ def squared_over(e: Floats, v: Floats) -> Floats:
     return np.divide(inside, det, out=np.zeros(len(det)), where=det > 1e-9)
 
 
-def readmitted(about: Linearised, kept: Bools, step: Step, rows: Ints) -> Iterator[tuple[Floats, Floats]]:
-    """For each of `rows` (targets that are not kept) what `squared_mahalanobis` (J,) and `Step.variance`
-    (J, 2, 2) are with it in the fit.
+def readmitted(step: Step, rows: Ints) -> Iterator[tuple[Floats, Floats]]:
+    """What `squared_mahalanobis` (J,) and `Step.variance` (J, 2, 2) are with one more target in the fit, each
+    of `rows` in turn; those have weight zero, and all others zero or one.
 
-    `step` is the solution of the targets kept. One more target changes it by a matrix of rank two, so that
-    the change needs no new solution.
+    One more target changes the solution by a matrix of rank two, so that the change needs no new one.
     """
-    parts = list(zip(about.strips, step.reduced))
+    parts = list(zip(step.about.strips, step.reduced))
     covariance = step.solution.covariance_all
-    sign = np.where(kept, -1.0, 1.0)[:, None, None]
+    sign = 1.0 - 2.0 * step.weight[:, None, None]
     leverage = step.leverage
     for row in rows.tolist():
         own, strip, by_x = _of_strip(parts, row)
@@ -331,30 +333,53 @@ def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Flo
     raise IndexError(f"no target {row}")
 
 
-def respond(problem: Problem, about: Linearised, step: Step, columns: Floats) -> tuple[Floats, Floats]:
+def respond(step: Step, columns: Floats) -> tuple[Floats, Floats]:
     """What a change of the residuals does to the solution `step`, each of H columns by itself.
 
     `columns` (J, 2, H) is the change of the whitened residuals by a unit of each. Returned are the part of it
     that is left as residuals, all unknowns estimated (J, 2, H), and the change of theta and of the shared
     unknowns (3 + G, H).
     """
-    H, parts, right, last = (
-        columns.shape[2],
-        [],
-        np.zeros((len(step.solution.covariance_all), columns.shape[2])),
-        0,
-    )
-    for group, line, part in zip(problem.groups, about.strips, step.reduced):
-        first, last = last, last + group.inside.size
-        weight = step.weight[first:last].reshape(group.inside.shape)
-        B = columns[first:last].reshape(len(group.place), -1, H)
-        weighted = np.repeat(weight, 2, axis=1)[:, :, None] * B
+    H, parts, last = columns.shape[2], [], 0
+    right = np.zeros((len(step.solution.covariance_all), H))
+    for line, part in zip(step.about.strips, step.reduced):
+        S, rows = line.r.shape
+        first, last = last, last + S * rows // 2
+        B = columns[first:last].reshape(S, rows, H)
+        weighted = np.repeat(step.weight[first:last].reshape(S, -1), 2, axis=1)[:, :, None] * B
         of_q = np.swapaxes(line.X_q, 1, 2) @ weighted
         right += (line.onto(weighted) - np.swapaxes(part.back[:, :, :-1], 1, 2) @ of_q).sum(axis=0)
         parts.append((line, part, B, part.cov_q @ of_q))
     x = step.solution.covariance_all @ right
     left = [B - _after(line, part, x) - line.X_q @ own for line, part, B, own in parts]
     return np.concatenate([one.reshape(-1, 2, H) for one in left]), x
+
+
+def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tuple[Floats, Floats, Floats]:
+    """What `respond` finds of many changes, each of few residuals, without what each of them leaves.
+
+    `B` (2 J, H) are the changes of the whitened residuals, two rows a target. Returned are the information
+    (H,) on the size of each, that of the columns `chosen` (k,) with all (k, H), and the change of theta and
+    of the shared unknowns (3 + G, H).
+    """
+    weighted = sparse.csr_array(B.multiply(np.repeat(step.weight, 2)[:, None]))
+    each, with_chosen = B.multiply(weighted).sum(axis=0), (B[:, chosen].T @ weighted).toarray()
+    right, first = np.zeros((len(step.solution.covariance_all), B.shape[1])), 0
+    for line, part in zip(step.about.strips, step.reduced):
+        n = line.r.shape[1]
+        for s in range(len(line.r)):
+            own = weighted[first : first + n]
+            first += n
+            of_q = (own.T @ line.X_q[s]).T
+            taken = part.cov_q[s] @ of_q
+            each -= np.einsum("qh,qh->h", of_q, taken)
+            with_chosen -= of_q[:, chosen].T @ taken
+            for common in line.common:
+                of_part = (own[common.rows_of(n)].T @ common.X[s]).T
+                right[common.columns] += of_part
+            right -= part.back[s, :, :-1].T @ of_q
+    x = step.solution.covariance_all @ right
+    return each - np.einsum("nh,nh->h", right, x), with_chosen - right[:, chosen].T @ x, x
 
 
 def iteration_record(step: Step, weight: Floats) -> Iteration:

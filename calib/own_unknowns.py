@@ -16,13 +16,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import qr
 
 from boresight.calib.strips import StripGroup, tangent_axes
 from boresight.geometry.record import Floats
 
 __all__ = ["condensed"]
 
-# Singular values below this share of the largest are rounding.
+# What is left of a column below this share of the largest is rounding.
 NO_EFFECT = 1e-12
 
 
@@ -33,20 +34,21 @@ def condensed(group: StripGroup) -> StripGroup:
     S, J = group.inside.shape
     tangent = tangent_axes(group.v_s)  # across the known directions, along which nothing changes
     X = (tangent @ group.shared_s).reshape(S, 2 * J, -1)
-    by_ties, rows = (
-        np.zeros((S, X.shape[2], group.ties.shape[2] - group.n_phi)),
-        group.ties[:, :, group.n_phi :],
-    )
+    n = X.shape[2]
+    by_ties, rows = np.zeros((S, n, group.ties.shape[2] - group.n_phi)), group.ties[:, :, group.n_phi :]
+    R_inverse = np.broadcast_to(np.eye(n), (S, n, n)).copy()
     if group.ties.shape[1]:
         R, by_ties[:, : group.n_phi], rows = _eliminated(group.ties, group.n_phi)
-        X[:, :, : group.n_phi] = X[:, :, : group.n_phi] @ np.linalg.inv(R)
-    _, size, Vt = np.linalg.svd(np.linalg.qr(X, mode="r"), full_matrices=False)
-    n = int(np.max(np.sum(size > NO_EFFECT * size[:, :1], axis=1), initial=0))
-    seen = (X @ np.swapaxes(Vt[:, :n], 1, 2)).reshape(S, J, 2, n)
+        R_inverse[:, : group.n_phi, : group.n_phi] = np.linalg.inv(R)
+    # Columns of an orthogonal matrix, the first of which span what targets see
+    seen = [qr(one.T, mode="economic", pivoting=True) for one in np.linalg.qr(X, mode="r") @ R_inverse]
+    size = np.array([np.abs(np.diag(triangle)) for _, triangle, _ in seen])
+    m = int(np.max(np.sum(size > NO_EFFECT * size[:, :1], axis=1), initial=0))
+    V = np.array([Q[:, :m] for Q, *_ in seen])
     return replace(
         group,
-        shared_s=np.swapaxes(tangent, 2, 3) @ seen,
-        by_ties=Vt[:, :n] @ by_ties,
+        shared_s=np.swapaxes(tangent, 2, 3) @ (X @ (R_inverse @ V)).reshape(S, J, 2, m),
+        by_ties=np.swapaxes(V, 1, 2) @ by_ties,
         ties=rows,
         n_phi=0,
     )

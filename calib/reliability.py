@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr
 
@@ -40,6 +41,7 @@ from boresight.calib.joint_solution import (
     Linearised,
     Problem,
     Step,
+    absorbed,
     linearised,
     respond,
     solve_weighted,
@@ -189,11 +191,12 @@ class _Adjustment:
     """A calibration about its result, with the columns of all hypotheses."""
 
     problem: Problem = scalar("strips of the calibration")
-    about: Linearised = scalar("about the estimated matrix")
     step: Step = scalar("with the weights of the estimate")
     of: HypothesisInputs = scalar("what the hypotheses are computed from")
     table: list[Hypothesis] = scalar("H hypotheses")
-    B: Floats = array("J, 2, H", "change of the whitened residuals by one unit of each")
+    B: sparse.csc_array = scalar(
+        "change (2 J, H) of the whitened residuals, two a target, by one unit of each"
+    )
     by_place: Floats = array("J, 2, 3", "the same by a target stated 1 m too far along, right, down")
     measured: Floats = array(
         "J, 2", "whitened residuals by what was measured, no unknown but theta estimated"
@@ -201,6 +204,20 @@ class _Adjustment:
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
+
+    def solved(self, weight: Floats) -> Step:
+        """The solution with other weights (J,)."""
+        return solve_weighted(self.problem, self.step.about, weight, self.step)
+
+    def right(self, step: Step) -> Floats:
+        """Right-hand side (H,) of the sizes of all hypotheses beside a solution."""
+        return np.asarray((step.weight[:, None] * step.whitened).ravel() @ self.B) + self.star_right
+
+    def concerns(self, hypothesis: int) -> Bools:
+        """The observations (J,) that a hypothesis moves."""
+        moved = np.zeros(len(self.step.weight), dtype=bool)
+        moved[self.B.indices[self.B.indptr[hypothesis] : self.B.indptr[hypothesis + 1]] // 2] = True
+        return moved
 
     def subjects(self, rows: Bools) -> tuple[Subject, ...]:
         """The observations of a mask (J,)."""
@@ -311,42 +328,51 @@ def _adjustment(
     table = table_of(of)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
-    of_stars = parts >= 0
+    of_stars, across = parts >= 0, _across(problem, about)
+    off_c: Floats = of.column("u_c") - of.in_c(of.column("v_s"))
     return _Adjustment(
         problem=problem,
-        about=about,
         step=solve_weighted(problem, about, weight * problem.inside),
         of=of,
         table=table,
-        B=_whitened(problem, about, np.stack([h.change_c for h in table], axis=2)),
-        by_place=_whitened(problem, about, of.C @ of.column("move_s")),
-        measured=_whitened(problem, about, (of.column("u_c") - of.in_c(of.column("v_s")))[:, :, None])[
-            :, :, 0
-        ],
+        B=_columns(across, table),
+        by_place=across @ of.C @ of.column("move_s"),
+        measured=(across @ off_c[:, :, None])[:, :, 0],
         star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
         star_right=right[parts] * of_stars,
         limit=estimate.rejection.limit,
     )
 
 
-def _whitened(problem: Problem, about: Linearised, change_c: Floats) -> Floats:
-    """Changes (J, 3, H), frame c, as changes of the whitened residuals."""
-    parts, last = [], 0
-    for group, line in zip(problem.groups, about.strips):
-        first, last = last, last + group.inside.size
-        rows = line.whitener @ tangent_axes(turned(matrix_of_each(about.R_cs, group.which), group.v_s))
-        rows = rows * group.inside[:, :, None, None]
-        parts.append(rows.reshape(-1, 2, 3) @ change_c[first:last])
-    return np.concatenate(parts)
+def _across(problem: Problem, about: Linearised) -> Floats:
+    """(J, 2, 3), takes a change of a look, frame c, to that of the whitened residual."""
+    rows = [
+        line.whitener
+        @ tangent_axes(turned(matrix_of_each(about.R_cs, group.which), group.v_s))
+        * group.inside[:, :, None, None]
+        for group, line in zip(problem.groups, about.strips)
+    ]
+    return np.concatenate([one.reshape(-1, 2, 3) for one in rows])
+
+
+def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
+    """Change (2 J, H) of the whitened residuals by one unit of each hypothesis."""
+    size = [(across[h.rows] @ h.moves_c[:, :, None]).ravel() for h in table]
+    rows = [(2 * h.rows[:, None] + np.arange(2)).ravel() for h in table]
+    first = np.cumsum([0, *map(len, rows)])
+    B = sparse.csc_array(
+        (np.concatenate(size), np.concatenate(rows), first), shape=(2 * len(across), len(table))
+    )
+    B.eliminate_zeros()
+    return B
 
 
 def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest]:
     """Every hypothesis by itself, at the weights of the estimate."""
     step = one.step
-    left, x = respond(one.problem, one.about, step, one.B)
-    weighted = step.weight[:, None, None] * one.B
-    S = np.einsum("jah,jah->h", weighted, left) + np.diag(one.star_information)
-    y = np.einsum("jah,ja->h", weighted, step.whitened) + one.star_right
+    S, _, x = absorbed(step, one.B)
+    S += np.diag(one.star_information)
+    y = one.right(step)
     theta = x[: len(step.solution.theta)].T
     by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
     redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
@@ -379,14 +405,14 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
         return
     names = list(one.problem.shared.names)
     rows = [len(estimate.theta) + names.index(f"bias/{name}") for name in bias.names]
-    _, x = respond(one.problem, one.about, one.step, one.B)
+    x = absorbed(one.step, one.B)[2]
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
-    of_sky = np.any(one.B[one.of.column("is_star")] != 0.0, axis=(0, 1))
-    for h, touches_sky, effect_m in zip(one.table, of_sky, (x[rows] * bias.stated[:, None]).T):
+    is_star = one.of.column("is_star")
+    for n, (h, effect_m) in enumerate(zip(one.table, (x[rows] * bias.stated[:, None]).T)):
         own = float(effect_m @ weight @ effect_m)
-        if np.isfinite(h.most) and not touches_sky and own * h.most**2 > limit:
+        if np.isfinite(h.most) and not (one.concerns(n) & is_star).any() and own * h.most**2 > limit:
             size = float(effect_m @ weight @ bias.value) / own
             possible = abs(size) < h.largest + BEYOND_SIGMAS / np.sqrt(own)
             if possible and before - own * size**2 < limit < before:
@@ -408,8 +434,9 @@ def _suspects(
     if noise:
         scaled = np.where(noise.inside, last.statistic / noise.factor**2, last.statistic)
         last = replace(last, statistic=scaled, kept=last.kept | (scaled < one.limit))
-    left = NOT_LINEAR * (last.size / last.sigma) ** 2 * np.any(one.B[:, :, chosen] != 0.0, axis=1)
-    limit = float(chdtri(2, PROBABILITY_SUSPECT / len(one.B))) + left.sum(axis=1)
+    limit = np.full(len(last.kept), float(chdtri(2, PROBABILITY_SUSPECT / len(last.kept))))
+    for n, size, sigma in zip(chosen, last.size, last.sigma):
+        limit += NOT_LINEAR * (size / sigma) ** 2 * one.concerns(n)
     for n in np.flatnonzero(one.problem.inside & ~last.kept & (last.statistic > limit)).tolist():
         yield Contradiction(
             subject=one.of.subject(n),
@@ -433,7 +460,6 @@ def _causes(
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minimum(one, []), 0.0
-    concerned = np.any(one.B != 0.0, axis=1).sum(axis=0)  # observations, by hypothesis
     while len(chosen) < MOST_CAUSES:
         trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
         trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
@@ -455,7 +481,7 @@ def _causes(
         alike = [h for h in gain if most - worth[h] < EQUAL + left]
         decade = {h: np.floor((gain[h] - worth[h]) / (2.0 * np.log(10.0))) for h in alike}
         # Of equals the most usual size, then what concerns most, then the first of the table.
-        best = min(alike, key=lambda h: (decade[h], -concerned[h], h))
+        best = min(alike, key=lambda h: (decade[h], -one.concerns(h).sum(), h))
         p_value = (
             float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2)) * one.table[best].rarity
         )
@@ -483,7 +509,7 @@ def _of_noise(
     """
     squared = np.where(noise.inside, noise.factor**2, 1.0)
     kept = one.problem.inside & (before.statistic / squared < one.limit)
-    solution = solve_weighted(one.problem, one.about, kept / squared).solution
+    solution = one.solved(kept / squared).solution
     moved, information = solution.theta - one.step.solution.theta, one.step.solution.information
     effect = float(np.sqrt(moved @ information @ moved))
     larger = float(np.sqrt(np.linalg.eigvals(information @ solution.covariance).real.max()))
@@ -522,38 +548,26 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     """Hypotheses to search under: those that explain most at the weights as they are, and with rejected
     observations in the fit, each with what weight its residual leaves it.
     """
-    inside = one.problem.inside
+    inside, rest = one.problem.inside, [h for h in range(len(one.table)) if h not in chosen]
     found: list[int] = []
-    plain = solve_weighted(one.problem, one.about, before.kept.astype(float))
+    plain = one.solved(before.kept.astype(float))
     statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
     for weight in (before.kept.astype(float), soft, inside.astype(float)):
-        step = solve_weighted(one.problem, one.about, weight)
-        S, y, _, theta = _normal(one, step, [*chosen, *(h for h in range(len(one.table)) if h not in chosen)])
-        k = len(chosen)
-        lift = np.linalg.pinv(S[:k, :k], rcond=1e-10, hermitian=True) @ S[:k, k:]
-        own = np.diag(S)[k:] - np.sum(S[:k, k:] * lift, axis=0)
-        right = y[k:] - lift.T @ y[:k]
-        by_theta = np.einsum("ah,ab,bh->h", theta[:, k:], step.solution.information, theta[:, k:])
-        seen = own > np.maximum(1e-9 * np.diag(S)[k:], NO_REDUNDANCY * (own + by_theta))
+        step = one.solved(weight)
+        each, with_chosen, x = absorbed(step, one.B, chosen)
+        each, with_chosen = each + np.diag(one.star_information), with_chosen + one.star_information[chosen]
+        lift = np.linalg.pinv(with_chosen[:, chosen], rcond=1e-10, hermitian=True) @ with_chosen[:, rest]
+        own = each[rest] - np.sum(with_chosen[:, rest] * lift, axis=0)
+        y, theta = one.right(step), x[: len(step.solution.theta), rest]
+        right = y[rest] - lift.T @ y[chosen]
+        by_theta = np.einsum("ah,ab,bh->h", theta, step.solution.information, theta)
+        seen = own > np.maximum(1e-9 * each[rest], NO_REDUNDANCY * (own + by_theta))
         gain = np.divide(right**2, own, out=np.zeros(len(own)), where=seen)
         size = np.divide(right, own, out=np.zeros(len(own)), where=seen)
-        rest = [h for h in range(len(one.table)) if h not in chosen]
         gain -= [one.table[h].price(float(size[n])) for n, h in enumerate(rest)]
         found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED] if gain[n] > 0.0]
     return list(dict.fromkeys(found))
-
-
-def _normal(one: _Adjustment, step: Step, rows: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats]:
-    """Normal matrix and right-hand side of the sizes of hypotheses; of a unit of each, what is left of it as
-    residuals (J, 2, H), and theta (3 C, H).
-    """
-    B = one.B[:, :, rows]
-    left, x = respond(one.problem, one.about, step, B)
-    weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
-    S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
-    right = weighted.T @ step.whitened.ravel() + one.star_right[rows]
-    return 0.5 * (S + S.T), right, left, x[: len(step.solution.theta)]
 
 
 def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
@@ -579,15 +593,20 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
 
 def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
-    step = solve_weighted(one.problem, one.about, kept.astype(float))
+    step = one.solved(kept.astype(float))
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     if not rows:
         theta, none = step.solution.theta, np.zeros(0)
         covariance, chi2 = step.solution.covariance, step.chi2 + rejected
         statistic = squared_mahalanobis(step)
         return _Fit(kept, chi2, theta, covariance, none, none, statistic, step.whitened, step.variance)
-    S, y, left, x = _normal(one, step, rows)
-    of_sizes = np.asarray(np.linalg.pinv(S, rcond=1e-10, hermitian=True), dtype=np.float64)
+    B = one.B[:, rows].toarray().reshape(-1, 2, len(rows))
+    left, x = respond(step, B)
+    weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
+    S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
+    y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
+    of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
+    x = x[: len(step.solution.theta)]
     size = of_sizes @ y
     e = step.whitened - left @ size
     leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
@@ -651,7 +670,7 @@ def _finding(
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
         rivals=tuple(other.named for other in others),
-        explains=one.subjects(one.problem.inside & ~before.kept & np.any(one.B[:, :, best] != 0.0, axis=1)),
+        explains=one.subjects(one.problem.inside & ~before.kept & one.concerns(best)),
     )
 
 

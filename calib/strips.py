@@ -159,12 +159,17 @@ class CommonColumns:
     columns: Ints  # (m,) of the 3 C + g common unknowns
     X: Floats  # (S, 2 I, m)
 
+    def rows_of(self, n: int) -> Ints | slice:
+        """Which (2 I,) of n rows, two a target, are those of the targets."""
+        return (
+            self.targets
+            if isinstance(self.targets, slice)
+            else np.arange(n).reshape(-1, 2)[self.targets].ravel()
+        )
+
     def of(self, rows: Floats) -> Floats:
         """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
-        if isinstance(self.targets, slice):
-            return rows
-        S, _, n = rows.shape
-        return rows.reshape(S, -1, 2, n)[:, self.targets].reshape(S, -1, n)
+        return rows[:, self.rows_of(rows.shape[1])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

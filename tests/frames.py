@@ -35,6 +35,7 @@ WIDE = StarCamera(
 )
 
 STARS_AT_ONCE = 500  # rendered as one array, of 10 MB for the longest trails
+FAINT_SNR = 4.0  # stars of which no image shows how their trails are made
 
 
 @dataclass(frozen=True)
@@ -99,26 +100,33 @@ def as_seen(places, observer):
     return replace(places, ra_rad=np.arctan2(y, x), dec_rad=np.arcsin(np.clip(z, -1.0, 1.0)))
 
 
+def add_trails(signal, xy, flux, sensor, step_px, reach):
+    """Add stars to `signal`: Gaussians out to `reach` sigma; a trail is a sum of them, `step_px` apart."""
+    s, (sx, sy) = sensor.sigma_px, sensor.smear_px
+    half = int(np.ceil(reach * s + 0.5 * np.hypot(sx, sy))) + 1
+    grid = np.arange(2 * half + 2) - 0.5
+    beside = int(np.ceil(np.hypot(sx, sy) / (2.0 * step_px)))
+    nodes = np.arange(-beside, beside + 1) / (2 * beside + 1)
+    corner = np.rint(xy).astype(int) - half
+    x, y = ((corner - xy).T)[:, :, None, None]
+    fx = np.diff(ndtr((grid + x - nodes[:, None] * sx) / s))  # (N, nodes, columns)
+    fy = np.diff(ndtr((grid + y - nodes[:, None] * sy) / s))
+    stamps = (flux[:, None, None] / len(nodes) * fy.swapaxes(1, 2)) @ fx
+    height, width = signal.shape
+    for (x0, y0), stamp in zip(corner.tolist(), stamps):
+        q, t = max(0, -x0), max(0, -y0)
+        r, b = min(2 * half + 1, width - x0), min(2 * half + 1, height - y0)
+        if r > q and b > t:
+            signal[y0 + t : y0 + b, x0 + q : x0 + r] += stamp[t:b, q:r]
+
+
 def render(xy, flux, width, height, sensor, rng):
     """Raw image with the given stars."""
     signal = np.zeros((height, width), np.float32)
-    s = sensor.sigma_px
-    sx, sy = sensor.smear_px
-    half = int(np.ceil(6 * s + 0.5 * np.hypot(sx, sy))) + 1
-    grid = np.arange(2 * half + 2) - 0.5
-    nodes = (np.arange(41) - 20) / 41.0 if sx or sy else np.zeros(1)
-    for first in range(0, len(xy), STARS_AT_ONCE):
-        some = slice(first, first + STARS_AT_ONCE)
-        corner = np.rint(xy[some]).astype(int) - half
-        x, y = ((corner - xy[some]).T)[:, :, None, None]
-        fx = np.diff(ndtr((grid + x - nodes[:, None] * sx) / s))  # (N, nodes, columns)
-        fy = np.diff(ndtr((grid + y - nodes[:, None] * sy) / s))
-        stamps = (flux[some, None, None] / len(nodes) * fy.swapaxes(1, 2)) @ fx
-        for (x0, y0), stamp in zip(corner.tolist(), stamps):
-            q, t = max(0, -x0), max(0, -y0)
-            r, b = min(2 * half + 1, width - x0), min(2 * half + 1, height - y0)
-            if r > q and b > t:
-                signal[y0 + t : y0 + b, x0 + q : x0 + r] += stamp[t:b, q:r]
+    faint = flux < FAINT_SNR * 2.0 * np.sqrt(np.pi) * sensor.sigma_px * sensor.read_noise_dn
+    for these, step_px, reach in ((~faint, 0.22, 6.0), (faint, 0.6 * sensor.sigma_px, 4.0)):
+        for some in np.array_split(np.flatnonzero(these), these.sum() // STARS_AT_ONCE + 1):
+            add_trails(signal, xy[some], flux[some], sensor, step_px, reach)
     image = rng.standard_normal((height, width), dtype=np.float32)
     image *= np.sqrt(sensor.read_noise_dn**2 + signal / sensor.e_per_dn)
     image += signal

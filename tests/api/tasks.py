@@ -3,13 +3,15 @@
     python tasks.py MINI MAY JUNE OUT
 
 does them all in any environment that has boresight; MINI is the example, MAY and JUNE are dumps of its strips
-s01 and s02, OUT is an empty folder.
+s01 and s02, OUT is an empty folder. It prints where
+boresight is, then each task that is done, or what it raised.
 """
 
 from __future__ import annotations
 
 import datetime
 import sys
+import traceback
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -295,8 +297,12 @@ def main() -> None:
     given = given_of(mini, [may, june], made, out)
     print(bs.__file__)
     for task in TASKS:
-        task(given)
-        print(task.__name__)
+        try:
+            task(given)
+            print(task.__name__)
+        except Exception as error:
+            traceback.print_exc()
+            print(f"{task.__name__}: {error!r}")
 
 
 if __name__ == "__main__":

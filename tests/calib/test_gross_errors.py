@@ -80,7 +80,7 @@ def test_search_ends_where_no_single_change_is_better_from_any_start(seed):
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, limit = linearised(problem, BOLD, 1.0), rejection_test(1e-3, 36).limit
     for start in (problem.inside, rng.random(36) < 0.5, rng.random(36) < 0.8):
-        kept = snoop(problem, about, start, limit)
+        kept = snoop(problem, about, start, limit).weight == 1.0
         best = criterion(problem, about, kept, limit)
         assert best <= criterion(problem, about, start, limit)
         statistic = squared_mahalanobis(solve_weighted(problem, about, kept.astype(float)))
@@ -104,7 +104,7 @@ def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
     start[[9, 11]] = False
     alone = squared_mahalanobis(solve_weighted(problem, about, start.astype(float)))
     assert alone[10] < limit < min(alone[9], alone[11])  # no single rejection or re-admission is better
-    assert np.flatnonzero(~snoop(problem, about, start, limit)).tolist() == [10]
+    assert np.flatnonzero(snoop(problem, about, start, limit).weight == 0.0).tolist() == [10]
 
 
 def test_minimal_detectable_bias_has_the_stated_power():
@@ -207,7 +207,7 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, kept = linearised(problem, BOLD, 1.0), rng.random(36) < 0.7
     step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
-    for row, (statistic, variance) in zip(rows, readmitted(about, kept, step, rows), strict=True):
+    for row, (statistic, variance) in zip(rows, readmitted(step, rows), strict=True):
         more = kept | (np.arange(36) == row)
         anew = solve_weighted(problem, about, more.astype(float))
         assert statistic == pytest.approx(squared_mahalanobis(anew), rel=1e-8)  # same formula, other rounding
@@ -225,6 +225,6 @@ def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
     solved, of = [], gross_errors.solve_weighted
     monkeypatch.setattr(gross_errors, "solve_weighted", lambda *a: solved.append(a) or of(*a))
     test = rejection_test(1e-3, 180)
-    kept = snoop(problem, linearised(problem, BOLD, 1.0), problem.inside, test.limit)
+    kept = snoop(problem, linearised(problem, BOLD, 1.0), problem.inside, test.limit).weight
     assert np.mean(kept) < 2.0 / 3.0
     assert len(solved) < 2 * 60  # one by one to a third of the targets, then all that fail at once

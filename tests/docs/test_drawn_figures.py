@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
 import subprocess
 import sys
@@ -34,11 +35,27 @@ NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?")
 LAST_DIGITS, PLACE_PT = 3.0, 0.25
 
 
-def drawn(name: str, folder: Path) -> None:
-    ran = subprocess.run(
-        [sys.executable, SCRIPTS / f"{name}.py", folder], capture_output=True, text=True, cwd=ROOT
-    )
-    assert ran.returncode == 0, ran.stderr
+# Draws into the folder that is named first, as each script by itself would.
+DRAWING = """
+import runpy, sys
+for script in sys.argv[2:]:
+    runpy.run_path(script, run_name="__main__")
+"""
+
+
+@pytest.fixture(scope="module")
+def drawn(made_once) -> Path:
+    """Folder of all figures, drawn by one process."""
+
+    def fill(folder: Path) -> None:
+        scripts = [SCRIPTS / f"{name}.py" for name in (*SVG, *PNG)]
+        command = [sys.executable, "-c", DRAWING, folder, *scripts]
+        paths = os.pathsep.join([str(SCRIPTS), os.environ.get("PYTHONPATH", "")])
+        environment = os.environ | {"PYTHONPATH": paths}
+        ran = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
+        assert ran.returncode == 0, ran.stderr
+
+    return made_once("drawn-figures", fill)
 
 
 def test_every_picture_is_compared_with_the_present_code_or_has_a_reason() -> None:
@@ -50,10 +67,9 @@ def test_every_picture_is_compared_with_the_present_code_or_has_a_reason() -> No
 
 
 @pytest.mark.parametrize("name", SVG)
-def test_drawing_shows_what_the_present_code_draws(name: str, tmp_path: Path) -> None:
-    drawn(name, tmp_path)
+def test_drawing_shows_what_the_present_code_draws(name: str, drawn: Path) -> None:
     for version in ("light", "dark"):
-        kept, now = (read_svg(folder / f"{name}-{version}.svg") for folder in (IMAGES, tmp_path))
+        kept, now = (read_svg(folder / f"{name}-{version}.svg") for folder in (IMAGES, drawn))
         assert [NUMBER.sub("#", text) for text in kept.texts] == [NUMBER.sub("#", t) for t in now.texts]
         for (a, allowed), (b, _) in zip(numbers(kept.texts), numbers(now.texts), strict=True):
             assert abs(a - b) <= allowed, f"{name}: {a}, now {b}"
@@ -63,9 +79,8 @@ def test_drawing_shows_what_the_present_code_draws(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", PNG)
-def test_picture_shows_what_the_present_code_draws(name: str, tmp_path: Path) -> None:
-    drawn(name, tmp_path)
-    with Image.open(IMAGES / f"{name}.png") as kept, Image.open(tmp_path / f"{name}.png") as now:
+def test_picture_shows_what_the_present_code_draws(name: str, drawn: Path) -> None:
+    with Image.open(IMAGES / f"{name}.png") as kept, Image.open(drawn / f"{name}.png") as now:
         assert same_picture(kept, now)
 
 

@@ -55,10 +55,12 @@ def test_drawn_mutations_are_of_every_kind_and_leave_a_module_that_can_be_parsed
 
 
 def test_a_seed_draws_the_same_mutations_with_tests_near_their_modules():
-    first, again = (drawn_changes(ROOT, 3, 30) for _ in range(2))
-    assert first == again and len({(one.file, one.line) for one in first}) == 30
-    assert first != drawn_changes(ROOT, 4, 30)
-    for change in first:
+    first, again, other = (drawn_changes(ROOT, seed, 30, "calib") for seed in (3, 3, 4))
+    assert first == again != other
+    every = drawn_changes(ROOT, 3, 30)
+    assert len({(one.file, one.line) for one in every}) == 30
+    assert len({one.file.partition("/")[0] for one in every}) > 3
+    for change in every:
         source = (ROOT / change.file).read_text()
         assert source[change.start : change.end] == change.old
         ast.parse(change.applied(source))

@@ -13,6 +13,7 @@ from math import pi
 from pathlib import Path
 
 import pytest
+from fixture_strips import begun
 from outside import ROOT
 
 ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
@@ -68,8 +69,9 @@ def test_the_program_lists_all_other_commands_without_a_feature(feature: str, tm
             assert is_listed == (name != feature), command.name
 
 
-def test_a_dump_is_calibrated_without_any_feature(tmp_path: Path, one_strip: Path) -> None:
-    printed = run_in(without(FEATURES, tmp_path), "calibrate", str(one_strip), "--out", "result")
+def test_a_dump_is_calibrated_without_any_feature(tmp_path: Path, finished: tuple[Path, Path]) -> None:
+    begun(tmp_path / "result", finished, exposures=12)
+    printed = run_in(without(FEATURES, tmp_path), "calibrate", str(finished[0]), "--out", "result")
     (row,) = [line for line in printed.splitlines() if line.startswith("theta, arcsec")]
     theta = json.loads((tmp_path / "result" / "installation.json").read_text())["theta_rad"]
     assert row.split()[2:] == [f"{value * 648000 / pi:+.3f}" for value in theta]

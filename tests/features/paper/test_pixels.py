@@ -23,12 +23,12 @@ def rendered_once() -> Iterator[None]:
 
 
 def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
-    table = table4_from_pixels(PixelSettings(table4_runs=2), rows=[CELL])
+    table = table4_from_pixels(PixelSettings(table4_runs=1), rows=[CELL])
     assert list(table["axis"]) == ["X", "Y", "Z"]
     # the sky's stars differ from mission to mission, the survey's errors do not
     assert table["sigma_s_px"].iloc[0] == pytest.approx(0.08, rel=0.15)
     assert table["sigma_c_px"].iloc[0] == pytest.approx(0.5, rel=0.03)
-    assert table["nees"].iloc[0] < 12.0  # twice that is chi-square of six degrees: exceeded once in 2000
+    assert table["nees"].iloc[0] < 17.7  # chi-square of three degrees: exceeded once in 2000
     assert table["rms_arcsec"].min() > 0.0
     text = "\n".join(compare_table4_pixels(table))
     assert "0.0809 (" in text and "0.1987 (" in text and "CPU" in text

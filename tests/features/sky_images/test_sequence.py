@@ -187,7 +187,7 @@ def test_frames_of_a_fisheye_are_tracked() -> None:
     images, truth, rate = [], [], np.radians([0.2, -0.1, 0.3])
     for _ in range(5):
         R = Rotation.from_rotvec(-0.1 * rate) * R
-        images.append(star_frame(fisheye, R, bright, Sensor(), rng)[0])
+        images.append(star_frame(fisheye, R, bright, Sensor(faint_limit_v=8.0), rng)[0])
         truth.append(R)
     found = bs.track(images, camera=fisheye, exposure_s=0.0)
     assert found.state[2:] == ("tracked",) * 3

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -92,17 +93,22 @@ def offered(*words: str) -> list[str]:
     return ran.stdout.split()
 
 
+@cache
+def root() -> typer.core.TyperGroup:
+    """The program with its commands, made once."""
+    return typer.main.get_command(app)
+
+
 def answers(*words: str) -> list[str]:
     """The same within this process."""
-    completion = BashComplete(typer.main.get_command(app), {}, "boresight", "_BORESIGHT_COMPLETE")
+    completion = BashComplete(root(), {}, "boresight", "_BORESIGHT_COMPLETE")
     return [item.value for item in completion.get_completions(list(words[:-1]), words[-1])]
 
 
 def parameters() -> Iterator[tuple[tuple[str, str], object]]:
     """Arguments and options with a value of all commands: (command, name) and typer's description."""
-    root = typer.main.get_command(app)
     for name in COMMANDS:
-        command = root
+        command = root()
         for word in name.split():
             command = command.commands[word]
         for one in command.params:
@@ -186,17 +192,14 @@ def test_settings_of_a_scenario_are_offered_with_their_values() -> None:
 
 def test_formats_after_a_comma_and_experiments_from_pixels() -> None:
     assert answers("export", "r", "--format", "spice,r") == ["spice,rpc"]
+    assert answers("export", "r", "--format", "geo") == ["geojson"]
     assert answers("experiment", "--pixels", "") == ["grid", "table4"]
+    assert answers("match", "no-such-folder", "--strip", "s0") == []
 
 
 @pytest.mark.parametrize(
     ("words", "answered"),
-    [
-        (("export", "r", "--format", "geo"), ["geojson"]),
-        (("match", "fixtures/mini", "--strip", "s0"), STRIPS),
-        (("match", "no-such-folder", "--strip", "s0"), []),
-        (("simulate", "p"), ["paper"]),
-    ],
+    [(("match", "fixtures/mini", "--strip", "s0"), STRIPS), (("simulate", "p"), ["paper"])],
 )
 def test_the_program_itself_answers_a_shell(words: tuple[str, ...], answered: list[str]) -> None:
     assert offered(*words) == answered

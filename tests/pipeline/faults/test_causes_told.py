@@ -452,16 +452,13 @@ def painted(strip: str, level: int, dump: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "strip", "level"),
-    [
-        *(("ground", "s02", 0), ("ground", "s02", 255)),  # dead, saturated
-        *(("scans", "sky01", 17), ("scans", "sky01", 255), ("scans", "sky02", 0)),  # 17: one grey value
-    ],
+    [("ground", "s02", 0), ("scans", "sky01", 255), ("scans", "sky02", 17)],  # dead, saturated, one grey
 )
 def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(with_fault, name, strip, level):
     found = with_fault(name, partial(painted, strip, level)).verdict
     (told,) = [one for one in found.findings if one.is_fault]
     assert found.outcome is Outcome.FINDINGS and told.item == f"strip {strip}"
-    assert "grey" in told.text and (level < 255 or name == "ground" or "saturated" in told.text)
+    assert "grey" in told.text and (level < 255 or "saturated" in told.text)
 
 
 def test_where_no_strip_gives_anything_the_reason_comes_first(with_fault):
@@ -508,11 +505,6 @@ def test_a_ccd_that_is_rotated_in_a_single_scan_is_told_with_its_angle(with_faul
     first = with_fault("sky", partial(camera, "rotation_mrad", ccd, mrad)).verdict.findings[0]
     assert (first.cause, first.item) == ("rotation of a CCD", f"CCD {ccd}")
     assert first.value == pytest.approx(mrad, abs=4.0 * first.sigma)
-
-
-def test_a_sound_dump_of_another_seed_is_consistent_without_a_finding(with_fault):
-    verdict = with_fault("ground", lambda dump: None, seed=2).verdict
-    assert verdict.outcome is Outcome.CONSISTENT and not any(one.is_fault for one in verdict.findings)
 
 
 @pytest.fixture(scope="module")

@@ -97,12 +97,6 @@ ROWS = [
     ),
     (
         "mini",
-        number(REMOTE, "x_offset_mm", lambda v: 0.0),
-        REFUTED,
-        [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)],
-    ),
-    (
-        "mini",
         number(REMOTE, "x_offset_mm", lambda v: -v),
         REFUTED,
         [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)],

@@ -65,11 +65,17 @@ def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(tmp_path: 
     assert error @ np.linalg.solve(found.estimate.cov_theta, error) < chi2(df=3).ppf(0.999)
 
 
-@pytest.fixture
-def flight(tmp_path: Path) -> Flight:
-    root, mission = sound_dump("points", 2, tmp_path), fly(scenario_of("points"), 2)
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    """Not to be changed."""
+    root, mission = sound_dump("points", 2, tmp_path_factory.mktemp("flown")), fly(scenario_of("points"), 2)
     write_gyro(root, mission)
     return Flight(root, mission.truth.R_cs)
+
+
+@pytest.fixture
+def flight(flown: Flight, tmp_path: Path) -> Flight:
+    return Flight(shutil.copytree(flown.root, tmp_path / "dump"), flown.R_cs)
 
 
 def write_gyro(root: Path, mission: Mission) -> None:

@@ -55,8 +55,8 @@ def store(finished: tuple[Path, Path]) -> Iterator[str]:
 
 
 def calibrate(finished: tuple[Path, Path], out: Path, *how: str) -> None:
-    """Carry a run over the stored dump, stopped after 11 of its 14 exposures, to the end of `finished`."""
-    begun(out, finished, exposures=11)
+    """Carry a run over the stored dump, stopped after 13 of its 14 exposures, to the end of `finished`."""
+    begun(out, finished, exposures=13)
     command = ["calibrate", "s3://archive/passes/dump", "--out", str(out), "--no-report", *how]
     ran = CliRunner().invoke(app, command)
     assert ran.exit_code == 0, ran.output

@@ -55,6 +55,12 @@ def calibration(result, tmp_path_factory):
     return again
 
 
+@pytest.fixture(scope="module")
+def units(result, tmp_path_factory):
+    """Units that are kept: what a test leaves as it was is not made again."""
+    return UnitStore(shutil.copytree(result / "work", tmp_path_factory.mktemp("units") / "work"))
+
+
 @pytest.fixture
 def dump(tmp_path):
     shutil.copytree(SKY, tmp_path / "dump")
@@ -76,9 +82,9 @@ def strip_images(dump, change):
             image.write(change(pixels), 1)
 
 
-def why(dump):
+def why(dump, units):
     with pytest.raises(DataNotSufficientError) as raised:
-        calibrate_dump(open_dump(dump))
+        calibrate_dump(open_dump(dump), store=units)
     return " ".join(o.text for o in raised.value.omissions if o.subject.kind == "strip")
 
 
@@ -130,9 +136,9 @@ def test_a_strip_of_the_sky_called_ground_is_refused_and_so_is_ground_called_sky
     assert len(found.strips) == 2
 
 
-def test_rows_in_reverse_order_are_a_rate_of_the_wrong_sign(dump):
+def test_rows_in_reverse_order_are_a_rate_of_the_wrong_sign(dump, units):
     strip_images(dump, lambda pixels: pixels[::-1])
-    assert "rows run against the attitudes" in why(dump)
+    assert "rows run against the attitudes" in why(dump, units)
 
 
 def test_a_scan_against_many_stages_is_refused_before_any_pixel_is_read(calibration):
@@ -143,13 +149,13 @@ def test_a_scan_against_many_stages_is_refused_before_any_pixel_is_read(calibrat
     assert "against the motion of the charge" in found.text
 
 
-def test_a_strip_without_stars_and_one_of_other_stars_say_so(dump):
+def test_a_strip_without_stars_and_one_of_other_stars_say_so(dump, units):
     rng = np.random.default_rng(1)
     strip_images(dump, lambda pixels: np.rint(rng.normal(12.0, 0.9, pixels.shape)).astype(np.uint8))
-    assert "no star" in why(dump) or "too few stars" in why(dump)
+    assert "no star" in why(dump, units) or "too few stars" in why(dump, units)
 
 
-def test_a_crowded_field_of_unlisted_stars_is_refused_by_name(dump):
+def test_a_crowded_field_of_unlisted_stars_is_refused_by_name(dump, units):
     rng = np.random.default_rng(2)
 
     def crowded(pixels):
@@ -163,7 +169,7 @@ def test_a_crowded_field_of_unlisted_stars_is_refused_by_name(dump):
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
     strip_images(dump, crowded)
-    assert "too crowded" in why(dump)
+    assert "too crowded" in why(dump, units)
 
 
 @pytest.mark.parametrize(
@@ -191,13 +197,13 @@ def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(
     assert checked.exit_code == 0 and "1 strips of the sky" in checked.output
 
 
-def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump):
+def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump, units):
     text = (dump / "dump.toml").read_text()
     (dump / "dump.toml").write_text(re.sub(r"look_distortion_px = \S+", "look_distortion_px = 6.0", text))
     with pytest.raises(
         DataNotSufficientError, match=r"sky: 1; .*name unsure, .*: of the stated errors look_distortion_px"
     ):
-        calibrate_dump(open_dump(dump))
+        calibrate_dump(open_dump(dump), store=units)
 
 
 def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibration):
