@@ -12,7 +12,7 @@ Whittle's likelihood, the sum over frequencies of log det S + tr(S⁻¹ I) with 
 maximised over w, a, τ of all axes at once: heads whose axes lie apart are separated by their axes (a tracker
 is several times worse about its line of sight), and where that does not suffice, heads are taken to be alike.
 What is constant over a piece of the record does not show in it; it is the scatter of means over disjoint
-pieces that white and AR(1) do not explain.
+pieces that white and AR(1) do not explain. How alike neighbouring means are tells how long it lasts.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ __all__ = [
 
 GAP = 1.5  # steps: a longer one ends a piece of the record
 FEWEST_ROWS = 32  # of a piece whose spectrum is used
+LONGEST_S = 1e5  # over which a constant is said to last: a day
 FEWEST_FREQUENCIES = 8  # above those of the motion, of all pieces
 ALIKE = 0.3  # scatter of log(w), log(a), log(τ) between heads, and between x and y
 
@@ -269,20 +270,36 @@ def _with_means(
     parts: Sequence[Floats],
 ) -> NoiseFit:
     count = max(round(mean_s / signal.step_s), 1)
-    means = np.concatenate([_means(part, count) for part in parts])
+    of_parts = [_means(part, count) for part in parts]
+    means = np.concatenate(of_parts)
     scatter2 = means.var(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1], np.nan)
     by_axis = _variance_of_means(x, count, signal.step_s)
     predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
     white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
-    constant = _constant(signal, x, scatter2 - predicted2) if len(means) > 1 else np.zeros(x.shape[:2])
+    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
+    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
+    # The same part, as it is in the mean of all components, of the variance of every axis: a few means of
+    # differences cannot tell more, and an axis without any would be trusted far too much.
+    share = max(float(np.mean((scatter2 - predicted2) / level)), 0.0) if len(means) > 1 else 0.0
+    r = np.exp(-signal.step_s / np.exp(x[..., 2]))
+    by_ar1 = np.exp(2.0 * x[..., 1]) * r * ((1.0 - r**count) / (1.0 - r) / count) ** 2  # of neighbours
+    near, far = (
+        _between_means(of_parts, lag, level)
+        - float(np.mean(np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters) / level))
+        for lag, by_axis in ((1, by_ar1), (2, by_ar1 * r**count))
+    )
+    share, one_sigma = max(share, near), float(np.mean(scatter2 / level)) / np.sqrt(means.size)
+    kept = np.clip((far + one_sigma) / share, 0.0, 1.0 - 0.5 / len(means)) if share > 0.0 else 0.0
+    lasts_s = min(count * signal.step_s / -np.log(kept), LONGEST_S) if kept else 0.0
     noise = tuple(
         AttitudeNoise(
             white_rad=np.exp(one[:, 0]),
             correlated_rad=np.exp(one[:, 1]),
             correlation_time_s=np.exp(one[:, 2]),
-            constant_rad=np.sqrt(excess),
+            constant_rad=np.sqrt(share * variance),
+            constant_time_s=np.full(3, lasts_s),
         )
-        for one, excess in zip(x, constant)
+        for one, variance in zip(x, of_axes)
     )
     omega: Floats = np.pi * (np.arange(48, dtype=np.float64) + 0.5) / 48.0
     grid, _ = _axes_density(x, omega, signal.step_s)
@@ -319,14 +336,13 @@ def _variance_of_means(x: Floats, count: int, step_s: float) -> Floats:
     return np.asarray((np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1]) * series) / count)
 
 
-def _constant(signal: Signal, x: Floats, excess2: Floats) -> Floats:
-    """Variances (H, 3) that explain what the scatter of means (D,) has beyond the model: the same part, as it
-    is in the mean of all components, of the variance of every axis. A few means of differences cannot tell
-    more, and an axis without any would be trusted far too much.
+def _between_means(parts: Sequence[Floats], lag: int, level: Floats) -> float:
+    """Covariance of means (n, D) of parts of the record with the `lag`-th after them, in the mean of all
+    components in units of `level` (D,).
     """
-    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
-    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
-    return max(float(np.mean(excess2 / level)), 0.0) * of_axes
+    middle = np.concatenate(parts).mean(axis=0)
+    products = np.concatenate([(part[:-lag] - middle) * (part[lag:] - middle) for part in parts])
+    return float(np.mean(products.mean(axis=0) / level)) if len(products) else 0.0
 
 
 def _binned(parts: Sequence[Floats], signal: Signal, centres: Floats) -> Floats:

@@ -47,6 +47,8 @@ def noise_lines(found: HeadNoise) -> list[str]:
             lines.append(f"  {'told apart, %':24s}" + "".join(f"{100.0 * part:16.0f}" for part in told))
         constant = "".join(f"{value / ARCSEC:16.2f}" for value in noise.constant_rad)
         lines.append(f"  {f'constant over {fit.mean_s:.0f} s':24s}{constant}")
+        if noise.constant_time_s.any():
+            lines.append(f"  {'lasting, s':24s}" + "".join(f"{t:16.0f}" for t in noise.constant_time_s))
     if len(found.names) > 1:
         lines.append("what is not told apart is taken to be alike: of two heads the sum is measured")
     p = float(chdtrc(fit.white_dof, max(fit.white_statistic, 0.0)))
@@ -60,7 +62,7 @@ def noise_lines(found: HeadNoise) -> list[str]:
             ("by white alone", fit.predicted_white),
         ):
             lines.append(f"  {what:24s}" + "".join(f"{value / ARCSEC:16.3f}" for value in values))
-    return lines
+    return [*lines, "errors that outlast the record do not show in it; state them with constant_time_s"]
 
 
 def write_noise(found: HeadNoise, out: Path) -> tuple[Path, ...]:
@@ -90,6 +92,7 @@ def noise_json(found: HeadNoise) -> dict[str, Any]:
             "correlated_arcsec": (noise.correlated_rad / ARCSEC).tolist(),
             "correlation_time_s": noise.correlation_time_s.tolist(),
             "constant_arcsec": (noise.constant_rad / ARCSEC).tolist(),
+            "constant_time_s": noise.constant_time_s.tolist(),
             "sigma_log": sigma.tolist(),
             "told_apart": told.tolist(),
         }

@@ -33,6 +33,7 @@ def noise_keys(noise: AttitudeNoise, with_white: bool) -> dict[str, list[float] 
         "correlated_arcsec": listed(noise.correlated_rad / ARCSEC),
         "correlation_time_s": listed(noise.correlation_time_s),
         "constant_arcsec": listed(noise.constant_rad / ARCSEC),
+        **({"constant_time_s": listed(noise.constant_time_s)} if noise.constant_time_s.all() else {}),
         "origin": "estimated",
     }
 
@@ -53,8 +54,7 @@ def state_noise(root: Path, noise: Mapping[str, AttitudeNoise]) -> Path:
         found = noise[str(head["name"])]
         # Stars, or errors in the rows of a table of attitudes, are the one statement of the white part.
         before = head.get("noise", {})
-        lasts = {key: before[key] for key in ("constant_time_s",) if key in before}  # no record shows it
-        table["noise"] = noise_keys(found, "white_arcsec" in before) | lasts  # type: ignore[index]
+        table["noise"] = noise_keys(found, "white_arcsec" in before)  # type: ignore[index]
     text = tomlkit.dumps(document)
     write_text(path, text)
     read_toml(path, DumpFile, "dump.toml")

@@ -308,8 +308,8 @@ def _attitude_noise(dump: Dump, settings: Settings) -> dict[str, pa.Table]:
     times, `MOST_MEANS` at most; no rows without attitudes.
     """
     found, names = attitude_signal(dump, settings), ""
-    times, t_s = np.zeros(0), np.zeros(0)
-    deviation, turns = np.zeros((0, 3)), np.zeros((0, 3))
+    times, t_s = [np.zeros(0)] * 2
+    deviation, turns = [np.zeros((0, 3))] * 2
     if found is not None:
         heads, signal, t_s = found
         names = " and ".join(heads)

@@ -21,6 +21,7 @@ from boresight.calib.noise_spectrum import (
     fit_noise,
     pieces_of,
 )
+from boresight.simulator.head_attitudes import correlated_noise
 
 
 def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
@@ -58,6 +59,24 @@ def test_what_lasts_longer_than_a_strip_makes_means_of_every_axis_uncertain() ->
         constant = np.array([n.constant_rad for n in fit.heads])
         variance.append((of_means + constant**2) / (0.4 * total) ** 2)
     assert np.all(np.abs(np.log(np.mean(variance, axis=0))) < np.log(2.0))
+
+
+@pytest.mark.parametrize("time_s", [0.0, 60.0, 300.0])
+def test_how_long_a_constant_lasts_is_told_by_neighbouring_means(time_s: float) -> None:
+    t = 10.0 * np.arange(600)  # an hour and a half of means over 10 s, of white noise and what lasts
+    rng = np.random.default_rng(3)
+    white = ARCSEC * rng.standard_normal((len(t) * 100, 3))
+    lasting = correlated_noise(np.full(3, 0.5 * ARCSEC), np.full(3, max(time_s, 1e-3)), t, rng)
+    values = white + np.repeat(lasting, 100, axis=0)
+    signal = Signal(values=values, pieces=(slice(0, len(values)),), step_s=0.1, enters=np.eye(3)[None])
+    (noise,) = fit_noise(signal, 10.0).heads
+    total = np.sqrt(noise.constant_rad**2 + noise.correlated_rad**2 * (noise.correlation_time_s > 10.0))
+    if time_s:
+        assert np.allclose(total, 0.5 * ARCSEC, rtol=0.4)  # 10 to 50 independent errors
+        lasts_s = np.where(noise.correlation_time_s > 10.0, noise.correlation_time_s, noise.constant_time_s)
+        assert np.all(lasts_s > 0.5 * time_s) and np.all(lasts_s < 4.0 * time_s)
+    else:
+        assert np.all(noise.constant_time_s < 15.0)
 
 
 def test_one_head_tells_its_noise_above_the_frequencies_of_the_motion() -> None:

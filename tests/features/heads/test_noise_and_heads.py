@@ -121,6 +121,7 @@ def test_every_printed_number_is_that_for_programs(noise):
         assert np.allclose(next(per_head)[-3:], 100.0 * np.array(head["told_apart"]), atol=0.51)
         constant = next(per_head)
         assert np.allclose(constant[-3:], head["constant_arcsec"], atol=0.0051) and constant[0] == 11.0
+        assert np.allclose(next(per_head), head["constant_time_s"], atol=0.51)
     for key in ("scatter_arcsec", "predicted_arcsec", "predicted_white_arcsec"):
         assert np.allclose(next(per_head), told[key], atol=0.00051)
     white = numbers(next(line for line in text.splitlines() if line.startswith("white noise alone: refuted")))
@@ -129,7 +130,8 @@ def test_every_printed_number_is_that_for_programs(noise):
         (out / "noise.toml").read_text().replace("[star", "[[star").replace("e]  #", "e]]  #")
     )
     for head, table in zip(told["heads"], tables["star_cameras"]["noise"], strict=True):
-        for key in ("white_arcsec", "correlated_arcsec", "correlation_time_s", "constant_arcsec"):
+        constants = ("constant_arcsec", "constant_time_s")
+        for key in ("white_arcsec", "correlated_arcsec", "correlation_time_s", *constants):
             assert np.allclose(table[key], head[key], rtol=1e-3)
         assert table["origin"] == "estimated"
     assert json.loads((out / "noise.json").read_text())["heads"] == told["heads"]
