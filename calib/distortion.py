@@ -31,6 +31,7 @@ __all__ = [
     "correlation",
     "knot_weights",
     "knots_touched",
+    "missed_between_knots",
     "places_on_curves",
     "prior_information",
     "residual_distortion",
@@ -104,6 +105,14 @@ def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px:
         weights[j, column[c, k]] = 1.0 - share
         weights[j, column[c, k + 1]] = share
     return weights
+
+
+def missed_between_knots(weights: Array) -> Array:
+    """Share (J,) of the curve's variance that straight lines between knots miss; `weights` (J, K) of these,
+    which are those of two neighbours and add up to one.
+    """
+    squares = np.sum(weights**2, axis=1)
+    return np.asarray((1.0 - squares) * (1.0 - correlation(((0, 0), (0, 1)))[0, 1]))
 
 
 def correlation(knots: tuple[Knot, ...]) -> Array:

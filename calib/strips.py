@@ -27,6 +27,7 @@ from boresight.calib.distortion import (
     columns_of_ccds,
     correlation,
     knot_weights,
+    missed_between_knots,
     residual_distortion,
     unit_numbers,
 )
@@ -515,8 +516,7 @@ def _distortion(
         weights: Floats = np.zeros((len(curved), len(unknowns.knots)))
         if unknowns.knots:
             weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], unknowns.knots)
-            explained = np.sum((weights @ correlation(unknowns.knots)) * weights, axis=1)
-            missed = strip.distortion_rad**2 * (1.0 - explained)
+            missed = strip.distortion_rad**2 * missed_between_knots(weights)
         of_ccds = columns_of_ccds(strip.modes_rad, strip.unit, unknowns.ccds)
         columns.append((weights, of_ccds))
     white = np.linalg.cholesky(correlation(own.knots)) if own.knots else np.zeros((0, 0))
