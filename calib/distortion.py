@@ -26,6 +26,7 @@ from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "MODES",
+    "OF_CAMERA",
     "ccd_modes",
     "columns_of_ccds",
     "correlation",
