@@ -148,11 +148,12 @@ def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[
 def prior_information(names: tuple[str, ...]) -> Array:
     """Inverse prior covariance (n, n) of unknowns by their names, in units of the prior sigma."""
     parts = [name.split("/") for name in names]
-    at_knot = np.array([last not in MODES for *_, last in parts], dtype=bool)
-    knots = tuple((int(curve), int(k)) for _, _, curve, k in parts if k not in MODES)
-    axis = np.array([a for _, a, _, k in parts if k not in MODES])
+    rows_of: dict[tuple[str, int], list[int]] = {}
+    for row, (_, axis, curve, k) in enumerate(parts):
+        if k not in MODES:
+            rows_of.setdefault((axis, int(curve)), []).append(row)
     information = np.eye(len(names))
-    if knots:
-        alike = axis[:, None] == axis[None, :]
-        information[np.ix_(at_knot, at_knot)] = np.linalg.inv(correlation(knots) * alike)
+    for (_, curve), rows in rows_of.items():  # curves are independent
+        of_curve = correlation(tuple((curve, int(parts[row][3])) for row in rows))
+        information[np.ix_(rows, rows)] = np.linalg.inv(of_curve)
     return information

@@ -189,10 +189,12 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
     """The sum over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before it is
     rounded: the same, bit for bit, in whatever order the pairs come. `ValueError` for a number not finite."""
     n = F_theta.shape[1]
+    if not (np.isfinite(F).all() and np.isfinite(F_theta).all()):
+        raise ValueError("information that is not a finite number cannot be added")
+    if len(F) == 1:
+        return InformationTotal(F[0] + 0.0, F_theta[0] + 0.0)
     rows, columns = np.triu_indices(n)
     numbers = np.column_stack([F[:, rows, columns], F_theta])
-    if not np.isfinite(numbers).all():
-        raise ValueError("information that is not a finite number cannot be added")
     sums = numbers.sum(axis=0) + 0.0  # no negative zero
     # a sum of two numbers is rounded once
     more = np.flatnonzero((np.count_nonzero(numbers, axis=0) > 2) | ~np.isfinite(sums))
