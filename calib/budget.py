@@ -46,24 +46,8 @@ def uncertainty_budget(
 ) -> tuple[ErrorShare, ...]:
     """The budget of a calibration, the source with the largest shares of the three variances first.
 
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        The strips that were calibrated; no target is rejected.
-    R_cs : Rotation, or mapping of camera to Rotation
-        Their installation matrix.
-    settings : CalibrationSettings
-        Their error model.
-
-    Returns
-    -------
-    tuple of ErrorShare
-        Of the sources that contribute. Their covariances sum to that of the strips, but for `STEP`.
-
-    Raises
-    ------
-    ValueError
-        If no strip has a target between usable star exposures.
+    Of the sources that contribute; no target is rejected. Their covariances sum to that of the strips, but
+    for `STEP`. `ValueError` if no strip has a target between usable star exposures.
     """
     model = replace(settings, robust=False)
     fitted = [carried(one) for one in passes_of(with_attitudes(strips, model.attitudes))]

@@ -81,40 +81,16 @@ def calibrate_strips(
     prior: InformationPairs | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
-    several cameras of one satellite a matrix each.
+    several cameras of one satellite (`StripSightings.camera`) a matrix each.
 
-    The result is the same, bit for bit, for any order of the strips.
+    `R_cs0`, star camera to remote-sensing camera, is the matrix to start from, of several cameras one each in
+    the order of the result; milliradians off are no obstacle. `interior` are parameters of the camera to be
+    estimated too, `prior` what is known of the matrix before: one pair, about `R_cs0`. The covariance is that
+    of a small rotation about the axes of c, rad². An angle whose 1-sigma would exceed
+    `settings.sigma_observable_rad` is undetermined.
 
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        Stars of the exposures (directions in frames s and i) and targets (directions in frames c and i).
-    R_cs0 : Rotation, or mapping of camera to Rotation
-        Matrix to start from, star camera to remote-sensing camera; milliradians off are no obstacle. Of
-        several cameras (`StripSightings.camera`) a matrix each, in the order of the result.
-    settings : CalibrationSettings
-        Prior standard deviations of the errors that the sightings' covariances do not hold, and limits.
-    interior : InteriorModel, optional
-        Parameters of the remote-sensing camera's interior orientation, to be estimated too.
-    prior : InformationPairs, optional
-        What is known of the matrix before: one pair, about `R_cs0`.
-
-    Returns
-    -------
-    InstallationEstimate or NotObservable
-        Matrix, covariance of a small rotation about the axes of c (rad²), residuals, rejections; or, where
-        an angle's 1-sigma would exceed `settings.sigma_observable_rad`, the axes that stay undetermined.
-
-    Raises
-    ------
-    ValueError
-        If two strips share one id, list exposures of one instant that differ, or are of unknown cameras.
-
-    Examples
-    --------
-    >>> estimate = calibrate(strips, R_cs0, CalibrationSettings())  # doctest: +SKIP
-    >>> np.degrees(estimate.sigma_theta) * 3600  # 1-sigma about X, Y, Z of frame c  # doctest: +SKIP
-    array([0.57, 0.64, 10.4])
+    The result is the same, bit for bit, for any order of the strips. `ValueError` if two strips share one id,
+    list exposures of one instant that differ, or are of unknown cameras.
     """
     passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior, prior)
     found = _calibrated(passes, start)

@@ -26,11 +26,13 @@ from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "MODES",
+    "OF_CAMERA",
     "ccd_modes",
     "columns_of_ccds",
     "correlation",
     "knot_weights",
     "knots_touched",
+    "missed_between_knots",
     "places_on_curves",
     "prior_information",
     "residual_distortion",
@@ -106,6 +108,14 @@ def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px:
     return weights
 
 
+def missed_between_knots(weights: Array) -> Array:
+    """Share (J,) of the curve's variance that straight lines between knots miss; `weights` (J, K) of these,
+    which are those of two neighbours and add up to one.
+    """
+    squares = np.sum(weights**2, axis=1)
+    return np.asarray((1.0 - squares) * (1.0 - correlation(((0, 0), (0, 1)))[0, 1]))
+
+
 def correlation(knots: tuple[Knot, ...]) -> Array:
     """Prior correlation (K, K) of the values at knots: Matérn 3/2 within a curve, none between curves."""
     table = np.array(knots, dtype=float).reshape(-1, 2)
@@ -138,11 +148,12 @@ def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[
 def prior_information(names: tuple[str, ...]) -> Array:
     """Inverse prior covariance (n, n) of unknowns by their names, in units of the prior sigma."""
     parts = [name.split("/") for name in names]
-    at_knot = np.array([last not in MODES for *_, last in parts], dtype=bool)
-    knots = tuple((int(curve), int(k)) for _, _, curve, k in parts if k not in MODES)
-    axis = np.array([a for _, a, _, k in parts if k not in MODES])
+    rows_of: dict[tuple[str, int], list[int]] = {}
+    for row, (_, axis, curve, k) in enumerate(parts):
+        if k not in MODES:
+            rows_of.setdefault((axis, int(curve)), []).append(row)
     information = np.eye(len(names))
-    if knots:
-        alike = axis[:, None] == axis[None, :]
-        information[np.ix_(at_knot, at_knot)] = np.linalg.inv(correlation(knots) * alike)
+    for (_, curve), rows in rows_of.items():  # curves are independent
+        of_curve = correlation(tuple((curve, int(parts[row][3])) for row in rows))
+        information[np.ix_(rows, rows)] = np.linalg.inv(of_curve)
     return information

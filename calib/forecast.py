@@ -63,25 +63,10 @@ class Forecast:
 def forecast_from_strips(
     strips: Sequence[StripSightings], R_cs: Rotation | Mapping[str, Rotation], settings: CalibrationSettings
 ) -> Forecast:
-    """The forecast from example strips of a plan.
+    """The forecast from example strips of a plan; the more, the nearer their mean is to that of all strips.
 
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        Example strips; the more, the nearer their mean is to that of all strips of the plan.
-    R_cs : Rotation, or mapping of camera to Rotation
-        Installation matrix with which they were made, star camera to remote-sensing camera.
-    settings : CalibrationSettings
-        Priors of the errors to be expected.
-
-    Returns
-    -------
-    Forecast
-
-    Raises
-    ------
-    ValueError
-        If no strip has a target between usable star exposures.
+    `R_cs` is the matrix with which they were made, star camera to remote-sensing camera. `ValueError` if no
+    strip has a target between usable star exposures.
     """
     pairs, prior_shared = strip_pairs(strips, R_cs, settings)
     return Forecast(pairs.total().F / len(strips), prior_shared, settings.sigma_observable_rad)

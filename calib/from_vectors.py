@@ -23,11 +23,7 @@ from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, record, scalar
-from boresight.geometry.sightings import (
-    GroundSightings,
-    StarSightings,
-    StripSightings,
-)
+from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.vector_sets import VectorSets
 
@@ -35,10 +31,7 @@ __all__ = ["VectorCalibration", "calibrate_vector_sets", "strips_of_frames"]
 
 # Settings for vectors of independent errors, each with a stated covariance: no error is shared.
 INDEPENDENT = CalibrationSettings(
-    sigma_position_m=0.0,
-    sigma_clock_s=0.0,
-    sigma_vibration_rad=0.0,
-    sigma_distortion_rad=0.0,
+    sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
 EVERY_S = 60.0  # from one instant to the next: no two frames of different stars are of one pass
 # Cosine of the largest angle, 80°, between a star's direction and the axis z up to which an error of the

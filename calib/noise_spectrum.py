@@ -94,15 +94,9 @@ def pieces_of(t_s: Floats) -> tuple[float, tuple[slice, ...]]:
 
 
 def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
-    """Noise of H heads from their signal; `ValueError` for a record without a piece of 32 rows, or one too
-    coarse to show more than the motion.
-
-    Parameters
-    ----------
-    signal : Signal
-        Differences of heads, or one head against the nominal motion.
-    mean_s : float
-        Length of pieces over which a part of the errors counts as constant, such as that of a strip.
+    """Noise of H heads from their signal, the differences of heads or one against the nominal motion. A part
+    of the errors counts as constant over pieces of `mean_s`, the length of a strip, say. `ValueError` for a
+    record without a piece of 32 rows, or one too coarse to show more than the motion.
     """
     parts = [signal.values[piece] for piece in signal.pieces if piece.stop - piece.start >= FEWEST_ROWS]
     if not parts:

@@ -136,14 +136,9 @@ class Contradiction:
     by_place: Floats = array("2, 3", "change of both by a target stated 1 m too far along, right, down")
 
     def displaced_m(self, stated_m: Floats, axes_o: Floats) -> tuple[Floats, Floats]:
-        """How far the stated place lies from the true one along two directions, m, with covariance, m².
-
-        Parameters
-        ----------
-        stated_m : (2,) array
-            The same by the attitudes and the orbit as measured, about the estimated matrix.
-        axes_o : (3, 2) array
-            The two unit vectors, axes along the track, to the right and down.
+        """How far the stated place lies from the true one along two directions `axes_o` (3, 2), along the
+        track, to the right and down, m (2,) with covariance, m²; `stated_m` (2,) is the same by the attitudes
+        and the orbit as measured, about the estimated matrix.
         """
         back = np.linalg.inv(self.by_place @ axes_o)
         return stated_m + back @ self.estimated, back @ self.covariance @ back.T
@@ -246,36 +241,15 @@ def examine(
     limits: ReliabilitySettings | None = None,
     table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
-    """Every hypothesis held against a calibration.
+    """Every hypothesis held against a calibration, the `estimate` of `calibrate_strips` by `settings`: the
+    tests at its weights, and at most three causes.
 
-    Parameters
-    ----------
-    estimate : InstallationEstimate
-        Result of `calibrate`.
-    strips : sequence of StripSightings
-        The strips given to `calibrate`. Observations among them that the estimate does not contain, those of
-        a strip that was not used, say, count as rejected.
-    settings : CalibrationSettings
-        Those given to `calibrate`.
-    pixel_rad : float, or mapping of camera to float
-        Angle of a pixel of the remote-sensing camera.
-    star_camera : StarCamera, optional
-        Camera whose model gave the stars' directions; None: attitudes were delivered.
-    inputs : sequence of MovedInput
-        Further inputs whose errors were evaluated by prediction.
-    pivots : mapping of camera and CCD to float, optional
-        Samples about which CCDs rotate; default: the mean of their observations.
-    target_files : str
-        Files with the coordinates of the targets, as findings name them.
-    limits : ReliabilitySettings, optional
-        False-alarm rate and what counts as harm.
-    table_of : callable
-        Gives the table of hypotheses; default: that of dumps.
-
-    Returns
-    -------
-    Reliability
-        The tests at the weights of the estimate, and at most three causes.
+    Observations of `strips` that the estimate does not contain, those of a strip that was not used, say,
+    count as rejected. `pixel_rad` is the angle of a pixel of the remote-sensing camera, or of each by name;
+    `star_camera` the one whose model gave the stars' directions, None where attitudes were delivered;
+    `inputs` are further inputs whose errors were evaluated by prediction; `pivots` samples about which CCDs
+    rotate, by camera and CCD, else the mean of their observations; `target_files` those with the coordinates
+    of the targets, as findings name them; `table_of` gives the hypotheses.
     """
     limits = limits or ReliabilitySettings()
     passes = passes_of(with_attitudes(strips, settings.attitudes))

@@ -19,9 +19,7 @@ class CalibrationSettings:
     """
 
     sigma_position_m: float = 2.0  # per axis, common to a pass (Table 1, GPS)
-    position_time_s: float = (
-        0.0  # after which its correlation is 1/e; 0: constant over a pass, and new in each
-    )
+    position_time_s: float = 0.0  # to a correlation of 1/e; 0: constant over a pass, new in each
     sigma_clock_s: float = 1e-4  # common to a pass: its rows against orbit and star camera (Table 1)
     clock_time_s: float = 0.0  # as that of the position
     sigma_vibration_rad: float = (
@@ -31,33 +29,23 @@ class CalibrationSettings:
     sigma_motion_rad: float = 0.0  # about each axis, rms: slow motion between exposures; 0: none
     motion_time_s: float = 0.8  # over which it is smooth; a wave of period P has P / (2 pi)
     sigma_distortion_rad: float = 3e-7  # per axis: 0.3 px of 10 µm behind 10 m (Tables 1 and 3)
-    distortion_length_px: float = (
-        2000.0  # along a CCD: a residual left by a calibration with a few knots a CCD
-    )
-    distortion_pixel_rad: float = (
-        0.0  # of the camera's pixels: one curve over the field of all CCDs; 0: one for each CCD
-    )
+    distortion_length_px: float = 2000.0  # along a CCD: left by a calibration with a few knots a CCD
+    distortion_pixel_rad: float = 0.0  # of a pixel: one curve over the field; 0: one for each CCD
     sigma_ccd_shift_rad: float = 0.0  # per axis: residual distortion of each CCD by itself, its mean,
     sigma_ccd_slope_rad: float = 0.0  # its linear part, rms over it: rotation (along x), scale (along y),
     sigma_ccd_bend_rad: float = 0.0  # and its quadratic part, rms over the CCD
     ccd_px: tuple[int, ...] = ()  # samples of each CCD; none: CCDs have no residual of their own
-    distortion_scope: Literal["camera", "strip"] = (
-        "camera"  # one curve for all strips: the camera is the same one
-    )
+    distortion_scope: Literal["camera", "strip"] = "camera"  # one curve for all strips, or each its own
     sigma_mounting_rad: float = (
         10.0 * ARCSEC
     )  # about each axis, between strips: weighs causes, moves no matrix
     use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
-    most_shared_targets: int = (
-        100  # seen in several strips and kept as one point each; the rest, as many points
-    )
+    most_shared_targets: int = 100  # seen in several strips as one point each; the rest as many points
     probability_false_alarm: float = 1e-3  # of rejecting a good star or target
     robust: bool = True  # look for gross errors at all
     fewest_stars: int = 3  # an exposure with fewer is not used: nothing checks its attitude
     estimate_noise: bool = False  # scale the sigmas of star and target positions by what the residuals show
-    sigma_observable_rad: float = (
-        1e-3  # a ground measurement is better than this; a weaker direction gets no number
-    )
+    sigma_observable_rad: float = 1e-3  # a ground measurement is better; a weaker direction gets no number
     of_cameras: tuple[tuple[str, CalibrationSettings], ...] = ()  # by name, of those with other distortions
     tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
     tolerance_sigma: float = 0.01  # M -> I in units of the predicted sigma

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import Knot, knots_touched, prior_information, unknown_names
+from boresight.calib.distortion import MODES, OF_CAMERA, Knot, knots_touched, prior_information, unknown_names
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import head_names, of_heads
 from boresight.calib.interior_parameters import InteriorModel
@@ -88,6 +88,16 @@ class SharedUnknowns:
         interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
         parts = [part for part in (camera, interior, *(e.prior for e in self.errors)) if part.size]
         return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+
+    def distortion_of(self, camera: int) -> tuple[NDArray[np.int64], SharedUnknowns]:
+        """Numbers (m,) of the knots and CCD modes of one camera, among all of them, and these unknowns."""
+        knots = [n for n, (curve, _) in enumerate(self.knots) if curve // OF_CAMERA == camera]
+        ccds = [n for n, ccd in enumerate(self.ccds) if ccd // OF_CAMERA == camera]
+        modes = [len(self.knots) + k * len(self.ccds) + n for k in range(len(MODES)) for n in ccds]
+        own = SharedUnknowns(
+            knots=tuple(self.knots[n] for n in knots), ccds=tuple(self.ccds[n] for n in ccds)
+        )
+        return np.array([*knots, *modes], dtype=np.int64), own
 
     def columns_s(self, strip: PreparedStrip) -> Array:
         """Change (J, 3, T) of v_s by the unknowns of `errors`."""

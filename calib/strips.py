@@ -24,9 +24,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
+    MODES,
     columns_of_ccds,
     correlation,
     knot_weights,
+    missed_between_knots,
     residual_distortion,
     unit_numbers,
 )
@@ -129,7 +131,6 @@ class StripGroup:
     shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
-    camera: Floats = array("S, J, C", "change of the look direction by each knot and CCD mode, rad")
     interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
     delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
     own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
@@ -137,6 +138,7 @@ class StripGroup:
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
     by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
+    n_curves: int = scalar("knots and CCD modes of all cameras")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
 
@@ -146,7 +148,8 @@ class GroupPart:
 
     camera: int  # number, of those that are calibrated
     targets: Ints | slice  # (I,) of J
-    curves: Ints  # columns of `StripGroup.camera`
+    curves: Ints  # (m,) knots and CCD modes of the camera, of those of all
+    looks_rad: Floats  # (S, I, m) change of the look direction by each of them
     others: Ints  # columns of `StripGroup.targets_s`
 
 
@@ -335,11 +338,8 @@ def linearise(
     r = two_rows(rows @ (tangent @ difference[..., None]))
     X_q = two_rows(rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3))
     told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
-    n_theta, curves, n_looks = (
-        3 * (1 if R_cs.single else len(R_cs)),
-        group.camera.shape[2],
-        group.interior_c.shape[3],
-    )
+    n_theta, curves = 3 * (1 if R_cs.single else len(R_cs)), group.n_curves
+    n_looks = group.interior_c.shape[3]
     first = n_theta + 2 * curves  # of the interior's unknowns
     n_common = first + n_looks + group.targets_s.shape[3]
     common = []
@@ -347,7 +347,7 @@ def linearise(
         at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
         changes = [
             near @ cross_matrices(w[:, at]),
-            _along_axes(near, group.camera[:, at][:, :, part.curves]),
+            _along_axes(near, part.looks_rad),
             near @ group.interior_c[:, at] + near_s @ group.delay_s[:, at],
             near_s @ group.targets_s[:, at][..., part.others],
         ]
@@ -399,47 +399,50 @@ def _group(
     strips: list[PreparedStrip], place: Ints, shared: SharedUnknowns, settings: CalibrationSettings
 ) -> StripGroup:
     members = [strips[n] for n in place]
-    camera, own, missed = zip(*(_distortion(strip, shared, settings) for strip in members))
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
     again, white = zip(*(_coordinates(strip, shared) for strip in members))
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
-    which, of_cameras = np.stack([strip.camera for strip in members]), np.stack(camera)
+    which = np.stack([strip.camera for strip in members])
     targets_s = np.stack([shared.columns_s(strip) for strip in members])
+    own, own_shares = zip(*(_own_curves(strip, settings) for strip in members))
+    missed, parts = np.stack([strip.distortion_rad**2 for strip in members]) * np.stack(own_shares), []
+    for camera, at, others in _parts(which[0], targets_s, 3 * len(shared.heads)):
+        numbers, unknowns = shared.distortion_of(camera)
+        changes, shares = zip(*(_curves(strip, at, unknowns) for strip in members))
+        missed[:, at] *= np.stack(shares)
+        parts.append(GroupPart(camera, at, numbers, np.stack(changes), others))
     return StripGroup(
         place=place,
         which=which,
         shared_s=shared_s,
         white_s=np.stack(white),
         targets_s=targets_s,
-        camera=of_cameras,
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
         own=np.stack(own),
-        missed=np.stack(missed),
+        missed=missed,
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
-        parts=tuple(_parts(which[0], of_cameras, targets_s, 3 * len(shared.heads))),
+        n_curves=len(shared.knots) + len(MODES) * len(shared.ccds),
+        parts=tuple(parts),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
-def _parts(which: Ints, curves: Floats, targets_s: Floats, n_heads: int) -> Iterator[GroupPart]:
-    """The targets of each camera (J,) with the columns that are not zero for all of them; alignments of
-    heads, the last, are always among them."""
-    n_others = targets_s.shape[3] - n_heads
-    for camera in np.unique(which).tolist():
-        at = np.flatnonzero(which == camera)
-        if len(at) == len(which):
-            every = np.arange(curves.shape[2]), np.arange(targets_s.shape[3])
-            yield GroupPart(camera, slice(None), *every)
+def _parts(which: Ints, targets_s: Floats, n_heads: int) -> Iterator[tuple[int, Ints | slice, Ints]]:
+    """Each camera, its targets (I,) of J and the columns of `targets_s` that are not zero for all of them;
+    alignments of heads, the last, are always among them."""
+    cameras, n = np.unique(which).tolist(), targets_s.shape[3]
+    for camera in cameras:
+        if len(cameras) == 1:
+            yield camera, slice(None), np.arange(n)
             return
-        others = np.flatnonzero(targets_s[:, at, :, :n_others].any(axis=(0, 1, 2)))
-        heads = n_others + np.arange(n_heads)
-        moved = np.flatnonzero(curves[:, at].any(axis=(0, 1)))
-        yield GroupPart(camera, at, moved, np.concatenate([others, heads]))
+        at = np.flatnonzero(which == camera)
+        moved = targets_s[:, at].any(axis=(0, 1, 2)) | (np.arange(n) >= n - n_heads)
+        yield camera, at, np.flatnonzero(moved)
 
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
@@ -504,30 +507,27 @@ def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
     return find_shared([strip], replace(settings, distortion_scope="camera"))
 
 
-def _distortion(
-    strip: PreparedStrip, shared: SharedUnknowns, settings: CalibrationSettings
-) -> tuple[Floats, Floats, Floats]:
-    """Weights of the camera's knots and CCDs (J, g/2), whitened weights of the strip's own (J, m), white
-    variance (J,), rad².
+def _own_curves(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Floats, Floats]:
+    """What `_curves` gives of the strip's own unknowns, whitened."""
+    unknowns = _own(strip, settings)
+    columns, share = _curves(strip, slice(None), unknowns)
+    if K := len(unknowns.knots):
+        columns[:, :K] = columns[:, :K] @ np.linalg.cholesky(correlation(unknowns.knots))
+    return columns, share
+
+
+def _curves(strip: PreparedStrip, at: Ints | slice, unknowns: SharedUnknowns) -> tuple[Floats, Floats]:
+    """Change (I, m) of the look directions of some targets by each knot and CCD mode, rad, and the share (I,)
+    of the curves' variance that knots miss.
     """
-    own = _own(strip, settings)
-    curved, sigma = strip.distortion_rad > 0.0, strip.distortion_rad[:, None]
-    columns, missed = [], strip.distortion_rad**2
-    for unknowns in (shared, own):
-        weights: Floats = np.zeros((len(curved), len(unknowns.knots)))
-        if unknowns.knots:
-            weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], unknowns.knots)
-            explained = np.sum((weights @ correlation(unknowns.knots)) * weights, axis=1)
-            missed = strip.distortion_rad**2 * (1.0 - explained)
-        of_ccds = columns_of_ccds(strip.modes_rad, strip.unit, unknowns.ccds)
-        columns.append((weights, of_ccds))
-    white = np.linalg.cholesky(correlation(own.knots)) if own.knots else np.zeros((0, 0))
-    camera, of_strip = columns
-    return (
-        np.column_stack([sigma * camera[0], camera[1]]),
-        np.column_stack([sigma * (of_strip[0] @ white), of_strip[1]]),
-        missed,
-    )
+    sigma, share = strip.distortion_rad[at, None], np.ones(len(strip.ccd[at]))
+    weights, curved = np.zeros((len(sigma), len(unknowns.knots))), sigma[:, 0] > 0.0
+    if unknowns.knots:
+        places = strip.curve[at][curved], strip.place[at][curved]
+        weights[curved] = knot_weights(*places, unknowns.knots)
+        share = missed_between_knots(weights)
+    of_ccds = columns_of_ccds(strip.modes_rad[at], strip.unit[at], unknowns.ccds)
+    return np.column_stack([sigma * weights, of_ccds]), share
 
 
 def _along_axes(tangent: Floats, weights: Floats) -> Floats:

@@ -241,28 +241,12 @@ def assess(
     reliability: Reliability | None = None,
     target_files: str = "targets.csv",
 ) -> Verdict:
-    """The verdict on an estimate and the sightings that it was made from.
+    """The verdict on an estimate and the sightings that it was made from, of which only the targets'
+    directions and ids are used.
 
-    Parameters
-    ----------
-    estimate : InstallationEstimate
-        Result of `calibrate`.
-    strips : sequence of StripSightings
-        The strips given to `calibrate`; only their targets' directions and ids are used.
-    settings : VerdictSettings, optional
-        False-alarm rate and tolerances.
-    sigma_installation_rad : (3,) array, optional
-        1-sigma of the starting matrix about the axes of frame c, rad, of several cameras one after another;
-        without it that check is not made.
-    reliability : Reliability, optional
-        Tests of the inputs (`reliability.examine`), whose causes decide with the checks.
-    target_files : str
-        Files with the coordinates of the targets, as findings name them.
-
-    Returns
-    -------
-    Verdict
-        `consistent`, or `refuted` with the checks that fail, their numbers and the inputs to look at.
+    `sigma_installation_rad` (T,) is the 1-sigma of the starting matrix about the axes of frame c, of several
+    cameras one after another; without it that check is not made. The causes of `reliability` decide with the
+    checks. `target_files` are those with the coordinates of the targets, as findings name them.
     """
     settings = settings or VerdictSettings()
     residuals = (

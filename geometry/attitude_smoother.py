@@ -23,6 +23,7 @@ from math import factorial
 import numpy as np
 from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dpstrf
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
@@ -359,9 +360,11 @@ class SmoothedAttitude:
         places, dt = np.arange(KNOTS + 1) / KNOTS, np.diff(self.t_s)[steps, None]
         knots, at = np.unique(self.t_s[steps, None] + places * dt, return_inverse=True)
         before = np.minimum((share * KNOTS).astype(np.int64), KNOTS - 1)
-        ahead = (share * KNOTS - before)[:, None, None]
-        root, at = self._root_at(knots), at.reshape(len(steps), KNOTS + 1)
-        return np.asarray((1.0 - ahead) * root[at[own, before]] + ahead * root[at[own, before + 1]])
+        ahead, at = share * KNOTS - before, at.reshape(len(steps), KNOTS + 1)
+        weights = np.column_stack([1.0 - ahead, ahead]).ravel()
+        columns = np.column_stack([at[own, before], at[own, before + 1]]).ravel()
+        between = csr_array((weights, columns, 2 * np.arange(len(t_s) + 1)), shape=(len(t_s), len(knots)))
+        return np.asarray((between @ self._root_at(knots).reshape(len(knots), -1)).reshape(len(t_s), 3, -1))
 
     def _root_at(self, t_s: Floats) -> Floats:
         J, D = len(t_s), self.full.shape[1]

@@ -33,10 +33,7 @@ from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.head import sight_head
-from boresight.pipeline.stages.sky_side import (
-    SkySide,
-    find_in_sky_strips,
-)
+from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
@@ -88,30 +85,12 @@ def calibrate_dump(
     executor: Executor | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> DumpCalibration:
-    """Installation matrix of a dump, estimated from its raw images.
+    """Installation matrix of a dump, estimated from its raw images; `DataNotSufficientError` if the data do
+    not determine all three angles.
 
-    Parameters
-    ----------
-    dump : Dump
-        An open dump (`open_dump`).
-    settings : Settings, optional
-        Thresholds and error model; default: `Settings()`, the dump's stated errors.
-    store : UnitStore, optional
-        Where finished exposures and strips are kept and looked for; default: all in memory.
-    executor : Executor, optional
-        Who computes; default: this process, one task after another.
-    progress : callable, optional
-        Called with the stage's name, the tasks done and all tasks.
-
-    Returns
-    -------
-    Calibration
-        Estimate, verdict, sightings, attitudes, matched targets, omissions.
-
-    Raises
-    ------
-    DataNotSufficientError
-        If the data do not determine all three angles.
+    `settings` default to the dump's stated errors. Finished exposures and strips are kept in `store` and
+    looked for there, else all is in memory; `executor` computes, else this process, one task after another.
+    `progress` is called with the stage's name, the tasks done and all tasks.
     """
     settings = settings or Settings()
     dump = targets_once(dump, settings.match)

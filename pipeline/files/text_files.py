@@ -181,7 +181,8 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     for line, row in csv_rows(path, required, optional, file):
         try:
             for name in numeric:
-                check_number(row[name], file, f"{line}, {name}")
+                if not _PLAIN_NUMBER.fullmatch(row[name].strip(" ")):
+                    check_number(row[name], file, f"{line}, {name}")
             records.append(model.model_validate(row))
         except RawDataError as error:
             wrong.append(error)
@@ -219,7 +220,8 @@ def csv_rows(
             if not cells:
                 continue
             line = f"line {rows.line_num}"
-            check_extent(file, line, (count := count + 1,), MAX_ROWS, "rows")
+            if (count := count + 1) > MAX_ROWS:
+                check_extent(file, line, (count,), MAX_ROWS, "rows")
             if len(cells) != len(header):
                 raise RawDataError(file, line, f"{len(cells)} cells", f"{len(header)} cells")
             yield line, dict(zip(header, cells))
@@ -230,7 +232,8 @@ def csv_rows(
 def _lines(text: str, file: str) -> Iterator[str]:
     """Lines with their ends, one in memory at a time; `RawDataError` for one that is too long."""
     for n, line in enumerate(_LINE.finditer(text), start=1):
-        check_extent(file, f"line {n}", (line.end() - line.start(),), MAX_LINE, "characters")
+        if (n_characters := len(line[0])) > MAX_LINE:
+            check_extent(file, f"line {n}", (n_characters,), MAX_LINE, "characters")
         yield line[0]
 
 

@@ -208,7 +208,8 @@ def test_distortion_has_the_stated_variance_between_knots_too(scope):
     knots = knots_touched(prepared.curve, prepared.place)
     shared = replace(NOTHING, knots=knots if scope == "camera" else ())
     group = group_strips([prepared], shared, settings)[0]
-    weights = group.camera[0] @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]
+    by_knots = group.parts[0].looks_rad[0]
+    weights = by_knots @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]
     from_knots = np.sum(weights**2, axis=1)
     np.testing.assert_allclose(from_knots + group.missed[0], sigma**2, rtol=1e-9)
     # Linear interpolation over half a correlation length leaves up to an eighth of the variance.
