@@ -1,7 +1,5 @@
 """What commands print, as a terminal of 80 columns would show it."""
 
-from __future__ import annotations
-
 import re
 
 __all__ = ["COLUMNS", "wide_rows"]

@@ -2,8 +2,6 @@
 environment of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import gc

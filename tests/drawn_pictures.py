@@ -1,7 +1,5 @@
 """What a picture shows: a file of some size may still be an empty plot."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

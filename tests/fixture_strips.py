@@ -1,7 +1,5 @@
 """Single strips of the committed `fixtures/mini` as dumps of their own."""
 
-from __future__ import annotations
-
 import csv
 import datetime
 import shutil

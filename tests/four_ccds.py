@@ -1,7 +1,5 @@
 """Four staggered and rotated CCDs of 6144 px behind 10 m, for tests and benchmarks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from numpy.typing import NDArray

@@ -5,8 +5,6 @@ sky is the shipped catalogue (directions as they stand in it, no light effects) 
 faint stars as numerous as the real ones (2.9 times more per magnitude).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

@@ -4,8 +4,6 @@ A circular orbit, four noise exposures of 64 x 48 px, one strip of two CCDs of 6
 chips. Everything can be read; nothing in it can be calibrated.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

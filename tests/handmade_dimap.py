@@ -1,7 +1,5 @@
 """A small DIMAP file of Pleiades, and any V1 file as V2."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

@@ -1,8 +1,6 @@
 """A small Sentinel-2 datastrip with its GIPP files: two detectors of 24 pixels over a circular orbit."""
 # ruff: noqa: E501
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import erfa

@@ -1,7 +1,5 @@
 """Ledgers written down in tests: rows of what strips must show."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

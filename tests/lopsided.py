@@ -4,8 +4,6 @@ The date is far from an equinox, the satellite moves in no coordinate plane, hea
 with unequal noise about each axis, and places lie south and west.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

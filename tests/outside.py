@@ -1,7 +1,5 @@
 """Commands run as a user runs them, outside the repository."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

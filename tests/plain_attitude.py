@@ -1,7 +1,5 @@
 """The attitude of one image by the fit of many: the plain form of what `star_id` computes faster."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

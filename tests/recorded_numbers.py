@@ -9,8 +9,6 @@ a mean that depends on their order. After a change that is meant,
 writes the record anew; what has changed in it is to be looked at.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,8 +1,6 @@
 """The law of rounding: inputs moved by 1e-12 of themselves move no result by more than 1e-3 of its 1-sigma
 error, and no error by more than 1e-3 of itself. `pytest -s` prints the largest moves."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -6,8 +6,6 @@ of 420 px that overlap by 60, 700 lines. The mounting is bold and lopsided, the 
 arc-seconds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

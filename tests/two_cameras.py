@@ -1,7 +1,5 @@
 """The mission of `fixtures/mini` with its four CCDs as two cameras of two CCDs each."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Attitudes of two star cameras as those of Sentinel-2A, with the noise that is drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -4,8 +4,6 @@ A wrong vector is a wrong identification or a wrong match: its known direction i
 displaced, by twelve standard errors or by degrees.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

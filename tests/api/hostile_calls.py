@@ -4,8 +4,6 @@ A call begins with arguments that are cheap and nearly right; one to three of th
 a program hands over by mistake. What comes back is a result or one of the errors that docs/python.md lists.
 """
 
-from __future__ import annotations
-
 import datetime
 import decimal
 import inspect

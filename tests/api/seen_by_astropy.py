@@ -1,7 +1,5 @@
 """Places on the ground as a satellite sees them, by astropy's frames: an outside authority."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import astropy.units as u

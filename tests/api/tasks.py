@@ -7,8 +7,6 @@ s01 and s02, OUT is an empty folder. It prints where
 boresight is, then each task that is done, or what it raised.
 """
 
-from __future__ import annotations
-
 import datetime
 import sys
 import traceback

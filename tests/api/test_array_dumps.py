@@ -4,8 +4,6 @@ The mounting of the example is bold: 168, -9 and 144 degrees about x, y and z; a
 turned further, so that none of them is the line of sight.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`import boresight`: its names, types, documentation and results."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import importlib

@@ -1,7 +1,5 @@
 """Forms of a star image, what is said of what is not among its stars, and its coordinates on the sky."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Further tasks of people who know names and docstrings alone, with values given by mistake."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from pathlib import Path

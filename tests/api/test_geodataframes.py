@@ -1,7 +1,5 @@
 """Targets as points of a GeoDataFrame, in and out; geopandas is not loaded before it is asked for."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever a program hands to the public functions: a result, or an error that docs/python.md lists."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import warnings

@@ -1,7 +1,5 @@
 """What pyproject.toml declares and what constraints.txt pins belong together."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import tomllib

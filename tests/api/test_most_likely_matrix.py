@@ -7,8 +7,6 @@ prints for that many random sets of each kind the largest difference of matrices
 how many matrices with wrong vectors are accepted although they are off.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple

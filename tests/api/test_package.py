@@ -1,7 +1,5 @@
 """The distribution: what wheel and sdist hold, what an installation adds, how soon the command answers."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -4,8 +4,6 @@ Each is refused by name, refutes the result, is warned of, is named among the ve
 an error that `blind_spots` names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

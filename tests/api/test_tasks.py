@@ -1,7 +1,5 @@
 """Tasks that people bring are done at first try, in few lines, from the names of the door alone."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import shutil

@@ -1,7 +1,5 @@
 """`calibrate_vectors`: wrong inputs are named, wrong vectors do no harm, the result says how good it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The uncertainty budget: its parts sum to the covariance, and one is that of the estimator's gain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

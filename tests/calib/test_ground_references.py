@@ -1,7 +1,5 @@
 """An offset that all targets of one reference share: stated, it is honest; unstated, it is found or said."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

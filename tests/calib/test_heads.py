@@ -1,7 +1,5 @@
 """Several heads at once, with errors as real star trackers have: honest covariances, the bad one named."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Groups of observations with larger errors than stated, by their statistics alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import chi2

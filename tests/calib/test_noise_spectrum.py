@@ -1,7 +1,5 @@
 """Noise of heads from their record against the noise that was drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

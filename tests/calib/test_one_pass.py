@@ -1,7 +1,5 @@
 """How sightings are cut into strips is bookkeeping: whatever the cut, the estimate is that of the whole."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache

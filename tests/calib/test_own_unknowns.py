@@ -1,7 +1,5 @@
 """Fewer unknowns of a strip by itself give the estimate that all of them give."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 as large.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Rounding moves no installation matrix."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

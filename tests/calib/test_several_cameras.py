@@ -1,7 +1,5 @@
 """Several cameras of one satellite: a matrix each, and the rotations between them, from the same passes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Motion of the satellite between star exposures: what interpolation misses, and how much of it is shown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A wrong star camera is found in its stars, with its size, and with what it does to the attitudes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """p-values and limits of the verdict against draws and against the statements that they make."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

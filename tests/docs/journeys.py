@@ -1,7 +1,5 @@
 """The journeys of docs/architecture.md, and which functions call one another while a dump is calibrated."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

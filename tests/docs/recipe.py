@@ -1,7 +1,5 @@
 """The steps of CONTRIBUTING.md's "Add a feature": what its code blocks put into which file."""
 
-from __future__ import annotations
-
 import re
 
 from journeys import ROOT

@@ -1,7 +1,5 @@
 """No test is content with the existence or the size of what it asks for: a wrong value would pass it."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

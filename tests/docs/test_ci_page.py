@@ -1,7 +1,5 @@
 """The page on continuous integration: its workflow is YAML, its commands and tests are the program's."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

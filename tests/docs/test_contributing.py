@@ -1,7 +1,5 @@
 """CONTRIBUTING.md's "Add a feature", followed to the letter in a copy of the checkout."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What the demo prints has one value each in README, on pages and in recordings: that of the present code."""
 
-from __future__ import annotations
-
 import html
 import re
 import shutil

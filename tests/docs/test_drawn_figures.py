@@ -1,7 +1,5 @@
 """Figures of the pages show what the present code draws: their texts, numbers, lines and pictures."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os

@@ -1,7 +1,5 @@
 """The worked examples run, and print what the documentation site shows."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

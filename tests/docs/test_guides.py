@@ -1,7 +1,5 @@
 """The pages for whoever carries this on: what they name is there, and what is there is named."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

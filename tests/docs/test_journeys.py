@@ -1,7 +1,5 @@
 """The journeys of docs/architecture.md against the calls while one strip of the fixture is calibrated."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 

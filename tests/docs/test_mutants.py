@@ -1,7 +1,5 @@
 """The lists of mutations speak of lines and tests that exist; running them is `scripts/mutants.py`."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from pathlib import Path

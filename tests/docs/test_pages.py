@@ -1,7 +1,5 @@
 """The documentation's claims about the code, and its links. `make docs` builds the site, strictly."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

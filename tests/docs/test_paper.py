@@ -1,7 +1,5 @@
 """docs/notes/paper.md: every row names a committed record and takes its figures from it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

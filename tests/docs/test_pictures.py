@@ -1,7 +1,5 @@
 """Pictures of the report and of the sheets to be signed show what the present code prints."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shutil

@@ -1,7 +1,5 @@
 """The text of the project is plain technical English, and public docstrings are complete."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

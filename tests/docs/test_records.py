@@ -1,7 +1,5 @@
 """The table of benchmarks is made of their verdicts; records that pages quote say what they are of."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tutorial's commands are run, and what they print is what the page shows."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """A feature is a folder and a line of the table: without them, everything else works."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -5,8 +5,6 @@ wrong unit or a wrong frame changes a number. A case gives what is written and w
 the same places, so that a number without a row fails.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

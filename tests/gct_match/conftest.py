@@ -1,7 +1,5 @@
 """Pictures and strips that several tests share, made once."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import cv2

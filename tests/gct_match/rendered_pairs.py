@@ -9,8 +9,6 @@ known fractions of a pixel; both members of a pair get noise of their own. `cond
     other texture affine  the window rotated by 0.5 degree and scaled by 0.5 %
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

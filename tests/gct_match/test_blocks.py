@@ -1,7 +1,5 @@
 """What blocks of a template say of its displacement, beside a fit to its pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Pairs of which more has changed than is common: kept, with errors as stated, whatever their contrast."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Which targets of a strip contradict the others: the covariance that they share, and the common rotation."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Correlation of normalised pictures, its peaks, and how likely a peak is wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

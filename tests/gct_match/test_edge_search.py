@@ -1,7 +1,5 @@
 """Places of a chip in large pictures: the best ones are found whatever the step from coarse to fine."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

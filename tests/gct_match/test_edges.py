@@ -1,7 +1,5 @@
 """Edges that are found again whatever the crop: directions count, which side is brighter does not."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Which module of gct_match may import which: predict below search and refine, these below the top."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

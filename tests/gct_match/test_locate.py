@@ -1,7 +1,5 @@
 """One template in one window: what looks alike is not taken for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

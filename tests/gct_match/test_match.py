@@ -1,7 +1,5 @@
 """A whole strip from the wrong installation matrix to places of its targets, and what must not be placed."""
 
-from __future__ import annotations
-
 import time
 import tracemalloc
 from dataclasses import replace

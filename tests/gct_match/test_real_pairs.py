@@ -1,7 +1,5 @@
 """Two dates that a real satellite saw: Sentinel-2, 10 m, clouds in the second."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import rasterio

@@ -1,7 +1,5 @@
 """Rounding moves no match."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rendered_pairs import MTF_AT_NYQUIST, Pair, make_pair

@@ -1,7 +1,5 @@
 """Packed spectra beside NumPy's, for even and odd shapes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A chip's pixels and the ground that they show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from affine import Affine

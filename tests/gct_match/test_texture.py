@@ -1,7 +1,5 @@
 """How precisely a picture's texture can fix its position, at best."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from boresight.gct_match.texture import expected_sigma_px

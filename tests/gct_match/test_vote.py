@@ -1,7 +1,5 @@
 """The common motion found among candidates of which most are wrong, and chance known for what it is."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Attitudes of heads that leave aberration in: as a head solves them from a narrow field of stars."""
 
-from __future__ import annotations
-
 import astropy.units as units
 import numpy as np
 import pytest

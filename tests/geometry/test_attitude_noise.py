@@ -1,7 +1,5 @@
 """Covariance of a head's attitude errors, against errors that are drawn about the head's own axes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from lopsided import HEADS

@@ -1,7 +1,5 @@
 """An ephemeris against itself: frequent mistakes are found and named, consistent files are not refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Height models in several files are the ground that one file with all heights would be."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

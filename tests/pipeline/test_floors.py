@@ -1,7 +1,5 @@
 """Who may import whom: the rooms of the house (docs/design.md)."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """Findings are short: cause, item and text of every one have at most `MOST_WORDS` words."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 

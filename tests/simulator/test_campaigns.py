@@ -1,7 +1,5 @@
 """Errors that a campaign is drawn with are where they are stated to be, with their signs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

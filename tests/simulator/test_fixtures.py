@@ -5,8 +5,6 @@ The files were made when the distortion along the detectors was drawn without it
 strips may differ by 0.1 px for that.
 """
 
-from __future__ import annotations
-
 import csv
 import tomllib
 from pathlib import Path

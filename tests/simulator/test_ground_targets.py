@@ -1,7 +1,5 @@
 """A surveyed target: its coordinates and its chip share one error, its height is orthometric."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The satellite's motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from boresight.geometry.constants import GM_EARTH, J2_EARTH, WGS84

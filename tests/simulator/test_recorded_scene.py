@@ -2,8 +2,6 @@
 line camera as it is. Tests of single properties allow for noise; these notice any change.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

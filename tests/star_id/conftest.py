@@ -1,7 +1,5 @@
 """What several modules ask of real frames: each is solved once in a run of all tests."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

@@ -1,7 +1,5 @@
 """Lenses by any function of the angle from the axis, for tests and benchmarks: nothing of `StarCamera`."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import brentq, least_squares
 from scipy.spatial.transform import Rotation

@@ -6,8 +6,6 @@ real ones of ../shared/data are answered: `known_answers.csv`, which `test_known
 writes that file anew from the present code; a difference is a decision, to be read before it is committed.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import sys

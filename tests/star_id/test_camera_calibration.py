@@ -1,7 +1,5 @@
 """The sky as a calibration field: truth recovered from a wrong nominal camera, with an honest covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

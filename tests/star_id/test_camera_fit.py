@@ -1,7 +1,5 @@
 """Derivatives that the camera's fit uses, against differences of the camera model itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The shipped catalogue against the numbers that its two makers published."""
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 

@@ -1,8 +1,6 @@
 """Noise of compressed and processed images: few false stars, and places as accurate as stated. Pillow
 compresses."""
 
-from __future__ import annotations
-
 import io
 
 import cv2

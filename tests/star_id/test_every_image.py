@@ -1,7 +1,5 @@
 """No image makes the finding of stars raise, and its unit makes no difference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from frames import PLACES, SMALL_CAMERA, Sensor, star_frame

@@ -1,7 +1,5 @@
 """Where one image looks, each star weighed by its covariance: bound reached, stated error true."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detections matched with predicted stars by probability, and what false detections do to a fitted lens."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foreign_lenses import SIZE, ForeignLens

@@ -1,7 +1,5 @@
 """Fisheyes of 80 to 175 deg: identified and calibrated to their edges, by formulas of other lenses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Attitudes of cameras that are not what they were given as: errors as stated, and reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

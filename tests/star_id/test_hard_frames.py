@@ -1,7 +1,5 @@
 """The renderer of bad frames keeps the light of its stars, and its bounds are those of its noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hard_frames import (

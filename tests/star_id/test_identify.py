@@ -1,7 +1,5 @@
 """Naming stars: whatever is known of the camera, whatever else is in the image, never a wrong name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The attitude of one image beside the plain form of the same estimate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Frames once named stay named, with the same stars: sixty rendered ones, and the real ones of
 ../shared/data. `known_frames.py` makes the record of the answers."""
 
-from __future__ import annotations
-
 import csv
 import warnings
 

@@ -1,7 +1,5 @@
 """What displaces the stars of one image besides its camera, and is in the stated errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import erfa

@@ -1,8 +1,6 @@
 """Lenses that are not of the paper's model, calibrated from lists of stars: the map's error is as stated, or
 the lens is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,8 +1,6 @@
 """Offsets of single lines that detectors show in few grey levels, near saturation, and with noise of their
 own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from frames import Sensor, render

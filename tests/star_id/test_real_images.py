@@ -3,8 +3,6 @@
 The images are not part of the project; without them beside the checkout these tests are skipped.
 """
 
-from __future__ import annotations
-
 from fnmatch import fnmatchcase
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stars of rendered frames of many kinds are measured as they were when last recorded."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from known_frames import rendered

@@ -1,7 +1,5 @@
 """Rounding moves no star, attitude or lens, also where a decision by evidence is near its limit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

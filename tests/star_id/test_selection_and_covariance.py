@@ -1,7 +1,5 @@
 """Which stars enter a fit and which error is stated, against independent calculations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import erfa

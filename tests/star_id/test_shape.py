@@ -1,7 +1,5 @@
 """Detection by an empirical PSF: worked through in bands of rows, as on the whole image."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Images of stars by an empirical PSF, beside SciPy's interpolation of the same spline."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 

@@ -1,7 +1,5 @@
 """From raw pixels to named stars with covariances, the whole way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from frames import PAPER_CAMERA, Sensor, render, star_frame

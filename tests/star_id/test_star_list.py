@@ -1,8 +1,6 @@
 """Detection and centroids against rendered truth: rates, bounds, honest covariances, and what is not a
 star."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -2,8 +2,6 @@
 CCDs whose images begin at different rows.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A corrected DIMAP product, read as the operator's software reads it, has the calibrated places."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 

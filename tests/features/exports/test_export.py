@@ -1,7 +1,5 @@
 """`boresight export` on a real result: every format is made, and each says what the result says."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Numbers of exports that only their readers would miss: each beside the place it was made from."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import numpy as np

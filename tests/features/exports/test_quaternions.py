@@ -1,7 +1,5 @@
 """Exported attitudes are as dense as their interpolation by others needs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp

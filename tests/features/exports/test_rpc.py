@@ -1,7 +1,5 @@
 """RPCs against the rigorous model, through GDAL's own transformer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

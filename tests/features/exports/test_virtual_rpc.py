@@ -1,7 +1,5 @@
 """RPCs of virtual CCDs with smooth attitudes, through GDAL, against places of the raw pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The alignment between two heads against the one that was drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.stats import chi2
 from two_trackers import NOISE, R_SH, T, tracks

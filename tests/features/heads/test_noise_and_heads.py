@@ -5,8 +5,6 @@ A record of two trackers 0.1 s apart in step with noise unequal in all axes; the
 is stated and its clock is late, which shows as the satellite slews.
 """
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Noise that `boresight noise --write` states in a dump is what the dump's reader finds; all else stays."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -5,8 +5,6 @@ Vectors only: results are drawn from their own information. The mounting is far 
 information is lopsided and turned, so that a wrong frame or sign shows.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from functools import reduce

@@ -1,7 +1,5 @@
 """GIPP files in their packings give what the plain XML gives; several SPAMOD are distinguished by date."""
 
-from __future__ import annotations
-
 import io
 import stat
 import tarfile

@@ -1,7 +1,5 @@
 """A dump that `import` writes says what it was given, and the white noise of attitudes is the drawn one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dumps made of operators' files give the same places as the operators' models, through the dump's reader."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from command_line import app

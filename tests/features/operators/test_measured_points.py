@@ -1,7 +1,5 @@
 """Image points of other programs: each origin of pixels, sign of rows and coordinate system put right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

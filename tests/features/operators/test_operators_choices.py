@@ -1,7 +1,5 @@
 """What a dump may say in the operator's way: look tables, effects of light left out, Earth orientation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

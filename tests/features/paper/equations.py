@@ -5,8 +5,6 @@ Each function of `GROUPS` hands what it finds to `shown`: number, what differs, 
 limit and unit. `test_equations.py` asks for all limits, `benchmarks/paper_tables.py` makes a record of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """Every numbered equation of the paper holds, to rounding or to what an approximation neglects."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from equations import GROUPS

@@ -1,7 +1,5 @@
 """Text on the page of experiments follows from the tables: with other data it says other things."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Centroids of other programs arrays, tables, cut and joined lists name stars as images do."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pandas as pd

@@ -1,7 +1,5 @@
 """The picture of `identify --overlay`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Planets' directions against published conjunctions, and a planet told in an image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

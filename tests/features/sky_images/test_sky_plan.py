@@ -1,7 +1,5 @@
 """Fields chosen to calibrate a camera: what they foretell comes, and no other choice is much better."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

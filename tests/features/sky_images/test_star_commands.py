@@ -1,7 +1,5 @@
 """identify, centroids and star-camera-calibrate on rendered images, as a user types them."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """dump init and dump check: a skeleton that is sound but empty; all errors at once; footprints and misses."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The ground half from the command line: places of a dump's targets, and good targets in an ortho-image."""
 
-from __future__ import annotations
-
 import csv
 import html
 import json

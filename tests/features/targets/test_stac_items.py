@@ -1,7 +1,5 @@
 """Targets from a STAC catalogue: dates, clouds, offsets between dates; on a disk, in a store, from an API."""
 
-from __future__ import annotations
-
 import csv
 import http.server
 import json

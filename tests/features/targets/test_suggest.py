@@ -1,7 +1,5 @@
 """Good places for targets in an ortho-image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

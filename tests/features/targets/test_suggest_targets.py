@@ -1,7 +1,5 @@
 """Targets from ortho-images: maps, dates, heights, what strips show; and that a dump takes the folder."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Targets chosen for the smallest covariance, against the covariance of a calibration with these targets."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

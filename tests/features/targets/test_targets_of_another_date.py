@@ -2,8 +2,6 @@
 are the same. Shadows are left out: those of one hour lie on one side and displace all targets alike, which
 shows in no residual."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

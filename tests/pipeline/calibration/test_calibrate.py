@@ -1,7 +1,5 @@
 """From pixels to the matrix on `fixtures/mini`: what the result must be, and what must not matter to it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A dump of several remote-sensing cameras: a matrix each, from exposures that are counted once."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

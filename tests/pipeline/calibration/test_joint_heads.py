@@ -1,7 +1,5 @@
 """Several dumps with two star trackers each: one matrix of each tracker from all of them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

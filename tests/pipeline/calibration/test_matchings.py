@@ -1,7 +1,5 @@
 """One strip searched, the others matched from its matrix; strips that need no second matching."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A dump whose data contradict themselves gives a result that says so, with exit status 3."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A command that prints all that commands print, in a module that loads little: run on terminals too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

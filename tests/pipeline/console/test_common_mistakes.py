@@ -1,7 +1,5 @@
 """Thirty common mistakes: each message names the file or option, the cause, and what to write instead."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Callable

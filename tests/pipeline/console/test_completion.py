@@ -1,7 +1,5 @@
 """What a shell offers for values: of every option and argument of every command."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

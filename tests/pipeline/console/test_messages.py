@@ -1,7 +1,5 @@
 """What commands print: results, remarks, progress, JSON, help; on a terminal, in a pipe, in a log file."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

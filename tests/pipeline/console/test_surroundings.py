@@ -1,7 +1,5 @@
 """What the program finds around it: closed streams, names that are no text, exhausted limits."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Motion that no star exposure shows is a finding, with what is assumed of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

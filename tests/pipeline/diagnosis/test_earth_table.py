@@ -1,7 +1,5 @@
 """The age of the Earth-orientation table at a dump's date, and a mission's table of other dates."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

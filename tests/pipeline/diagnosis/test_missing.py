@@ -1,7 +1,5 @@
 """Dumps without a result: the cause comes first, with numbers and what to check."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

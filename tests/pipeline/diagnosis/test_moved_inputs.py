@@ -1,7 +1,5 @@
 """Inputs moved by prediction: against ERFA, and against what the residuals then do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

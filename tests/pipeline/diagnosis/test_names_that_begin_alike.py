@@ -2,8 +2,6 @@
 explains hides nothing else, and no code reads a name to learn what it is about.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

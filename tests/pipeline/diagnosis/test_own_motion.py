@@ -1,7 +1,5 @@
 """Attitudes that contradict their own motion are named; sound ones and manoeuvres are left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Every row of a dump's tables is used or has a reason; coordinates that contradict a chip name the slip."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from dataclasses import replace

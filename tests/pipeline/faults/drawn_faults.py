@@ -6,8 +6,6 @@ attitudes and image lines that jump, drift, bend, scatter or are cut to a step, 
 CCD or all; and other star catalogues. A further kind is a row of `_profiles`.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterator

@@ -8,8 +8,6 @@ where the item of a finding has not the fault, unless the finding says that the 
 from others ("s01, or s02") and the fault is among these.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -13,8 +13,6 @@ Attitudes and points are the simulator's truth with noise of the stated size; no
 calibration on trial. A dump is made once in a working folder.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 `benchmarks/fuzz_images.py` reads ten thousand of each format, a test some dozens.
 """
 
-from __future__ import annotations
-
 import io
 import random
 import re

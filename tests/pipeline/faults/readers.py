@@ -4,8 +4,6 @@ The tests of this folder and `benchmarks/fuzz_readers.py` change the sound files
 outcomes: something is read, or one of the errors in `DOCUMENTED` is raised.
 """
 
-from __future__ import annotations
-
 import gzip
 import json
 import random

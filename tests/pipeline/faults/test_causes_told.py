@@ -4,8 +4,6 @@ Measured points of three strips and two heads: nothing is searched in images, so
 fault is another one than those of `faults.py`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace

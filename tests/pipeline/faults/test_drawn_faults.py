@@ -1,7 +1,5 @@
 """The faults that `benchmarks/faults_grid.py` tries are drawn by a seed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fault_dumps

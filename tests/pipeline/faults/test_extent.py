@@ -1,7 +1,5 @@
 """No reader takes memory or time for what a file only states: rows, values, bytes, width and height."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import json

@@ -2,8 +2,6 @@
 among what the result cannot show.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hostile files: devices and FIFOs, extreme numbers, escape characters, markup. Refused by name, at once."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Images made to harm: exposures without a sky, animated and damaged files, packed FITS."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import random

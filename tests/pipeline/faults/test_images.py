@@ -1,7 +1,5 @@
 """Images that are missing, damaged, of another kind, or claim to be huge: exposure, strip, chip, terrain."""
 
-from __future__ import annotations
-
 import resource
 import struct
 from collections.abc import Callable

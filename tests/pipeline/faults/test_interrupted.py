@@ -1,7 +1,5 @@
 """Runs killed at every step of writing, and disks that are full: what is there is whole, and runs go on."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

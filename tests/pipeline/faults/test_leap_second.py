@@ -1,7 +1,5 @@
 """A leap second inside a strip: labels, TAI seconds, and the matrix that comes out."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A dump with many damaged images is calibrated from the rest; each is counted and told with its reason."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

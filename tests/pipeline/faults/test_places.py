@@ -1,7 +1,5 @@
 """Strips over the pole and the 180th meridian: pixels to targets to places, and terrain that lies across."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 of what `benchmarks/fuzz_readers.py` does at length.
 """
 
-from __future__ import annotations
-
 import random
 import warnings
 from pathlib import Path

@@ -2,8 +2,6 @@
 calibration that has no matrix names the reading.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Files that name others, on a server or on this machine: nothing is requested, nothing else is opened."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import io

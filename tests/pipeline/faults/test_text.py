@@ -1,7 +1,5 @@
 """Hostile text: paths that lead out, files without end, nesting, formulas, code; and times that cannot be."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

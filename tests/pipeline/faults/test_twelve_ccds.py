@@ -2,8 +2,6 @@
 errors at once is named by console and page, though the name of one is the beginning of the other's.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Attitudes from a CCSDS ACM: by the standard's matrix, and as this program's own export writes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Attitudes of a star camera from CSV and from CCSDS messages, with every convention that may differ."""
 
-from __future__ import annotations
-
 import datetime
 import gzip
 from pathlib import Path

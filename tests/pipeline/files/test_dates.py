@@ -1,7 +1,5 @@
 """Dates of orbit, exposures and strips with nothing in common: file, found and expected are named."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

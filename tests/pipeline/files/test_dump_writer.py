@@ -1,7 +1,5 @@
 """A simulated mission comes back from its dump as it was, and its truth lies in one folder alone."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path

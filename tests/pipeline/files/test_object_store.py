@@ -1,7 +1,5 @@
 """Dumps in an object store (a local server of moto) and on web servers: the bytes of those on disk."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import os

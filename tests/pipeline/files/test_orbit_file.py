@@ -1,7 +1,5 @@
 """States of an OEM equal those of the library `oem`, an independent reader."""
 
-from __future__ import annotations
-
 import datetime
 import gzip
 import time

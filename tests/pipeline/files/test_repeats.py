@@ -1,7 +1,5 @@
 """What a dump gives twice is counted once, with its reason; clean dumps lose nothing."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from collections.abc import Callable

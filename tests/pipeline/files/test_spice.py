@@ -1,7 +1,5 @@
 """Attitudes and orbits from SPICE kernels that NAIF's own toolkit wrote, compared with what it reads."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 import sys

@@ -1,7 +1,5 @@
 """The star side and the ground side of a dump at other levels: what is stated twice, or not, is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

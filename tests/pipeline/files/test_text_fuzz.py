@@ -1,7 +1,5 @@
 """Names of files with anything in them, and keys of settings that are none: refused by name."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

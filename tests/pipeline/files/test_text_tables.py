@@ -1,7 +1,5 @@
 """CSV that is written: no text of an input is a formula in a spreadsheet, and no number is changed."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

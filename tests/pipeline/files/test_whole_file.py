@@ -1,7 +1,5 @@
 """Temporary files of killed processes are removed, those of others are not."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

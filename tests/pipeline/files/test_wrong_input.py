@@ -1,7 +1,5 @@
 """Every complaint names the file, the field, what was found and what was expected."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

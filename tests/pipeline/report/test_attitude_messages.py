@@ -1,7 +1,5 @@
 """The report of a mission whose star camera delivers attitudes: Allan deviation, residuals by temperature."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from pathlib import Path

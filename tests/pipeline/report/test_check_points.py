@@ -1,7 +1,5 @@
 """Check points: `validate` keeps their errors beside the result, and its report shows them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

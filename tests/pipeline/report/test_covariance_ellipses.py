@@ -1,7 +1,5 @@
 """Ellipses of a covariance: what their captions say, and the axes that are drawn."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """What is saved for the report: it agrees with the estimate, and its predictions with its residuals."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import pickle

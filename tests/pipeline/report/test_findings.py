@@ -1,7 +1,5 @@
 """What the report asks to look at: each pattern names its cause and its items, and good data give none."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import cv2

@@ -1,7 +1,5 @@
 """CE90 and LE90 against closed forms and drawn errors; what more data would change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Quicklooks of strips: each pixel has the grey value of the place where it lies."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -4,8 +4,6 @@ Those that stand in a table of the page name their place in the result (`test_re
 that has no row here fails.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

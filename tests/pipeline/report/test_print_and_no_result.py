@@ -1,7 +1,5 @@
 """The printed page, and the page of a run without a result."""
 
-from __future__ import annotations
-
 import re
 import shutil
 

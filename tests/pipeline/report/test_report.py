@@ -1,7 +1,5 @@
 """The report as a document: complete, self-contained, and every number in it the one that was saved."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

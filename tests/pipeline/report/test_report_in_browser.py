@@ -1,8 +1,6 @@
 """The report in a real headless Chromium: no error, no request, no sideways scrolling from 400 to 2560 px,
 light, dark and printed, no violation that axe finds; table, card, map and plots lead to one another."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import importlib.util

@@ -1,7 +1,5 @@
 """Errors of check points against those that were predicted: the probability, and the line on the console."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

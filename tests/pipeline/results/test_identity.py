@@ -1,7 +1,5 @@
 """Which result it is: its id, its date and command, and what its operator says of it."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Limits for continuous integration: kept, missed, and the JUnit file of both."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree

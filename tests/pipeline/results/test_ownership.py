@@ -1,7 +1,5 @@
 """`--out` is the user's folder: what is refused, what is replaced, and that nothing of others is touched."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Whether a matrix is as accurate as required, as the console says it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the terminal shows of a calibration, to the last printed digit."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Errors against a known truth: of the matrix in its covariance, of ground points along and across track."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What `validate` prints, number by number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

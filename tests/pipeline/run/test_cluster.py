@@ -1,7 +1,5 @@
 """Real `dask scheduler` and `dask worker` processes: killed, late, blind, of another version."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

@@ -1,7 +1,5 @@
 """An index kept on disk gives the answers of the one that was built, and its loss or damage costs time."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from dataclasses import fields

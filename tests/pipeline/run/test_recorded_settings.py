@@ -2,8 +2,6 @@
 fields. A changed default moves results and passes every test that states its own.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 from collections.abc import Iterator

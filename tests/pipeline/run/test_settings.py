@@ -1,7 +1,5 @@
 """Settings of a run: what the dump states, and what the user's file says instead."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A calibration into an existing result computes again what has changed, and only that."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

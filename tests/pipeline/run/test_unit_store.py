@@ -1,7 +1,5 @@
 """A unit is found again by everything that it was made from, and by nothing else."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Other processes, killed processes, full disks: the same result, and nothing finished is lost."""
 
-from __future__ import annotations
-
 import errno
 import mmap
 import os

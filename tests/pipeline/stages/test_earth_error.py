@@ -1,7 +1,5 @@
 """The 1-sigma of predicted Earth orientation in the covariance, against rotations made by other tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

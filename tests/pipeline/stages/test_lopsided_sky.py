@@ -4,8 +4,6 @@ Eight stages, rows labelled by the start of their exposure, an oblique scan off 
 correlated errors of sample and line.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from lopsided import EPOCH

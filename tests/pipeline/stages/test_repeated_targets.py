@@ -1,7 +1,5 @@
 """A dump whose targets are listed several times gives the result of each target once, and says so."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

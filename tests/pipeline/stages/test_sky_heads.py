@@ -1,7 +1,5 @@
 """Strips of the sky in which the reference star camera is blind: another head carries them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

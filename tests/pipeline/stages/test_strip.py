@@ -1,7 +1,5 @@
 """Directions of matched targets, and the target that misses a strip."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

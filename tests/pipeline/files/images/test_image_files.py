@@ -1,7 +1,5 @@
 """Images of every permitted kind come out as the same counts; damaged ones are complaints, never pictures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

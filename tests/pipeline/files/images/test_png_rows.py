@@ -1,7 +1,5 @@
 """Rows of PNG files beside what OpenCV reads; what is not understood is left to OpenCV."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tracemalloc

@@ -1,7 +1,5 @@
 """Windows and bands of a strip's image hold the pixels of its file; damaged tiles are errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
