@@ -37,7 +37,15 @@ from boresight.star_id.fisheye import (
 )
 from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
-from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify_stars
+from boresight.star_id.identification.identify import (
+    DENSER,
+    USUAL,
+    WIDER,
+    Identification,
+    NotIdentified,
+    identify_stars,
+    stages_of,
+)
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.observer import (
@@ -80,13 +88,13 @@ _STARS_TO_START = 12
 _ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1
 # Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
 _LEAST_RELIABLE = 4
-# Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
+# Stages of three passes over all fields of view, each a tuple of stages: the few
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
 _PASSES = (
-    ((0, 0, 6), (0, 6, 9)),
-    ((0, 9, 13), (1, 0, 9)),
-    ((DENSER, 0, 8), (DENSER, 8, 12)),
+    stages_of(USUAL, 6, 9),
+    (*stages_of(USUAL, 13, begin=9), *stages_of(WIDER, 9)),
+    stages_of(DENSER, 8, 12),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown

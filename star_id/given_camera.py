@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
@@ -38,9 +39,6 @@ _FALSE_ALARM = 1e-4
 # not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
 # three times its error.
 _LINEAR_SEEN = 5.0
-# Excess of chi-square over its degrees of freedom, in its standard deviations, from which a distortion is
-# looked for (set by hand: centroids of real images are up to a fifth worse than stated).
-_EXCESS_SEEN = 4.0
 # Fewest stars by which a departure from the camera is seen: it has three parameters and more (set by hand).
 _FEWEST = 8
 # Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
@@ -147,7 +145,7 @@ def _share_that_departs(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) 
     z = z - weight @ z / weight.sum()
     scale, stretch = np.vdot(z, r).real, z @ r
     gained = 0.5 * float((scale**2 + abs(stretch) ** 2) / np.vdot(z, weight * z).real)
-    return max(share_by_evidence(excess, _EXCESS_SEEN), share_by_evidence(gained, _LINEAR_SEEN))
+    return max(share_by_evidence(excess, SELDOM_SIGMA), share_by_evidence(gained, _LINEAR_SEEN))
 
 
 def _departing(

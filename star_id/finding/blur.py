@@ -20,6 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
@@ -66,9 +67,6 @@ _STANDS_OUT = 7.4
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
-# Residual of a pixel, in standard deviations, from which it belongs to another star or is hot; not used, or
-# clipped.
-_NEIGHBOUR = 5.0
 # Length of a trail over the width from which a smeared Gaussian of sharp ends is fitted; a shorter one is a
 # Gaussian of other second moments.
 _TRAIL_SIGMA = 3.0
@@ -247,7 +245,7 @@ def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
     usual = np.ones(len(start), dtype=bool)
     for _ in range(8):  # estimating the gain, leaving out stars that stand out
         variance = noise2 + np.tensordot(size, terms, 1)
-        used = (square < _NEIGHBOUR**2 * variance) & (weight > 0.0) & usual[:, None]
+        used = (square < NEVER_SIGMA**2 * variance) & (weight > 0.0) & usual[:, None]
         target = (square - noise2) / variance
         size = scipy.optimize.nnls((terms[:, used] / variance[used]).T, target[used])[0]
         chi2 = (square / (noise2 + np.tensordot(size, terms, 1))).mean(axis=1)
@@ -275,4 +273,4 @@ def _fitted(
         state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:]])
         offset = state[:, :2]
     off: Floats = np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float)
-    return off.clip(-_NEIGHBOUR, _NEIGHBOUR) if unlike else off, state, images
+    return off.clip(-NEVER_SIGMA, NEVER_SIGMA) if unlike else off, state, images

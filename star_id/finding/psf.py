@@ -19,8 +19,10 @@ from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, record, scalar
 
-__all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
+__all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
 
+# Width of the stars of a usual image, px, that detection starts with (set by hand).
+USUAL_SIGMA_PX = 1.2
 # Points along a pixel of the grid of an empirical PSF (set by hand).
 FINE = 2
 # Stars whose empirical images are made at a time, so that they stay in the processor's cache (set by hand).

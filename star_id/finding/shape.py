@@ -20,7 +20,9 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
+from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
@@ -32,22 +34,13 @@ __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px",
 _STARS, _FEWEST = 60, 8
 # Largest and least radius of an empirical PSF, px, whatever the patches of light (set by hand).
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
-# Height of a connected patch of the smoothed image, sigmas, from which it is a star of unknown shape.
-_BLOB_SIGMA = 5.0
 # Width of that smoothing, px: joins the parts of rings and trails (set by hand).
 _SMOOTHING_PX = 2.0
-# Rows around a band that smoothing needs, px: four times `_SMOOTHING_PX`.
-_SMOOTHING_REACH = 8
 # Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
 # MB each.
 _BAND = 256
 # Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
 _SMOOTH_CELLS = 1.2
-# Height of a pixel above its neighbours, sigmas, from which it is hot and replaced by them.
-_HOT_SIGMA = 5.0
-# A peak lower than so many times a brighter star's wings at its place is part of them (set by hand; as in
-# detect.py).
-_WINGS = 1.3
 
 
 @record
@@ -66,7 +59,7 @@ def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float3
     flat = in_noise(image, background)
     around = cv2.medianBlur(flat, 3)
     for band, _ in _bands(len(flat), 0):
-        hot = flat[band] - around[band] > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around[band]))
+        hot = flat[band] - around[band] > np.maximum(NEVER_SIGMA, 0.5 * np.abs(around[band]))
         np.copyto(flat[band], around[band], where=hot)
     return flat
 
@@ -180,7 +173,7 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray[Any], threshold: floa
     d = np.clip(d, 1, wings.shape[0] - 2)
     near = cv2.dilate(wings, np.ones((3, 3), np.uint8))[d[:, 1], d[:, 0]]
     drop = np.zeros(len(xy), dtype=bool)
-    above = snr[pairs[:, 1]] - _WINGS * near * snr[pairs[:, 0]]
+    above = snr[pairs[:, 1]] - WINGS * near * snr[pairs[:, 0]]
     drop[pairs[above < threshold * np.sqrt(1.0 - np.minimum(near, 1.0) ** 2), 1]] = True
     return xy[~drop]
 
@@ -200,10 +193,10 @@ def _peaks(height: NDArray[np.float32], threshold: float) -> tuple[Ints, Ints]:
 def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
     """Middles (N, 2) of bright patches of one size, far from others, and the radius that holds one, px."""
     above, light = np.empty(flat.shape, dtype=np.uint8), []
-    for band, around in _bands(len(flat), _SMOOTHING_REACH):
+    for band, around in _bands(len(flat), int(4.0 * _SMOOTHING_PX)):
         smooth = cv2.GaussianBlur(flat[around], (0, 0), _SMOOTHING_PX)[band.start - around.start :]
         smooth = smooth[: band.stop - band.start]
-        above[band] = smooth > _BLOB_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)
+        above[band] = smooth > NEVER_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)
         light.append(smooth[above[band] > 0])
     count, label, stats, middle = cv2.connectedComponentsWithStats(above)
     stats, middle = stats[1:], middle[1:]

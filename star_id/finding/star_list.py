@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
@@ -24,15 +25,13 @@ from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.own_scale import in_own_counts
-from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.psf import USUAL_SIGMA_PX, Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
 
-# Width of the PSF, px, that detection starts with (set by hand).
-_START_SIGMA_PX = 1.2
 # Brightest unsaturated stars that the width is measured of; where fewer than `_FEW_STARS` of them are
 # point-like, of the next 200.
 _STARS_FOR_PSF = 40
@@ -47,9 +46,6 @@ _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
 # signal-to-noise ratio.
 _SMALL_CHANGE = 0.2
-# Excess of chi-square, in its standard deviations, from which the wings of a saturated star do not fit the
-# PSF: loses one good one in 10 000.
-_WINGS_MISFIT = 4.0
 # Share of misshapen detections, of the stars, above which the PSF may be no Gaussian (set by hand).
 _MISSHAPEN_SHARE = 0.15
 # Share of saturated stars above which misshapen detections are the arms of their blooms (set by hand).
@@ -419,7 +415,7 @@ def _detections(frame: _Frame) -> _Found:
     """
     image, background, settings = frame.image, frame.background, frame.settings
     height, width = image.shape
-    sigma = settings.psf_sigma_px or _START_SIGMA_PX
+    sigma = settings.psf_sigma_px or USUAL_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
     halvings, candidates = -1, np.array([], np.int64)
     for _ in range(6):  # detection and width in turn; two are usual
@@ -540,7 +536,7 @@ def _blended(fits: StarFits, psf: Psf) -> Bools:
     usual = float(unsaturated[len(unsaturated) // 4]) if len(unsaturated) else 0.0
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
-    blended |= fits.saturated & (fits.chi2 > fits.dof + _WINGS_MISFIT * np.sqrt(2.0 * fits.dof))
+    blended |= fits.saturated & (fits.chi2 > fits.dof + SELDOM_SIGMA * np.sqrt(2.0 * fits.dof))
     sigma = _width_px(fits.xy_px, psf)
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):

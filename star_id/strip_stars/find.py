@@ -18,6 +18,7 @@ from scipy.special import lambertw
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.strip_image import StripImage
+from boresight.star_id.finding.candidates import MAX_CANDIDATES
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.column_blocks import Columns, candidates, column_levels
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_from_windows, width_of
@@ -43,8 +44,6 @@ _SAME_STAR_PX = 1.8
 _GHOST = 0.03
 # Light of a neighbour over the star's own from which it displaces it.
 _DISTURBING = 0.01
-# Most candidates of a strip; one with more shows no sky. Bounds time and memory.
-_MAX_CANDIDATES = 20_000
 
 
 @record
@@ -191,7 +190,7 @@ def _candidates(
             own = (peaks[:, 1] >= inner.start - 1) & (peaks[:, 1] <= inner.stop)  # at a seam in both
             for column, row in peaks[own].tolist():
                 side = 2 * radius + 1
-                if min(block.shape) < side or len(ccds) >= _MAX_CANDIDATES:
+                if min(block.shape) < side or len(ccds) >= MAX_CANDIDATES:
                     continue
                 left = int(np.clip(column - radius, 0, block.shape[1] - side))
                 top = int(np.clip(row - radius, 0, block.shape[0] - side))
