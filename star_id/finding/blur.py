@@ -27,14 +27,9 @@ from boresight.star_id.finding.window_fit import by_parameter, newton_step, star
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = [
-    "chi2_of_stars",
-    "do_not_stand_out",
     "explains_better",
     "find_coma",
     "find_trail",
-    "gain_about",
-    "is_better",
-    "refined",
 ]
 
 # Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
@@ -103,15 +98,15 @@ def find_coma(
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
     scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
-    theta, covariance = refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
+    theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
     found = comatic(theta)
-    if not is_better(windows, start, found, psf, _UNLIKE):
+    if not _is_better(windows, start, found, psf, _UNLIKE):
         return None
     widths = np.array([psf.sigma_px, psf.sigma_corner_px, _PEAKED])
-    grown = growing(refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
-    if not is_better(windows, start, found, grown, _UNLIKE):
+    grown = growing(_refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
+    if not _is_better(windows, start, found, grown, _UNLIKE):
         return None
-    gain, outwards = gain_about(windows, start, found), xy_px - found.middle_px
+    gain, outwards = _gain_about(windows, start, found), xy_px - found.middle_px
 
     def places(theta: Floats) -> Floats:
         return _fitted(windows, start, comatic(theta), gain=gain)[1][:, :2]
@@ -130,27 +125,27 @@ def explains_better(
         return False
     pixels, radius = np.rint(xy_px).astype(np.int64), psf.shape_radius_px
     windows = star_windows(image, pixels, background, radius, saturation_dn)
-    return is_better(windows, windows.offsets(xy_px), psf, other)
+    return _is_better(windows, windows.offsets(xy_px), psf, other)
 
 
-def is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
+def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
     """Whether `psf` explains the windows better than `other`, from places `start` (N, 2) in them on; stars'
     images may differ from both by `unlike` of the light in a pixel. Stars that stand out by both do not
     count: what neither explains is a neighbour's."""
-    after, before = (chi2_of_stars(windows, start, each, unlike) for each in (psf, other))
-    usual = do_not_stand_out(np.minimum(after, before))
+    after, before = (_chi2_of_stars(windows, start, each, unlike) for each in (psf, other))
+    usual = _do_not_stand_out(np.minimum(after, before))
     dof = np.count_nonzero(usual) * windows.data.shape[1]
     excess, other_excess = float(after[usual].sum()) - dof, float(before[usual].sum()) - dof
     return excess < _BETTER * other_excess and other_excess - excess > _BEYOND_CHANCE
 
 
-def do_not_stand_out(chi2: Floats) -> Bools:
+def _do_not_stand_out(chi2: Floats) -> Bools:
     """(N,) stars whose chi-square (N,) is not far above the usual one: a neighbour's light adds to it."""
     middle = np.median(chi2)
     return np.asarray(chi2 <= middle + _STANDS_OUT * np.median(np.abs(chi2 - middle)))
 
 
-def chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
+def _chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
     """Chi-square (N,) of each star, from places `start` (N, 2) in the windows on, about its image by a PSF
     that stars differ from by `unlike` of the light in a pixel."""
     residual = _fitted(windows, start, psf, unlike)[0]
@@ -177,12 +172,12 @@ def find_trail(
         )
 
     scale = np.append(0.1, np.full(2, np.abs(smear).max()))
-    found = smeared(refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
     if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
-    return found, gain_about(windows, start, found)
+    return found, _gain_about(windows, start, found)
 
 
 def _trail_of(psf: Psf) -> tuple[float, Floats]:
@@ -197,7 +192,7 @@ def _trail_of(psf: Psf) -> tuple[float, Floats]:
     return float(np.sqrt(across2)), np.sqrt(12.0 * (along2 - across2)) * axes[:, 1]
 
 
-def refined(
+def _refined(
     windows: StarWindows,
     start: Floats,
     psf_of: Callable[[Floats], Psf],
@@ -221,10 +216,10 @@ def refined(
 
 
 def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
-    return float(chi2_of_stars(windows, start, psf, unlike).sum())
+    return float(_chi2_of_stars(windows, start, psf, unlike).sum())
 
 
-def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
+def _gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
     """Electrons per DN of the photon noise that the residuals about a PSF show, of stars near `start` (N, 2)
     in their windows; infinite if they show none.
 

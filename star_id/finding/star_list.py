@@ -21,7 +21,6 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise, without_block_levels
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
-from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.own_scale import in_own_counts
@@ -159,11 +158,11 @@ class StarList:
         for places in (xy, other):
             places[:, 0] = width_px - 1.0 - places[:, 0]
         cov[:, [0, 1], [1, 0]] *= -1.0
-        smear, fields = ((-x, y) for x, y in (self.psf.smear_px, self.psf.fields_px))
+        smear_x, smear_y = self.psf.smear_px
         old = {name: getattr(self.background, name) for name in _GRIDS}
         grids: dict[str, Any] = {name: None if one is None else one[:, ::-1] for name, one in old.items()}
         sky = replace(self.background, **grids)
-        psf = replace(self.psf, smear_px=smear, fields_px=fields)
+        psf = replace(self.psf, smear_px=(-smear_x, smear_y))
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
@@ -436,8 +435,6 @@ def _detections(frame: _Frame) -> _Found:
         if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and change < 0.5 * psf.sigma_px:
             break
     gain = gain_from_widths(shapes, background.correlation)
-    if settings.psf_sigma_px is None and settings.smear_px is None and (fields := find_fields(shapes, psf)):
-        (psf, gain), psf_stars = fields, int(np.count_nonzero(shapes.settled))
     return _Found(
         xy_px=found.xy_px,
         offset_px=found.offset_px,

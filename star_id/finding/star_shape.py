@@ -46,8 +46,9 @@ class WidthFits:
     error_px: Floats = array("N", "standard errors of the widths, px")
     normal: Floats = array("N, 5, 5", "normal matrices of the fits")
     residual: NDArray[np.float32] = array("N, M", "measured minus fitted, DN")
-    settled: Bools = array("N", "whether the fit has come to rest near its pixel")
-    good: Bools = array("N", "whether, moreover, a Gaussian leaves no more than a star does")
+    good: Bools = array(
+        "N", "whether a fit has come to rest near its pixel and leaves no more than a star does"
+    )
 
     @property
     def stars(self) -> int:
@@ -98,7 +99,6 @@ def fit_widths(
         error_px=error,
         normal=normal,
         residual=residual,
-        settled=settled,
         good=good,
     )
 
