@@ -15,7 +15,7 @@ from scipy.linalg.lapack import dposv, dsyev
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.attitude_estimate import GROSS
+from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.star_id.finding.background import median_of
 
@@ -35,8 +35,6 @@ NEXT, PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, 5.0, 4.0)
 # Most steps of Gauss-Newton of one fit, and rounds of rejection.
 _STEPS, _ROUNDS = 5, 12
-# A step of Gauss-Newton, rad, after which covariances change by less than 1e-6 of themselves.
-_SETTLED_RAD = 1e-9
 
 
 @record
@@ -174,7 +172,7 @@ class _Whitened:
             z, D = self.linear(R, scale)
             F, right = _normal(z, D)
             R, scale, step = _stepped(R, scale, F, right)
-            if max(map(abs, step)) < _SETTLED_RAD:  # what the step does not remove is of second order
+            if max(map(abs, step)) < SETTLED_RAD:  # what the step does not remove is of second order
                 return R, scale, z - (np.array(step) @ D.reshape(len(D), -1)).reshape(z.shape), F
         z, D = self.linear(R, scale)
         return R, scale, z, _normal(z, D)[0]
@@ -187,7 +185,7 @@ class _Whitened:
             z, D = self.linear(R, scale)
             before, kept = kept, (z * z).sum(axis=0) <= limit
             R, scale, step = _stepped(R, scale, *_normal(z, D, kept))
-            if max(map(abs, step)) < _SETTLED_RAD and before is not None and (before == kept).all():
+            if max(map(abs, step)) < SETTLED_RAD and before is not None and (before == kept).all():
                 break
         assert kept is not None
         return R, scale, kept

@@ -41,6 +41,7 @@ from boresight.star_id.camera_fit import (
 )
 
 __all__ = [
+    "SMALL_CHANGE",
     "LensEquations",
     "LensErrors",
     "lens_errors",
@@ -70,7 +71,7 @@ _PER_PARAMETER = 1.0
 _LARGEST_VARIANCE = 1e12
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
 # hand).
-_ROUNDS, _SMALL_CHANGE = 40, 1e-4
+_ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
@@ -274,7 +275,7 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
         before, common = common, _common_variance(residual, solution.leverage, own, common)
-        if abs(common - before) <= _SMALL_CHANGE * before:
+        if abs(common - before) <= SMALL_CHANGE * before:
             break
     return common
 

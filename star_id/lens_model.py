@@ -62,7 +62,7 @@ _STEREOGRAPHIC_RAD = np.radians(45.0)
 _TANGENT_RAD = np.radians(70.0)
 # Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
-_CLEARLY_MORE = 1.1
+CLEARLY_MORE = 1.1
 # Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
 # Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
@@ -106,7 +106,7 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
     if not fits:
         raise np.linalg.LinAlgError("no projection can be fitted")
     plain, good = max(fits, key=lambda fit: fit[1].sum())
-    if good.sum() < _CLEARLY_MORE * fits[0][1].sum():
+    if good.sum() < CLEARLY_MORE * fits[0][1].sum():
         plain, good = fits[0]
     inner = replace(
         stars,

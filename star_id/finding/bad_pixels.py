@@ -22,7 +22,7 @@ __all__ = ["has_many_dead_pixels", "without_bad_pixels"]
 # by chance, and lower hot ones are no detections.
 _HEIGHT_SIGMA = 3.5
 # Every so many rows and columns are looked at for dead pixels.
-_SPARSE_ROWS, _SPARSE_COLUMNS = 32, 16
+_SPARSE = 16
 # Factor on the height that a star in the middle of a pixel has beside its neighbours: pixels differ in
 # response (set by hand).
 _UNEVEN = 1.4
@@ -31,7 +31,7 @@ _UNEVEN = 1.4
 def has_many_dead_pixels(image: NDArray[Any], background: Background, share: float) -> bool:
     """Whether more than a `share` of the pixels of an image (H, W) are far below the darkest sky."""
     darkest = background.level_dn.min() - NEVER_SIGMA * background.noise_dn.max()
-    sample = image[::_SPARSE_ROWS, ::_SPARSE_COLUMNS]
+    sample = image[::_SPARSE, ::_SPARSE]
     return bool(np.count_nonzero(sample < darkest) > share * sample.size)
 
 

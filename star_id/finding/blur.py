@@ -56,9 +56,6 @@ _UNLIKE = 0.1
 # Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
 # (set by hand).
 _BETTER = 0.8
-# Distance of a star's chi-square from the median of all, in their median deviations, from which it stands
-# out: 5 standard deviations of a normal distribution.
-_STANDS_OUT = 7.4
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
@@ -68,9 +65,6 @@ _TRAIL_SIGMA = 3.0
 # Share of the peak below which pixels of an empirical image do not enter its second moments: they are
 # noise.
 _LIGHT = 0.1
-# Excess chi-square of a smeared Gaussian over that of the empirical image up to which it is taken: the
-# latter is fitted to the same stars and follows their noise (set by hand).
-_AS_GOOD = 1.2
 
 
 def find_coma(
@@ -142,7 +136,7 @@ def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike
 def _do_not_stand_out(chi2: Floats) -> Bools:
     """(N,) stars whose chi-square (N,) is not far above the usual one: a neighbour's light adds to it."""
     middle = np.median(chi2)
-    return np.asarray(chi2 <= middle + _STANDS_OUT * np.median(np.abs(chi2 - middle)))
+    return np.asarray(chi2 <= middle + NEVER_SIGMA * 1.4826 * np.median(np.abs(chi2 - middle)))
 
 
 def _chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
@@ -175,7 +169,7 @@ def find_trail(
     found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
-    if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
+    if _BETTER * (after - dof) > max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
     return found, _gain_about(windows, start, found)
 

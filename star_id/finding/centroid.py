@@ -26,8 +26,6 @@ __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 
 # Step, in standard errors, at which a fit has converged: those after it add less than a twentieth of one.
 _SMALL_STEP = 0.1
-# Step, px, of a fit that has converged, if it is a faint star's.
-_SMALL_STEP_PX = 0.1
 # Further steps of those that have not converged (set by hand; twice as many with a flat PSF).
 _MORE_STEPS = 5
 # Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
@@ -161,7 +159,7 @@ def _fit(
         more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels, psf, settled_px=_LARGEST_STEP_PX if one_step else _SMALL_STEP_PX)
+    return _stars_of(fit, windows, pixels, psf, settled_px=_LARGEST_STEP_PX if one_step else _SMALL_STEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,15 +23,14 @@ __all__ = ["without_lines"]
 
 # Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
 _PART_PX = 32
-# Adjacent lines in the middle of the image that are looked at for offsets of all lines.
+# Adjacent lines in the middle of the image that are looked at for offsets of all lines, and pixels of a line
+# whose median is taken: known to 1/25 of a pixel's noise.
 _LINES = 1024
 # Variance of such offsets, as a share of a pixel's, below which they do no harm: 5 % of a pixel's noise.
 _LEAST_VARIANCE = 0.003
 # Covariance of adjacent steps over their variance, below which steps are a line's own: -0.5 for independent
 # offsets, 0.6 where rows of stars make them (set by hand, between both).
 _LIKE_NOISE = 0.2
-# Pixels of a line whose median is taken: known to 1/25 of a pixel's noise.
-_SAMPLES = 1024
 # Lines whose median an outlying line is compared with: odd, longer than a bright star's image.
 _AROUND = 51
 # Lines over which the level of the sky is a parabola: odd, shorter than clouds and vignetting (set by
@@ -42,7 +41,8 @@ _RAISED = 0.05
 # Standard deviation of a pixel, DN, up to which an image of whole numbers has too few grey levels to show the
 # offsets of all lines: rounding then adds a tenth to the variance (1/12 DN^2).
 _LEAST_NOISE_DN = 1.0
-# The same for 8 bits where the sky is cut off (set by hand: real frames whose sky is 0 to 2 DN lost stars).
+# The same for 8 bits where the sky is cut off (set by hand: of two real frames in sixteen a seventh of the
+# stars is lost otherwise, the others have more).
 _LEAST_NOISE_CUT_OFF_DN = 4.0
 # Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
 # have half the weight; estimated to 0.04).
@@ -159,7 +159,7 @@ def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[ND
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
     """
-    sample = image[:, :: max(1, image.shape[1] // _SAMPLES)]
+    sample = image[:, :: max(1, image.shape[1] // _LINES)]
     median = np.median(sample, axis=1)
     rest = sample - median[:, None]
     noise = 1.4826 * float(np.median(np.abs(rest)))

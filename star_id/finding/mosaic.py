@@ -35,11 +35,10 @@ _STAR_PX = 24
 # Share of the tiles that must agree on the brightest and on the darkest of the four pixels: by chance a
 # quarter does.
 _ALIKE = 0.8
-# Least response of a colour, of the mean: a darker pixel tells nothing of a star, and would be amplified.
-_LEAST_RESPONSE = 0.1
 # Fewest stars that show a response: a hot pixel is one of them now and then (set by hand).
 _FEWEST = 5
 # Largest standard error of a response that is divided out: its square is added to the noise of starlight.
+# Least response, of the mean: a darker pixel tells nothing of a star, and would be amplified.
 _LARGEST_ERROR = 0.1
 
 
@@ -91,7 +90,7 @@ def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
     differs = np.abs(response - 1.0) > SELDOM_SIGMA * error
     if not differs.any() or error.max() > _LARGEST_ERROR:
         return np.ones((2, 2))
-    return np.asarray((response / response.mean()).clip(_LEAST_RESPONSE))
+    return np.asarray((response / response.mean()).clip(_LARGEST_ERROR))
 
 
 def even_image(

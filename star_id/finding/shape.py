@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import NEVER_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, NEVER_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
@@ -29,9 +29,8 @@ from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
-# Most and fewest stars of which an empirical PSF is made: of 60 the noise of its mean is 1/8 of a star's,
-# fewer than 8 do not show one.
-_STARS, _FEWEST = 60, 8
+# Most stars of which an empirical PSF is made: the noise of its mean is 1/8 of a star's.
+_STARS = 60
 # Largest and least radius of an empirical PSF, px, whatever the patches of light (set by hand).
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
 # Width of that smoothing, px: joins the parts of rings and trails (set by hand).
@@ -79,7 +78,7 @@ def estimate_shape(
     `image` (H, W) is raw, `flat` (H, W) the same without background (`flat_image`).
     """
     pixels, radius = _blobs(image, flat, saturation_dn)
-    if len(pixels) < _FEWEST:
+    if len(pixels) < FEW_STARS:
         return None
     windows = replace(star_windows(image, pixels, background, radius, saturation_dn), above_cut=None)
     offset, flux = _moments(windows)
@@ -87,7 +86,7 @@ def estimate_shape(
     for _ in range(4):  # measuring places, averaging the stars' images
         shape = _stacked(windows, offset, flux, sky)
         offset, flux, sky, good = _fitted(windows, offset, shape)
-        if good.sum() < _FEWEST:
+        if good.sum() < FEW_STARS:
             return None
         windows, offset, flux, sky = windows.take(good), offset[good], flux[good], sky[good]
     value = shape_images(shape, np.zeros((1, 2)), windows.radius).value[0].astype(float).clip(0.0)
@@ -204,7 +203,7 @@ def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) ->
     total = np.bincount(label[above > 0], np.concatenate(light), minlength=count)[1:]
     top = np.argsort(-total, kind="stable")[: 4 * _STARS]
     top = top[area[top] > 4]
-    if len(top) < _FEWEST:
+    if len(top) < FEW_STARS:
         return np.empty((0, 2), dtype=np.int64), 0
     side = stats[top][:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     radius = int(np.clip(0.7 * np.median(side) + 3.0, _LEAST_RADIUS, _LARGEST_RADIUS))

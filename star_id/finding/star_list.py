@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
@@ -31,11 +31,9 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
 
-# Brightest unsaturated stars that the width is measured of; where fewer than `_FEW_STARS` of them are
+# Brightest unsaturated stars that the width is measured of; where fewer than `FEW_STARS` of them are
 # point-like, of the next 200.
 _STARS_FOR_PSF = 40
-# Number of stars, and of misshapen detections, that is too small to judge the PSF by.
-_FEW_STARS = 8
 # Fewest stars that give a width; with fewer the assumed one stays.
 _LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
@@ -45,20 +43,17 @@ _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
 # signal-to-noise ratio.
 _SMALL_CHANGE = 0.2
-# Share of misshapen detections, of the stars, above which the PSF may be no Gaussian (set by hand).
+# Share of misshapen detections above which the PSF may be no Gaussian, or captions and noise fill the list
+# (set by hand).
 _MISSHAPEN_SHARE = 0.15
-# Share of saturated stars above which misshapen detections are the arms of their blooms (set by hand).
-_SATURATED_SHARE = 0.1
 # Misshapen detections by an empirical PSF over those by the Gaussian, below which it is right (set by
 # hand).
 _FEWER_MISSHAPEN = 0.6
 # Stars found by an empirical PSF over those by the Gaussian that it must exceed: it may reject false stars,
 # not real ones (set by hand).
 _LEAST_KEPT = 0.7
-# Share of the first `max_stars` detections that must be stars; if fewer are, captions or noise fill the
-# list, and more detections are fitted (set by hand).
-_WELL_SHAPED = 0.85
-# Detections fitted then, in units of `max_stars`: three times as many (set by hand; bounds the time).
+# Detections fitted, in units of `max_stars`, where captions or noise fill the list (set by hand; bounds the
+# time).
 _TRIED = 3
 # Share of hot or of dead pixels from which they are looked for before stars are: one star in twenty has one
 # within 3 px.
@@ -285,7 +280,7 @@ def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarLis
     neither explains them better.
     """
     trailed = _with_blur(find_trail, frame, found, stars)
-    if not trailed and not _may_be_no_gaussian(stars):
+    if not trailed and stars.misshapen <= FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px):
         return stars
     shaped = _detections_by_shape(frame, found.hot_pixels)
     if shaped is None:
@@ -295,15 +290,6 @@ def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarLis
     if trails := [one for one in (trailed, by_image) if one]:
         return max(trails, key=lambda one: len(one.xy_px))  # where more are found
     return _by_better_psf(frame, stars, others)
-
-
-def _may_be_no_gaussian(stars: StarList) -> bool:
-    """Whether more detections are misshapen than a Gaussian PSF explains. The arms of saturated stars are so
-    whatever the PSF.
-    """
-    n = len(stars.xy_px)
-    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * n
-    return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
 
 
 def _by_better_psf(frame: _Frame, stars: StarList, others: StarList) -> StarList:
@@ -339,7 +325,7 @@ def _measured(frame: _Frame, found: _Found) -> StarList:
     shape, most = frame.image.shape, frame.settings.max_stars
     first = np.arange(min(len(found.xy_px), most))
     fits, good = _fits_of(frame, found, first)
-    if len(found.xy_px) > len(first) and np.mean(good) < _WELL_SHAPED:
+    if len(found.xy_px) > len(first) and np.mean(~good) > _MISSHAPEN_SHARE:
         fits, good = _fits_of(frame, found, _spread_over_image(found.xy_px, _TRIED * most, shape))
     psf = found.psf
     rows = _distinct(fits, np.flatnonzero(good), psf)
@@ -454,7 +440,7 @@ def _shapes(frame: _Frame, found: Detections, psf: Psf) -> WidthFits:
     for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
         pixels, offset = found.xy_px[some], found.offset_px[some]
         shapes = fit_widths(frame.image, pixels, offset, frame.background, psf, saturation_dn=top)
-        if shapes.stars >= _FEW_STARS:
+        if shapes.stars >= FEW_STARS:
             break
     return shapes
 

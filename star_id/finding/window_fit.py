@@ -22,7 +22,7 @@ __all__ = ["by_parameter", "newton_step", "noise_gain", "start_state"]
 Pixels = NDArray[np.float32]
 # Least variance of a pixel at the cut, as a share of an uncut one's: noise there is rare and large, but no
 # outlier (1/2 - 1/(2 pi), that of a sky cut off at its level).
-_LEAST_SHARE = 0.34
+_LEAST_SHARE = float(after_cut(np.zeros(()))[1])
 
 
 def start_state(windows: StarWindows, offset: Floats, images: PsfImages) -> Floats:
