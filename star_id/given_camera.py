@@ -21,6 +21,7 @@ from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, SELDOM_SI
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
+    STRETCH_SIZES_PX,
     LensEquations,
     LensErrors,
     lens_errors,
@@ -36,8 +37,6 @@ __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivati
 # not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
 # three times its error.
 _LINEAR_SEEN = 5.0
-# Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
-_ANY_STRETCH_PX = 100.0
 # Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
 _EXPECTED_SCALE = 2e-4
 
@@ -168,7 +167,7 @@ def _departing(
 
 def _errors(equations: LensEquations) -> LensErrors:
     """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
-    linear = equations.stretched(_ANY_STRETCH_PX)
+    linear = equations.stretched(float(STRETCH_SIZES_PX[-1]))  # no prior
     common = with_common_variance(linear, 0.0)
     residual = linear.residual_px - linear.columns @ linear.solved(common).mean
     square = np.einsum(

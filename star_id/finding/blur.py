@@ -20,10 +20,10 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats
-from boresight.star_id.beyond_chance import NEVER_SIGMA
+from boresight.star_id.beyond_chance import MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
-from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = [
@@ -136,7 +136,7 @@ def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike
 def _do_not_stand_out(chi2: Floats) -> Bools:
     """(N,) stars whose chi-square (N,) is not far above the usual one: a neighbour's light adds to it."""
     middle = np.median(chi2)
-    return np.asarray(chi2 <= middle + NEVER_SIGMA * 1.4826 * np.median(np.abs(chi2 - middle)))
+    return np.asarray(chi2 <= middle + NEVER_SIGMA * MAD_SIGMA * np.median(np.abs(chi2 - middle)))
 
 
 def _chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
@@ -238,7 +238,7 @@ def _gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
         target = (square - noise2) / variance
         size = scipy.optimize.nnls((terms[:, used] / variance[used]).T, target[used])[0]
         chi2 = (square / (noise2 + np.tensordot(size, terms, 1))).mean(axis=1)
-        usual = chi2 < 1.0 + 4.0 * np.sqrt(2.0 / square.shape[1])
+        usual = chi2 < 1.0 + SELDOM_SIGMA * np.sqrt(2.0 / square.shape[1])
     return float(1.0 / size[0]) if size[0] > 0.0 else np.inf
 
 
@@ -259,7 +259,9 @@ def _fitted(
             light2 = (images.value * state[:, 2:3]) ** 2 / windows.noise2[:, None]
             weighted = replace(windows, good=(windows.good / (1.0 + unlike**2 * light2)).astype(np.float32))
         step, _, residual, weight = newton_step(weighted, images, state, gain)
-        state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:]])
+        state = state + np.column_stack(
+            [np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX), step[:, 2:]]
+        )
         offset = state[:, :2]
     off: Floats = np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float)
     return off.clip(-NEVER_SIGMA, NEVER_SIGMA) if unlike else off, state, images

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints
-from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 
 __all__ = ["without_lines"]
 
@@ -109,7 +109,7 @@ def _has_offsets(image: NDArray[Any], axis: int) -> bool:
     parts = _parts(image, axis)
     steps = np.diff(parts[:, :_LINES], axis=1)
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
-    scale = 1.4826 * float(few[len(few) // 2])
+    scale = MAD_SIGMA * float(few[len(few) // 2])
     least_dn = _LEAST_NOISE_DN if np.issubdtype(image.dtype, np.integer) else 0.0
     scale = max(scale, least_dn / np.sqrt(_PART_PX))
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
@@ -122,7 +122,7 @@ def _has_offsets(image: NDArray[Any], axis: int) -> bool:
         least_dn = _LEAST_NOISE_CUT_OFF_DN
     if pixel_dn <= least_dn:
         return False
-    steps = np.clip(steps, -3.0 * scale, 3.0 * scale)
+    steps = np.clip(steps, -CLIP_SIGMA * scale, CLIP_SIGMA * scale)
     product = steps[0] * steps[1]  # twice the variance of the offsets
     if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_dn**2:
         return False
@@ -162,14 +162,14 @@ def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[ND
     sample = image[:, :: max(1, image.shape[1] // _LINES)]
     median = np.median(sample, axis=1)
     rest = sample - median[:, None]
-    noise = 1.4826 * float(np.median(np.abs(rest)))
+    noise = MAD_SIGMA * float(np.median(np.abs(rest)))
     limit = CLIP_SIGMA * max(noise, 1.0)
     above = np.mean(sample > sample.min(), axis=1).clip(0.2)
     clipped = np.clip(rest, -limit, limit)
     middle = median + clipped.mean(axis=1) / above
     around = scipy.ndimage.median_filter(middle, _AROUND, mode="nearest")
     off = middle - around
-    inlier = np.clip(off, -3.0 * (spread := 1.4826 * np.median(np.abs(off))), 3.0 * spread)
+    inlier = np.clip(off, -CLIP_SIGMA * (spread := MAD_SIGMA * np.median(np.abs(off))), CLIP_SIGMA * spread)
     window = min(_SMOOTH, len(middle) // 2 * 2 - 1)
     offset = np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)
     unusable = median > saturation_dn - SELDOM_SIGMA * noise

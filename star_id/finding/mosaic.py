@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import MAD_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
 from boresight.star_id.finding.lines import without_lines
 
@@ -85,7 +85,7 @@ def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
         return np.ones((2, 2))
     of_star = light[..., mean > 0.0] / mean[mean > 0.0]  # (2, 2, N)
     response = np.median(of_star, axis=2)
-    scatter = 1.4826 * np.median(np.abs(of_star - response[..., None]), axis=2)
+    scatter = MAD_SIGMA * np.median(np.abs(of_star - response[..., None]), axis=2)
     error = scatter * np.sqrt(0.5 * np.pi / of_star.shape[2])  # of a median, for normal errors
     differs = np.abs(response - 1.0) > SELDOM_SIGMA * error
     if not differs.any() or error.max() > _LARGEST_ERROR:

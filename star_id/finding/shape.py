@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import FEW_STARS, NEVER_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
@@ -251,7 +251,7 @@ def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) ->
         whole, summed = (gaussian_filter(part, _SMOOTH_CELLS) for part in (whole, summed))
         mean = summed / np.maximum(whole, 1e-9)
         off = np.abs(value - mean.ravel()[cell]) * np.sqrt(weight)
-        keep = off < 4.0 * max(1.0, 1.4826 * float(np.median(off)))
+        keep = off < SELDOM_SIGMA * max(1.0, MAD_SIGMA * float(np.median(off)))
     edge = np.concatenate([mean[:FINE].ravel(), mean[-FINE:].ravel()])
     mean = mean - np.median(edge)
     mean = 0.5 * (mean + mean[::-1, ::-1])

@@ -26,14 +26,17 @@ from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosa
 from boresight.star_id.finding.own_scale import in_own_counts
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX, Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
-from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
+from boresight.star_id.finding.star_shape import (
+    STARS_FOR_WIDTH,
+    WidthFits,
+    fit_widths,
+    gain_from_widths,
+    psf_of,
+)
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
 
-# Brightest unsaturated stars that the width is measured of; where fewer than `FEW_STARS` of them are
-# point-like, of the next 200.
-_STARS_FOR_PSF = 40
 # Fewest stars that give a width; with fewer the assumed one stays.
 _LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
@@ -256,7 +259,7 @@ def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float
         smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
     )
     xy: Ints = _detections(_Frame(cells, estimate_background(cells), of_cells, saturation)).xy_px
-    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
+    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:STARS_FOR_WIDTH]
 
 
 def _list_stars(frame: _Frame) -> StarList:
@@ -436,8 +439,8 @@ def _shapes(frame: _Frame, found: Detections, psf: Psf) -> WidthFits:
     """Width fits of the 40 brightest unsaturated detections; if fewer than 8 are point-like, of the next
     200."""
     (column, row), top = found.xy_px.T, frame.saturation_dn
-    below = np.flatnonzero(frame.image[row, column] < top)[: 6 * _STARS_FOR_PSF]
-    for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
+    below = np.flatnonzero(frame.image[row, column] < top)[: 6 * STARS_FOR_WIDTH]
+    for some in (below[:STARS_FOR_WIDTH], below[STARS_FOR_WIDTH:]):
         pixels, offset = found.xy_px[some], found.offset_px[some]
         shapes = fit_widths(frame.image, pixels, offset, frame.background, psf, saturation_dn=top)
         if shapes.stars >= FEW_STARS:

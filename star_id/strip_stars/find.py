@@ -19,6 +19,7 @@ from scipy.special import lambertw
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.strip_image import StripImage
 from boresight.star_id.finding.candidates import MAX_CANDIDATES
+from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.column_blocks import Columns, candidates, column_levels
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_from_windows, width_of
@@ -29,8 +30,8 @@ __all__ = ["StripMotion", "StripStars", "find_strip_stars"]
 
 # Rows read at a time, which bounds memory; rows with one level and noise of each column.
 _ROWS_READ, _ROWS_ALIKE = 1024, 256
-# Most stars that the width and the gain are estimated from.
-_STARS_FOR_WIDTH, _STARS_FOR_GAIN = 40, 300
+# Most stars that the gain is estimated from.
+_STARS_FOR_GAIN = 300
 # SNR of stars that give width and gain: of the first limit that three stars reach.
 _BRIGHT_SNR = (30.0, 10.0)
 # Stars fitted at a time, which bounds memory.
@@ -135,7 +136,7 @@ def find_strip_stars(
     rough = _fits(found, found.start, sigma, np.inf)
     inside = _on_detector(found, rough, images)
     gain = settings.gain_e_per_dn or np.inf
-    few = _bright(found, rough, inside, _BRIGHT_SNR, _STARS_FOR_WIDTH)
+    few = _bright(found, rough, inside, _BRIGHT_SNR, STARS_FOR_WIDTH)
     if settings.psf_sigma_px is None and len(few):
         chosen = found.take(few)
         sigma = width_of(chosen.windows, rough.offset[few], chosen.motion)
