@@ -114,7 +114,6 @@ ROWS = (
         complete=0.6,  # the list ends with 600 stars
     ),
     Row("1 % hot, dead rows, PRNU of 10 %", sensor=Sensor(hot_pixels=41943, dead_rows=8, prnu=0.1)),
-    Row("interlaced, 1 px between fields", sensor=replace(USUAL, interlace_px=1.0)),
     Row("gamma 2.2, 8 bits", sensor=Sensor(bits=8, bias_dn=16.0, gamma=2.2)),
     Row("row noise of 0.75 sigma", sensor=Sensor(row_noise=0.75)),
     Row("sky clipped at zero", sensor=Sensor(clipped=True)),

@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import Projection, StarCamera
+from boresight.star_id.beyond_chance import LOST_BY_CHANCE
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -37,9 +38,18 @@ from boresight.star_id.fisheye import (
 )
 from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
-from boresight.star_id.identification.identify import DENSER, Identification, NotIdentified, identify_stars
+from boresight.star_id.identification.identify import (
+    DENSER,
+    USUAL,
+    WIDER,
+    Identification,
+    NotIdentified,
+    identify_stars,
+    stages_of,
+)
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.lens_model import CLEARLY_MORE
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
     Observer,
@@ -75,18 +85,15 @@ _WIDE_RAD = np.radians(45.0)
 # Stars that the first lens is fitted to, the brightest: false detections are mostly faint, and bend a lens
 # that few stars hold (set by hand).
 _STARS_TO_START = 12
-# Where no star gave the PSF: with so many detections, of which a share below so much has twice the
-# threshold's SNR, they are noise: of stars four in ten have it (set by hand).
-_ENOUGH_TO_TELL, _LEAST_BRIGHT_SHARE = 20, 0.1
 # Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
 _LEAST_RELIABLE = 4
-# Stages (see `identify.STAGES`) of three passes over all fields of view, each a tuple of stages: the few
+# Stages of three passes over all fields of view, each a tuple of stages: the few
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
 _PASSES = (
-    ((0, 0, 6), (0, 6, 9)),
-    ((0, 9, 13), (1, 0, 9)),
-    ((DENSER, 0, 8), (DENSER, 8, 12)),
+    stages_of(USUAL, 6, 9),
+    (*stages_of(USUAL, 13, begin=9), *stages_of(WIDER, 9)),
+    stages_of(DENSER, 8, 12),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
@@ -98,14 +105,9 @@ _ATTEMPTS: tuple[_Attempt, ...] = (
 )
 # The same of a camera that is known.
 _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))
-# Squared residual of a star, in its covariance (2 degrees of freedom), at which it counts as wrong or
-# blended: exp(-18.4 / 2) = 1e-4 by chance.
-_LARGEST_SQUARE = 18.4
 # Chi-square by which another lens must be better than the first: lenses that explain the stars alike have
 # chi-squares that rounding orders (Akaike 1974: two for a parameter).
 _BEYOND_CHANCE = 2.0
-# Ratio of identified stars above which a fisheye is taken instead of a tangent lens (set by hand).
-_CLEARLY_MORE = 1.1
 # Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
 # fisheye's image (set by hand).
 _EXTENDED_PX = 0.5
@@ -283,9 +285,6 @@ def solve_list(
     known = _Known(
         size=size, index=index, settings=settings, camera=camera, fov_x_rad=fov_x_rad, observer=observer
     )
-    if _are_no_stars(stars):
-        reason = f"{len(stars.snr)} detections without a star's shape, nearly all at the threshold"
-        return NotIdentified(f"{reason}: no stars; expose longer, or state the PSF", len(stars.snr))
     if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
         return _of_fisheye(stars, known, fov_x_rad)
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
@@ -309,7 +308,7 @@ def solve_list(
         )
         if solution is None:
             reasons.append(_without_lens(found))
-        elif best is None or solution.matches > _CLEARLY_MORE * best.matches:
+        elif best is None or solution.matches > CLEARLY_MORE * best.matches:
             best, named = replace(solution, mirrored=True) if mirrored else solution, found
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
@@ -348,7 +347,7 @@ def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: Star
     def misfit(lens: FieldSolution) -> float:
         residual = best.xy_px - lens.camera.pixels_from_directions(lens.R_si.apply(best.u_i))
         square = np.einsum("mi,mij,mj->m", residual, W, residual)
-        return float(np.fmin(np.nan_to_num(square, nan=np.inf), _LARGEST_SQUARE).sum())
+        return float(np.fmin(np.nan_to_num(square, nan=np.inf), -2.0 * np.log(LOST_BY_CHANCE)).sum())
 
     return min(lenses, key=lambda lens: misfit(lens) - (_BEYOND_CHANCE if lens is lenses[0] else 0.0))
 
@@ -393,14 +392,6 @@ def _of_fisheye(stars: StarList, known: _Known, fov_x_rad: float) -> FieldSoluti
 def _without_lens(found: Identification) -> NotIdentified:
     n, odds = len(found.stars), -found.log_false_alarm_probability
     return NotIdentified(f"{n} stars identified, but no lens fits them", n, found.proposals, odds)
-
-
-def _are_no_stars(stars: StarList) -> bool:
-    """Whether the detections are hot pixels and noise: of stars four in ten are twice as bright as the
-    faintest."""
-    if stars.psf_stars or len(stars.snr) < _ENOUGH_TO_TELL:
-        return False
-    return bool(np.mean(stars.snr > 2.0 * stars.threshold) < _LEAST_BRIGHT_SHARE)
 
 
 def _of_known_camera(

@@ -15,6 +15,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (
+    SMALL_CHANGE,
     LensEquations,
     LensErrors,
     lens_errors,
@@ -25,9 +26,8 @@ from boresight.star_id.lens_misfit import (
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
 
 
-# Most rounds of fitting the camera and the common variance in turn (set by hand; two are usual), and the
-# relative change of the variance that ends them.
-_ROUNDS, _SMALL_CHANGE = 8, 1e-4
+# Most rounds of fitting the camera and the common variance in turn (set by hand; two are usual).
+_ROUNDS = 8
 
 
 @record
@@ -108,7 +108,7 @@ def _fit(
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
         before, common = common, with_common_variance(equations, common)
-        if abs(common - before) <= _SMALL_CHANGE * before:
+        if abs(common - before) <= SMALL_CHANGE * before:
             break
     return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep]), common
 

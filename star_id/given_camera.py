@@ -17,9 +17,11 @@ from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, SELDOM_SIGMA
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
+    STRETCH_SIZES_PX,
     LensEquations,
     LensErrors,
     lens_errors,
@@ -31,20 +33,10 @@ from boresight.star_id.lens_misfit import (
 __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 
 
-# Probability of rejecting a good star, by the scatter of all: they are many, and the camera is only roughly
-# known.
-_FALSE_ALARM = 1e-4
 # Log likelihood that scale and stretch gain, half their squares in their variances, from which the camera is
 # not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
 # three times its error.
 _LINEAR_SEEN = 5.0
-# Excess of chi-square over its degrees of freedom, in its standard deviations, from which a distortion is
-# looked for (set by hand: centroids of real images are up to a fifth worse than stated).
-_EXCESS_SEEN = 4.0
-# Fewest stars by which a departure from the camera is seen: it has three parameters and more (set by hand).
-_FEWEST = 8
-# Size of a stretch, px at the ends of the longer side, that any residuals would allow: no prior.
-_ANY_STRETCH_PX = 100.0
 # Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
 _EXPECTED_SCALE = 2e-4
 
@@ -58,7 +50,7 @@ def fit_known_camera(
     Outliers are rejected; the covariance is scaled by the reduced chi2 if that exceeds 1. Where the stars
     show that the camera is not as given, the attitude is that of `_departing`, in between a mean of both.
     """
-    attitude = fit_image_attitude(camera.pixel_slopes(xy_px), cov_px, u_i, R_si, _FALSE_ALARM)
+    attitude = fit_image_attitude(camera.pixel_slopes(xy_px), cov_px, u_i, R_si, LOST_BY_CHANCE)
     variance_factor = max(1.0, attitude.chi2 / max(attitude.dof, 1))
     fit = FieldFit(attitude.R_si, variance_factor * attitude.cov_s, camera, 0.0, 0.0)
     share = _share_that_departs(xy_px, cov_px, attitude)
@@ -97,7 +89,7 @@ def fit_scaled_camera(
     """
     slopes = camera.pixel_slopes(xy_px)
     by_scale = focal_derivatives(camera, slopes, R_si.apply(u_i))
-    fit = fit_image_attitude(slopes, cov_px, u_i, R_si, _FALSE_ALARM, by_scale=by_scale)
+    fit = fit_image_attitude(slopes, cov_px, u_i, R_si, LOST_BY_CHANCE, by_scale=by_scale)
     if _share_that_departs(xy_px, cov_px, fit) >= 0.5:
         departing = _departing(camera, xy_px, cov_px, u_i, fit)
         if departing is not None and departing.misfit_px > 0.0:
@@ -138,7 +130,7 @@ def _share_that_departs(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) 
     With z the star's place from the mean, r its residual, both as complex numbers, and v its variance, the
     estimate of a scale is  sum Re(conj(z) r) / v  over  sum |z|^2 / v,  that of a stretch  sum z r / v.
     """
-    if len(xy_px) < _FEWEST:
+    if len(xy_px) < FEW_STARS:
         return 0.0
     excess = (attitude.chi2 - attitude.dof) / math.sqrt(2.0 * attitude.dof)
     weight = attitude.kept / (0.5 * (cov_px[:, 0, 0] + cov_px[:, 1, 1]))
@@ -147,7 +139,7 @@ def _share_that_departs(xy_px: Floats, cov_px: Floats, attitude: ImageAttitude) 
     z = z - weight @ z / weight.sum()
     scale, stretch = np.vdot(z, r).real, z @ r
     gained = 0.5 * float((scale**2 + abs(stretch) ** 2) / np.vdot(z, weight * z).real)
-    return max(share_by_evidence(excess, _EXCESS_SEEN), share_by_evidence(gained, _LINEAR_SEEN))
+    return max(share_by_evidence(excess, SELDOM_SIGMA), share_by_evidence(gained, _LINEAR_SEEN))
 
 
 def _departing(
@@ -156,7 +148,7 @@ def _departing(
     """Attitude of the image's centre with what displaces the stars fitted, too; None where it cannot be."""
     R_si, kept = attitude.R_si, attitude.kept
     for _ in range(4):  # rejecting outliers and fitting again
-        if kept.sum() < _FEWEST:
+        if kept.sum() < FEW_STARS:
             return None
         u_s = R_si.apply(u_i)
         try:
@@ -175,7 +167,7 @@ def _departing(
 
 def _errors(equations: LensEquations) -> LensErrors:
     """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
-    linear = equations.stretched(_ANY_STRETCH_PX)
+    linear = equations.stretched(float(STRETCH_SIZES_PX[-1]))  # no prior
     common = with_common_variance(linear, 0.0)
     residual = linear.residual_px - linear.columns @ linear.solved(common).mean
     square = np.einsum(
@@ -187,10 +179,10 @@ def _errors(equations: LensEquations) -> LensErrors:
 
 
 def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) -> Bools:
-    """(N,) stars within the limit of `_FALSE_ALARM` of the places that are predicted."""
+    """(N,) stars within the limit of `LOST_BY_CHANCE` of the places that are predicted."""
     predicted, _ = errors.predict(u_s, errors.camera.pixels_from_directions(u_s))
     off = xy_px - predicted
     inverse = np.linalg.inv(cov_px + errors.common_px2 * np.eye(2))
     square = np.nan_to_num(np.einsum("ni,nij,nj->n", off, inverse, off), nan=np.inf)
     scatter = max(1.0, float(np.median(square) / chdtri(2, 0.5)))
-    return square <= scatter * float(chdtri(2, _FALSE_ALARM))
+    return square <= scatter * float(chdtri(2, LOST_BY_CHANCE))

@@ -15,11 +15,11 @@ from scipy.linalg.lapack import dposv, dsyev
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.attitude_estimate import GROSS
+from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.star_id.finding.background import median_of
 
-__all__ = ["ImageAttitude", "fit_image_attitude"]
+__all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
 
 # Fewest stars that may remain after rejection: of fewer none is rejected.
 _FEWEST = 3
@@ -27,15 +27,14 @@ _FEWEST = 3
 _MEDIAN = float(chdtri(2, 0.5))
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
-# The component of a vector product's factors: (a x b)_k = a[next] b[previous] - a[previous] b[next].
-_NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
+# The components after and before each of three, cyclically: (a x b)_k = a[next] b[previous] - a[previous]
+# b[next].
+NEXT, PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, 5.0, 4.0)
 # Most steps of Gauss-Newton of one fit, and rounds of rejection.
 _STEPS, _ROUNDS = 5, 12
-# A step of Gauss-Newton, rad, after which covariances change by less than 1e-6 of themselves.
-_SETTLED_RAD = 1e-9
 
 
 @record
@@ -152,7 +151,7 @@ class _Whitened:
             E = by_scale.T / first
             E[1] = (by_scale[:, 1] - mixed * E[0]) / second
         by_axis = B.transpose(1, 0, 2)
-        B_next, B_prev = by_axis.take(_NEXT, axis=0), by_axis.take(_PREV, axis=0)
+        B_next, B_prev = by_axis.take(NEXT, axis=0), by_axis.take(PREV, axis=0)
         return cls(B, B_next, B_prev, np.ascontiguousarray(u_i.T), first, mixed, second, E)
 
     def linear(self, R: Floats, scale: float) -> tuple[Floats, Floats]:
@@ -160,7 +159,7 @@ class _Whitened:
         and the scale, signs reversed."""
         w, B, E = R @ self.u_i, self.B, self.by_scale
         z = -(B * w).sum(axis=1)  # slopes are normal to the measured direction: B (u_s - w)
-        D = w.take(_NEXT, axis=0)[:, None] * self.B_prev - w.take(_PREV, axis=0)[:, None] * self.B_next
+        D = w.take(NEXT, axis=0)[:, None] * self.B_prev - w.take(PREV, axis=0)[:, None] * self.B_next
         if E is None:
             return z, D
         return z - scale * E, np.concatenate([D, E[None]])
@@ -173,7 +172,7 @@ class _Whitened:
             z, D = self.linear(R, scale)
             F, right = _normal(z, D)
             R, scale, step = _stepped(R, scale, F, right)
-            if max(map(abs, step)) < _SETTLED_RAD:  # what the step does not remove is of second order
+            if max(map(abs, step)) < SETTLED_RAD:  # what the step does not remove is of second order
                 return R, scale, z - (np.array(step) @ D.reshape(len(D), -1)).reshape(z.shape), F
         z, D = self.linear(R, scale)
         return R, scale, z, _normal(z, D)[0]
@@ -186,7 +185,7 @@ class _Whitened:
             z, D = self.linear(R, scale)
             before, kept = kept, (z * z).sum(axis=0) <= limit
             R, scale, step = _stepped(R, scale, *_normal(z, D, kept))
-            if max(map(abs, step)) < _SETTLED_RAD and before is not None and (before == kept).all():
+            if max(map(abs, step)) < SETTLED_RAD and before is not None and (before == kept).all():
                 break
         assert kept is not None
         return R, scale, kept

@@ -41,6 +41,8 @@ from boresight.star_id.camera_fit import (
 )
 
 __all__ = [
+    "SMALL_CHANGE",
+    "STRETCH_SIZES_PX",
     "LensEquations",
     "LensErrors",
     "lens_errors",
@@ -62,7 +64,7 @@ _TRIED_SHARES = (1.0, 0.5)
 # Size of the distortion of these trials over the root of the common variance.
 _TRIED_WARP = 2.0
 # Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
-_STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
+STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
 # Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
 # one parameter (Akaike 1974).
 _PER_PARAMETER = 1.0
@@ -70,11 +72,11 @@ _PER_PARAMETER = 1.0
 _LARGEST_VARIANCE = 1e12
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
 # hand).
-_ROUNDS, _SMALL_CHANGE = 40, 1e-4
+_ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
-_SCALE_BY_STRETCH2 = 2.0**0.5
+_SCALE_BY_STRETCH2 = np.sqrt(2.0)
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
 _FOCAL = PARAMETERS[:1]
@@ -274,7 +276,7 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
         before, common = common, _common_variance(residual, solution.leverage, own, common)
-        if abs(common - before) <= _SMALL_CHANGE * before:
+        if abs(common - before) <= SMALL_CHANGE * before:
             break
     return common
 
@@ -397,8 +399,8 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
         v = value + size**2
         return float((square / v**2 - 1.0 / v).sum())
 
-    best = min(max(int(gained(_STRETCH_SIZES_PX).argmax()), 1), len(_STRETCH_SIZES_PX) - 2)
-    size = _zero(slope, *_STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
+    best = min(max(int(gained(STRETCH_SIZES_PX).argmax()), 1), len(STRETCH_SIZES_PX) - 2)
+    size = _zero(slope, *STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
     likeliest = gained(np.array([size], dtype=np.float64))
     return size * share_by_evidence(float(likeliest[0]), _PER_PARAMETER) ** 0.5
 

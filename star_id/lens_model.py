@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.camera_fit import (
     OUTLIER_CHI2,
     PARAMETERS,
@@ -61,7 +62,7 @@ _STEREOGRAPHIC_RAD = np.radians(45.0)
 _TANGENT_RAD = np.radians(70.0)
 # Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
-_CLEARLY_MORE = 1.1
+CLEARLY_MORE = 1.1
 # Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
 # Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
@@ -76,8 +77,6 @@ _NEAR = (0.01, 0.02, 0.05)
 _LINE = 0.02
 # Most pairs that are formed: 16 MB; of more stars narrower lines are compared.
 _MOST_PAIRS = 1_000_000
-# Mean product of neighbours' residuals, in standard errors, from which a distortion is left over.
-_SIGNIFICANT = 4.0
 
 
 _Case = TypeVar("_Case")
@@ -107,7 +106,7 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
     if not fits:
         raise np.linalg.LinAlgError("no projection can be fitted")
     plain, good = max(fits, key=lambda fit: fit[1].sum())
-    if good.sum() < _CLEARLY_MORE * fits[0][1].sum():
+    if good.sum() < CLEARLY_MORE * fits[0][1].sum():
         plain, good = fits[0]
     inner = replace(
         stars,
@@ -217,7 +216,7 @@ def _shared_px(residual_px: Floats, sigma_px: Floats, a: Ints, b: Ints) -> float
         by_star = np.bincount(a, product, minlength=len(sigma_px))
         variance = float(product.sum() / weight.sum())
         error = float(np.sqrt((by_star**2).sum()) / weight.sum())
-    return float(np.sqrt(variance)) if variance > _SIGNIFICANT * error else 0.0
+    return float(np.sqrt(variance)) if variance > SELDOM_SIGMA * error else 0.0
 
 
 def _good_stars(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation) -> tuple[CameraFit, Bools]:

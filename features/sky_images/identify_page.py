@@ -98,13 +98,11 @@ def _seen(stars: StarList) -> list[tuple[str, str]]:
         f"estimated from {stars.psf_stars} stars" if stars.psf_stars else "assumed: too few point-like stars"
     )
     shape = "mean image of the stars" if psf.shape is not None else "Gaussian"
-    smear, apart = (float(np.hypot(*motion)) for motion in (psf.smear_px, psf.fields_px))
-    fields = [("even and odd rows", f"exposed in turn, {apart:.1f} px apart")] if apart else []
+    smear = float(np.hypot(*psf.smear_px))
     return [
         ("point spread function", f"{shape}, {source}"),
         ("its width (1σ)", f"{psf.sigma_px:.2f} px, {psf.sigma_corner_px:.2f} px in the corners"),
         ("motion during the exposure", f"{smear:.1f} px" if smear else "none seen"),
-        *fields,
         ("coma in the corners", f"{psf.coma_px:.1f} px" if psf.coma_px else "none seen"),
         ("detection limit", f"{stars.threshold:.2f} sigmas of the matched filter"),
         ("sky", f"{sky.level_dn.min():.1f} to {sky.level_dn.max():.1f} DN"),

@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.finding.cut_sky import UNCUT, cut_moments, limit_after_cut
+from boresight.star_id.beyond_chance import CLIP_SIGMA
+from boresight.star_id.finding.cut_sky import UNCUT, clipped_variance, cut_moments, limit_after_cut
 
 __all__ = [
+    "NEAR_PX",
     "Background",
     "background_image",
     "estimate_background",
@@ -31,8 +33,6 @@ __all__ = [
 # Pixels sampled along each side of a block: of 64 x 64 values the median is known to 1/50 of the noise,
 # 1.25 / 64.
 _SAMPLES_ACROSS_BLOCK = 64
-# Distance from the level, in sigmas of the noise, beyond which a pixel is a star's and not used.
-_CLIP_SIGMA = 3.0
 # Side of the small blocks, px, where the sky is uneven within larger ones: nebulae, clouds (set by hand).
 _SMALL_BLOCK_PX = 40.0
 # Scatter within a block over the noise between neighbouring pixels from which the sky counts as uneven
@@ -43,13 +43,12 @@ _UNEVEN = 1.5
 _ALIKE = 0.15
 # Distance, px, of the pixels whose difference gives the noise: beyond the correlation of interpolated and
 # compressed images.
-_NEAR_PX = 4
+NEAR_PX = 4
 # Share of a block's pixels at the least value of the image from which its sky is cut off there; a whole
 # normal distribution has far fewer (set by hand).
 _CUT_OFF = 0.08
-# Variance of a unit normal cut off 3 sigma from its mean: 1 - 6 phi(3) / (2 Phi(3) - 1). Follows from
-# `_CLIP_SIGMA`.
-_CLIPPED_VARIANCE = 0.973337
+# Variance of a unit normal that is clipped so.
+_CLIPPED_VARIANCE = clipped_variance(CLIP_SIGMA)
 
 
 @record
@@ -179,8 +178,8 @@ def _noise_between_neighbours(image: NDArray[Any]) -> float:
     """Standard deviation of a pixel, DN, from differences of pixels near one another; inf where these do not
     tell, in a sky that is cut off or has few grey levels."""
     down, across = (max(1, size // most) for size, most in zip(image.shape, (64, 128)))
-    few = image[::down, :-_NEAR_PX:across].astype(np.float32)
-    difference = np.abs(image[::down, _NEAR_PX::across] - few)
+    few = image[::down, :-NEAR_PX:across].astype(np.float32)
+    difference = np.abs(image[::down, NEAR_PX::across] - few)
     if np.mean(difference == 0.0) > _ALIKE:
         return np.inf
     middle = difference.size // 2
@@ -193,7 +192,7 @@ def _noise_in_blocks(image: NDArray[Any], blocks: tuple[int, ...]) -> Floats:
     rows, columns = (size // count for size, count in zip(image.shape, blocks))
     parts = image[: blocks[0] * rows, : blocks[1] * columns].astype(np.float32)
     parts = parts.reshape(blocks[0], rows, blocks[1], columns)
-    difference = np.abs(parts[..., _NEAR_PX:] - parts[..., :-_NEAR_PX])
+    difference = np.abs(parts[..., NEAR_PX:] - parts[..., :-NEAR_PX])
     return np.asarray(1.0483 * np.median(difference, axis=(1, 3)), dtype=float)
 
 
@@ -276,10 +275,10 @@ def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Float
 
     level = quantile(0.5)
     sigma = np.maximum((level - quantile(0.1587)), 0.3 * width)
-    used = _bins_within(value, level, 3.0 * _CLIP_SIGMA * sigma)
+    used = _bins_within(value, level, 3.0 * CLIP_SIGMA * sigma)
     counts, value = counts[:, used], value[used]
     for _ in range(4):
-        reach = _CLIP_SIGMA * sigma[:, None]
+        reach = CLIP_SIGMA * sigma[:, None]
         upper = np.minimum(np.maximum((level[:, None] + reach - value) / width + 0.5, 0.0), 1.0)
         lower = np.minimum(np.maximum((value - level[:, None] + reach) / width + 0.5, 0.0), 1.0)
         weight = counts * upper * lower

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.background import Background, background_image
 
 __all__ = ["has_many_dead_pixels", "without_bad_pixels"]
@@ -20,11 +21,8 @@ __all__ = ["has_many_dead_pixels", "without_bad_pixels"]
 # Height over that of a star with the same neighbours, sigmas of a pixel: one good pixel in 4000 is higher
 # by chance, and lower hot ones are no detections.
 _HEIGHT_SIGMA = 3.5
-# Depth below the sky, sigmas of a pixel, of a dead pixel, and height of those that are counted as hot: one
-# good pixel in three million is beyond it by chance.
-_DEPTH_SIGMA = 5.0
 # Every so many rows and columns are looked at for dead pixels.
-_SPARSE_ROWS, _SPARSE_COLUMNS = 32, 16
+_SPARSE = 16
 # Factor on the height that a star in the middle of a pixel has beside its neighbours: pixels differ in
 # response (set by hand).
 _UNEVEN = 1.4
@@ -32,8 +30,8 @@ _UNEVEN = 1.4
 
 def has_many_dead_pixels(image: NDArray[Any], background: Background, share: float) -> bool:
     """Whether more than a `share` of the pixels of an image (H, W) are far below the darkest sky."""
-    darkest = background.level_dn.min() - _DEPTH_SIGMA * background.noise_dn.max()
-    sample = image[::_SPARSE_ROWS, ::_SPARSE_COLUMNS]
+    darkest = background.level_dn.min() - NEVER_SIGMA * background.noise_dn.max()
+    sample = image[::_SPARSE, ::_SPARSE]
     return bool(np.count_nonzero(sample < darkest) > share * sample.size)
 
 
@@ -52,7 +50,7 @@ def without_bad_pixels(
     above = np.zeros(image.shape, dtype=np.float32)  # what a star beside such neighbours leaves
     above[1:-1, 1:-1] = height[1:-1, 1:-1] - steepest * np.maximum(middle, 0.0)
     hot = above > _HEIGHT_SIGMA * noise
-    bad = hot | (height < -_DEPTH_SIGMA * noise)
+    bad = hot | (height < -NEVER_SIGMA * noise)
     clean = image.copy()
     clean[1:-1, 1:-1][bad[1:-1, 1:-1]] = (middle + level[1:-1, 1:-1])[bad[1:-1, 1:-1]]
-    return clean, background.without(bad), int(np.count_nonzero(above > _DEPTH_SIGMA * noise))
+    return clean, background.without(bad), int(np.count_nonzero(above > NEVER_SIGMA * noise))

@@ -20,20 +20,16 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats
+from boresight.star_id.beyond_chance import MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
-from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = [
-    "chi2_of_stars",
-    "do_not_stand_out",
     "explains_better",
     "find_coma",
     "find_trail",
-    "gain_about",
-    "is_better",
-    "refined",
 ]
 
 # Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
@@ -60,24 +56,15 @@ _UNLIKE = 0.1
 # Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
 # (set by hand).
 _BETTER = 0.8
-# Distance of a star's chi-square from the median of all, in their median deviations, from which it stands
-# out: 5 standard deviations of a normal distribution.
-_STANDS_OUT = 7.4
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
-# Residual of a pixel, in standard deviations, from which it belongs to another star or is hot; not used, or
-# clipped.
-_NEIGHBOUR = 5.0
 # Length of a trail over the width from which a smeared Gaussian of sharp ends is fitted; a shorter one is a
 # Gaussian of other second moments.
 _TRAIL_SIGMA = 3.0
 # Share of the peak below which pixels of an empirical image do not enter its second moments: they are
 # noise.
 _LIGHT = 0.1
-# Excess chi-square of a smeared Gaussian over that of the empirical image up to which it is taken: the
-# latter is fitted to the same stars and follows their noise (set by hand).
-_AS_GOOD = 1.2
 
 
 def find_coma(
@@ -105,15 +92,15 @@ def find_coma(
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
     scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
-    theta, covariance = refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
+    theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
     found = comatic(theta)
-    if not is_better(windows, start, found, psf, _UNLIKE):
+    if not _is_better(windows, start, found, psf, _UNLIKE):
         return None
     widths = np.array([psf.sigma_px, psf.sigma_corner_px, _PEAKED])
-    grown = growing(refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
-    if not is_better(windows, start, found, grown, _UNLIKE):
+    grown = growing(_refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
+    if not _is_better(windows, start, found, grown, _UNLIKE):
         return None
-    gain, outwards = gain_about(windows, start, found), xy_px - found.middle_px
+    gain, outwards = _gain_about(windows, start, found), xy_px - found.middle_px
 
     def places(theta: Floats) -> Floats:
         return _fitted(windows, start, comatic(theta), gain=gain)[1][:, :2]
@@ -132,27 +119,27 @@ def explains_better(
         return False
     pixels, radius = np.rint(xy_px).astype(np.int64), psf.shape_radius_px
     windows = star_windows(image, pixels, background, radius, saturation_dn)
-    return is_better(windows, windows.offsets(xy_px), psf, other)
+    return _is_better(windows, windows.offsets(xy_px), psf, other)
 
 
-def is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
+def _is_better(windows: StarWindows, start: Floats, psf: Psf, other: Psf, unlike: float = 0.0) -> bool:
     """Whether `psf` explains the windows better than `other`, from places `start` (N, 2) in them on; stars'
     images may differ from both by `unlike` of the light in a pixel. Stars that stand out by both do not
     count: what neither explains is a neighbour's."""
-    after, before = (chi2_of_stars(windows, start, each, unlike) for each in (psf, other))
-    usual = do_not_stand_out(np.minimum(after, before))
+    after, before = (_chi2_of_stars(windows, start, each, unlike) for each in (psf, other))
+    usual = _do_not_stand_out(np.minimum(after, before))
     dof = np.count_nonzero(usual) * windows.data.shape[1]
     excess, other_excess = float(after[usual].sum()) - dof, float(before[usual].sum()) - dof
     return excess < _BETTER * other_excess and other_excess - excess > _BEYOND_CHANCE
 
 
-def do_not_stand_out(chi2: Floats) -> Bools:
+def _do_not_stand_out(chi2: Floats) -> Bools:
     """(N,) stars whose chi-square (N,) is not far above the usual one: a neighbour's light adds to it."""
     middle = np.median(chi2)
-    return np.asarray(chi2 <= middle + _STANDS_OUT * np.median(np.abs(chi2 - middle)))
+    return np.asarray(chi2 <= middle + NEVER_SIGMA * MAD_SIGMA * np.median(np.abs(chi2 - middle)))
 
 
-def chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
+def _chi2_of_stars(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> Floats:
     """Chi-square (N,) of each star, from places `start` (N, 2) in the windows on, about its image by a PSF
     that stars differ from by `unlike` of the light in a pixel."""
     residual = _fitted(windows, start, psf, unlike)[0]
@@ -179,12 +166,12 @@ def find_trail(
         )
 
     scale = np.append(0.1, np.full(2, np.abs(smear).max()))
-    found = smeared(refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
-    if after - dof > _AS_GOOD * max(before - dof, 0.0) + _BEYOND_CHANCE:
+    if _BETTER * (after - dof) > max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
-    return found, gain_about(windows, start, found)
+    return found, _gain_about(windows, start, found)
 
 
 def _trail_of(psf: Psf) -> tuple[float, Floats]:
@@ -199,7 +186,7 @@ def _trail_of(psf: Psf) -> tuple[float, Floats]:
     return float(np.sqrt(across2)), np.sqrt(12.0 * (along2 - across2)) * axes[:, 1]
 
 
-def refined(
+def _refined(
     windows: StarWindows,
     start: Floats,
     psf_of: Callable[[Floats], Psf],
@@ -223,10 +210,10 @@ def refined(
 
 
 def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
-    return float(chi2_of_stars(windows, start, psf, unlike).sum())
+    return float(_chi2_of_stars(windows, start, psf, unlike).sum())
 
 
-def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
+def _gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
     """Electrons per DN of the photon noise that the residuals about a PSF show, of stars near `start` (N, 2)
     in their windows; infinite if they show none.
 
@@ -247,11 +234,11 @@ def gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:
     usual = np.ones(len(start), dtype=bool)
     for _ in range(8):  # estimating the gain, leaving out stars that stand out
         variance = noise2 + np.tensordot(size, terms, 1)
-        used = (square < _NEIGHBOUR**2 * variance) & (weight > 0.0) & usual[:, None]
+        used = (square < NEVER_SIGMA**2 * variance) & (weight > 0.0) & usual[:, None]
         target = (square - noise2) / variance
         size = scipy.optimize.nnls((terms[:, used] / variance[used]).T, target[used])[0]
         chi2 = (square / (noise2 + np.tensordot(size, terms, 1))).mean(axis=1)
-        usual = chi2 < 1.0 + 4.0 * np.sqrt(2.0 / square.shape[1])
+        usual = chi2 < 1.0 + SELDOM_SIGMA * np.sqrt(2.0 / square.shape[1])
     return float(1.0 / size[0]) if size[0] > 0.0 else np.inf
 
 
@@ -272,7 +259,9 @@ def _fitted(
             light2 = (images.value * state[:, 2:3]) ** 2 / windows.noise2[:, None]
             weighted = replace(windows, good=(windows.good / (1.0 + unlike**2 * light2)).astype(np.float32))
         step, _, residual, weight = newton_step(weighted, images, state, gain)
-        state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:]])
+        state = state + np.column_stack(
+            [np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX), step[:, 2:]]
+        )
         offset = state[:, :2]
     off: Floats = np.asarray((residual * np.sqrt(weight)).ravel(), dtype=float)
-    return off.clip(-_NEIGHBOUR, _NEIGHBOUR) if unlike else off, state, images
+    return off.clip(-NEVER_SIGMA, NEVER_SIGMA) if unlike else off, state, images

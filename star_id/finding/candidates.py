@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats, Ints
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, extended
 
-__all__ = ["find_candidates"]
+__all__ = ["MAX_CANDIDATES", "find_candidates"]
 
 # Threshold of a sum of four binned pixels, sigmas: a star of SNR 8 midway between coarse pixels still
 # reaches 5.5 in one of four sums, and noise passes it 1e-4 times a pixel; `detect` tests all.
@@ -31,8 +32,6 @@ _LEVELS_PER_SIGMA = 4.0
 # Fewest such levels; with fewer, rounding to 8 bits costs sensitivity, and the uneven sky is subtracted
 # first.
 _LEAST_LEVELS_PER_SIGMA = 1.5
-# Height of the darkest sky above level 0, sigmas of a pixel: fewer than one pixel in 30 000 is cut off.
-_SKY_SIGMA = 4.0
 # Range of a sum of four, sigmas of a pixel, that has to fit into 255 levels beside the sky's own: 16 below
 # it, 12 above.
 _RANGE_SIGMA = 28.0
@@ -44,7 +43,7 @@ _COARSE_NOISE_DN = 1.2
 # Steps of an uneven threshold within a block of the background (set by hand).
 _TILES_PER_BLOCK = 32
 # Most candidates that are tested, the highest: an image with more shows no sky. Bounds time and memory.
-_MAX_CANDIDATES = 20_000
+MAX_CANDIDATES = 20_000
 # The pixels that a local maximum must not be lower than.
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 # Rows of the binned image that are worked on at a time, so that they stay in the processor's cache; a
@@ -98,7 +97,7 @@ def find_candidates(image: NDArray[Any], background: Background, *, halvings: in
     (peak,) = ((height > 0) & (height == maximum)).nonzero()
     y, x = np.divmod(np.concatenate(at_word)[peak // 8] * 8 + peak % 8, columns)
     pixels = np.column_stack([x, y]) * scale + (scale - 1)
-    return pixels if len(pixels) <= _MAX_CANDIDATES else pixels[_highest(height[peak])]
+    return pixels if len(pixels) <= MAX_CANDIDATES else pixels[_highest(height[peak])]
 
 
 def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _GreyScale:
@@ -119,7 +118,7 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     uneven = image.dtype == np.float32 or gain * noise < _LEAST_LEVELS_PER_SIGMA
     if uneven:
         gain, low, converted_after = _LEVELS_PER_SIGMA / noise, 0.0, halvings
-    offset = gain * (_SKY_SIGMA * noise - low)
+    offset = gain * (SELDOM_SIGMA * noise - low)
     if gain == 1.0:
         offset = 0.0 if 4.0 * high < _DARK_LEVELS else float(np.floor(offset))
     noise2 = gain**2 * extended(background.noise_dn, continued=False) ** 2 / scale**2
@@ -192,5 +191,5 @@ def _words(rows: NDArray[np.uint8]) -> NDArray[np.uint64]:
 
 
 def _highest(height: NDArray[np.uint8]) -> Ints:
-    """Rows of the `_MAX_CANDIDATES` highest, ascending."""
-    return np.sort(np.argsort(-height.astype(np.int16), kind="stable")[:_MAX_CANDIDATES])
+    """Rows of the `MAX_CANDIDATES` highest, ascending."""
+    return np.sort(np.argsort(-height.astype(np.int16), kind="stable")[:MAX_CANDIDATES])

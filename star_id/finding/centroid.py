@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at
-from boresight.star_id.finding.window_fit import newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
@@ -26,12 +26,8 @@ __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]
 
 # Step, in standard errors, at which a fit has converged: those after it add less than a twentieth of one.
 _SMALL_STEP = 0.1
-# Step, px, of a fit that has converged, if it is a faint star's.
-_SMALL_STEP_PX = 0.1
 # Further steps of those that have not converged (set by hand; twice as many with a flat PSF).
 _MORE_STEPS = 5
-# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
-_LARGEST_STEP_PX = 0.8
 # Factor of each step with a PSF that is flat (rings, trails): full steps swing about the place (set by
 # hand).
 _DAMPING = 0.6
@@ -161,7 +157,7 @@ def _fit(
         more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
             getattr(fit, name)[slow] = getattr(more, name)
-    return _stars_of(fit, windows, pixels, psf, settled_px=_LARGEST_STEP_PX if one_step else _SMALL_STEP_PX)
+    return _stars_of(fit, windows, pixels, psf, settled_px=LARGEST_STEP_PX if one_step else _SMALL_STEP)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +191,7 @@ def _iterate(
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
-        step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        step[:, :2] = np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX)
         if psf.is_flat:
             step *= _DAMPING
         state = state + step

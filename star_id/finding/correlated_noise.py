@@ -11,32 +11,30 @@ flat holds no star; its level, rounded as well, would look like one where it is 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import ceil
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from boresight.star_id.finding.background import Background, in_noise
+from boresight.star_id.beyond_chance import CLIP_SIGMA, SELDOM_SIGMA
+from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
 from boresight.star_id.finding.cut_sky import UNCUT
+from boresight.star_id.finding.psf import USUAL_SIGMA_PX
 
 __all__ = ["as_independent_noise", "without_block_levels"]
 
 # Rows, in which neighbouring pixels are compared (set by hand: the ratio is then known to 1 %).
 _LINES = 16
-# Distance, px, of pixels whose noise is independent: as in `background`.
-_APART_PX = 4
 # Mean difference of adjacent pixels over that of pixels apart, below which noise is correlated: 1 for
 # independent noise, 0.8 in JPEG of quality 90.
 _ALIKE = 0.92
-# Largest difference that counts, in the noise of a pixel and at least in DN: a star's slope is larger.
-_LARGEST_SIGMA, _LARGEST_DN = 4.0, 2.0
-# Width of the Gaussian of the filter, px, and pixels of its kernel: a usual star (as detection starts with).
-_WIDTH_PX, _KERNEL_PX = 1.2, 9
-# Share of a normal distribution three sigmas below its mean: there the noise is measured.
-_BELOW, _BELOW_SIGMA = 0.00135, 3.0
-# The same two sigmas above its mean, where it is measured in a sky that is cut off: stars cover less.
-_ABOVE, _ABOVE_SIGMA = 0.02275, 2.0
+# Largest difference that counts, at least, DN: in fewer grey levels a star's slope is larger.
+_LARGEST_DN = 2.0
+# Height, sigmas, at which the noise is measured above a sky that is cut off: stars cover less.
+_ABOVE_SIGMA = 2.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
@@ -77,12 +75,16 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     few_levels = background.above_cut is not None and np.median(background.above_cut) >= UNCUT
     if few_levels or not _is_correlated(image, background):
         return background
-    taps = np.asarray(cv2.getGaussianKernel(_KERNEL_PX, _WIDTH_PX), dtype=np.float64)
+    taps = np.asarray(
+        cv2.getGaussianKernel(2 * ceil(CLIP_SIGMA * USUAL_SIGMA_PX) + 1, USUAL_SIGMA_PX), dtype=np.float64
+    )
     taps = taps / np.linalg.norm(taps)
     height = np.asarray(cv2.sepFilter2D(in_noise(image, background), cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
-    middle, far = np.array([np.quantile(tile, [0.5, 1.0 - _ABOVE if is_cut else _BELOW]) for tile in tiles]).T
-    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / _BELOW_SIGMA
+    middle, far = np.array(
+        [np.quantile(tile, [0.5, ndtr(_ABOVE_SIGMA if is_cut else -CLIP_SIGMA)]) for tile in tiles]
+    ).T
+    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / CLIP_SIGMA
     factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background
@@ -95,13 +97,13 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
 
 def _is_correlated(image: NDArray[Any], background: Background) -> bool:
     """Whether adjacent pixels are more alike than pixels apart."""
-    rows = np.linspace(0, len(image) - 1 - _APART_PX, _LINES).astype(np.int64)
-    start, below, far_below = (image[rows + k].astype(np.float32) for k in (0, 1, _APART_PX))
-    largest = max(_LARGEST_SIGMA * float(np.median(background.noise_dn)), _LARGEST_DN)
+    rows = np.linspace(0, len(image) - 1 - NEAR_PX, _LINES).astype(np.int64)
+    start, below, far_below = (image[rows + k].astype(np.float32) for k in (0, 1, NEAR_PX))
+    largest = max(SELDOM_SIGMA * float(np.median(background.noise_dn)), _LARGEST_DN)
 
     def mean(difference: NDArray[np.float32]) -> float:
         return float(np.minimum(np.abs(difference), largest).mean())
 
     near = mean(start[:, 1:] - start[:, :-1]) + mean(below - start)
-    apart = mean(start[:, _APART_PX:] - start[:, :-_APART_PX]) + mean(far_below - start)
+    apart = mean(start[:, NEAR_PX:] - start[:, :-NEAR_PX]) + mean(far_below - start)
     return near < _ALIKE * apart

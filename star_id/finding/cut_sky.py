@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
 
 from boresight.geometry.record import Floats
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 
-__all__ = ["UNCUT", "after_cut", "cut_moments", "limit_after_cut"]
+__all__ = ["UNCUT", "after_cut", "clipped_variance", "cut_moments", "limit_after_cut"]
 
 # Height of the sky above the cut, sigmas, from where on nothing of it is cut off: 3e-7 of the pixels.
-UNCUT = 5.0
+UNCUT = NEVER_SIGMA
 # Lowest such height that is used, sigmas: 2 % of the pixels are above the cut there.
 _DARKEST = -2.0
 # Fewest grey levels a sigma: with coarser steps the quantiles of what is left give no noise (set by hand).
@@ -74,6 +75,12 @@ def after_cut(above: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[
     whole, density = ndtr(above), np.exp(-0.5 * above**2) * (1.0 / np.sqrt(2.0 * np.pi))
     mean = above * whole + density
     return mean, (above**2 + 1.0) * whole + above * density - mean**2, whole
+
+
+def clipped_variance(sigmas: float) -> float:
+    """Variance of a unit normal of which nothing farther than so many sigmas from its mean is left."""
+    density = np.exp(-0.5 * sigmas**2) / np.sqrt(2.0 * np.pi)
+    return float(1.0 - 2.0 * sigmas * density / (2.0 * ndtr(sigmas) - 1.0))
 
 
 def _moments(above: Floats) -> tuple[Floats, Floats, Floats]:

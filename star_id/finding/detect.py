@@ -17,10 +17,11 @@ from scipy.spatial import cKDTree
 from scipy.special import erf
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.windows import windows_at
 
-__all__ = ["Detections", "detect", "detection_threshold"]
+__all__ = ["WINGS", "Detections", "detect", "detection_threshold"]
 
 Pixels = NDArray[np.float32]
 
@@ -29,9 +30,6 @@ _TAPS_SIGMA = 1.8
 # Light of a pixel's four neighbours together over its own, below which it is hot: of stars only those
 # narrower than 0.35 px have less.
 _CROSS_OF_PEAK = 0.35
-# Height of a pixel, sigmas, from which it may be called hot: in lower ones the noise of the neighbours
-# decides.
-_LEAST_HOT_SIGMA = 4.0
 # Windows filtered at a time, so that they stay in the processor's cache.
 _CHUNK = 128
 # Share of a peak that must remain above the level of the ring around it: else it is structure of the sky
@@ -40,7 +38,7 @@ _LEAST_ABOVE_RING = 0.5
 # Radius of that ring, widths of the PSF: a star's own light is 0.2 % of its peak there.
 _RING_SIGMA = 3.5
 # A peak lower than so many times a brighter star's wings at its place is part of them (set by hand).
-_WINGS = 1.3
+WINGS = 1.3
 
 
 @record
@@ -180,7 +178,7 @@ def _hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> tuple[Bools, Int
     pixel += near[flat[(start + pixel)[:, None] + near].argmax(axis=1)]
     at = start + pixel
     peak, cross = flat[at], flat[at + 1] + flat[at - 1] + flat[at + side] + flat[at - side]
-    hot = (cross < _CROSS_OF_PEAK * peak) & (peak > _LEAST_HOT_SIGMA * filtered.noise[rows])
+    hot = (cross < _CROSS_OF_PEAK * peak) & (peak > SELDOM_SIGMA * filtered.noise[rows])
     return hot, pixel, np.float32(0.25) * cross
 
 
@@ -204,7 +202,7 @@ def _outside_wings(xy: Ints, snr: Floats, sigma: float) -> Ints:
     d2 = ((xy[pairs[:, 0]] - xy[pairs[:, 1]]) ** 2).sum(axis=1)
     wings = snr[pairs].max(axis=1) * np.exp(-d2 / (4.0 * sigma**2))
     drop = np.zeros(len(xy), dtype=bool)
-    drop[low[snr[low] < _WINGS * wings]] = True
+    drop[low[snr[low] < WINGS * wings]] = True
     return np.flatnonzero(~drop)
 
 

@@ -17,25 +17,20 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 
 __all__ = ["without_lines"]
 
 # Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
 _PART_PX = 32
-# Adjacent lines in the middle of the image that are looked at for offsets of all lines.
+# Adjacent lines in the middle of the image that are looked at for offsets of all lines, and pixels of a line
+# whose median is taken: known to 1/25 of a pixel's noise.
 _LINES = 1024
-# Mean covariance of the two halves of lines, in standard errors, from which lines have offsets.
-_SIGNIFICANT = 6.0
 # Variance of such offsets, as a share of a pixel's, below which they do no harm: 5 % of a pixel's noise.
 _LEAST_VARIANCE = 0.003
 # Covariance of adjacent steps over their variance, below which steps are a line's own: -0.5 for independent
 # offsets, 0.6 where rows of stars make them (set by hand, between both).
 _LIKE_NOISE = 0.2
-# Height of both parts of a single line, sigmas, from which it has an offset of its own: by chance one line
-# in 10^9.
-_STANDS_OUT = 4.0
-# Pixels of a line whose median is taken: known to 1/25 of a pixel's noise.
-_SAMPLES = 1024
 # Lines whose median an outlying line is compared with: odd, longer than a bright star's image.
 _AROUND = 51
 # Lines over which the level of the sky is a parabola: odd, shorter than clouds and vignetting (set by
@@ -43,18 +38,12 @@ _AROUND = 51
 _SMOOTH = 301
 # Share of lines that stand so low that their cut-off is above that of the others.
 _RAISED = 0.05
-# Distance from the median, sigmas, beyond which the level of a line is an outlier.
-_CLIP_SIGMA = 3.0
 # Standard deviation of a pixel, DN, up to which an image of whole numbers has too few grey levels to show the
 # offsets of all lines: rounding then adds a tenth to the variance (1/12 DN^2).
 _LEAST_NOISE_DN = 1.0
-# The same for 8 bits where the sky is cut off (set by hand: real frames whose sky is 0 to 2 DN lost stars).
+# The same for 8 bits where the sky is cut off (set by hand: of two real frames in sixteen a seventh of the
+# stars is lost otherwise, the others have more).
 _LEAST_NOISE_CUT_OFF_DN = 4.0
-# Distance, sigmas of a pixel, of the sky from the least value, below which it is cut off.
-_WHOLE_SKY = 4.0
-# Distance, sigmas of a pixel, of a line's level from saturation, below which some of its pixels are
-# saturated by noise: one in 30 000.
-_TO_SATURATION = 4.0
 # Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
 # have half the weight; estimated to 0.04).
 _NOISIER = 1.4
@@ -120,24 +109,24 @@ def _has_offsets(image: NDArray[Any], axis: int) -> bool:
     parts = _parts(image, axis)
     steps = np.diff(parts[:, :_LINES], axis=1)
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
-    scale = 1.4826 * float(few[len(few) // 2])
+    scale = MAD_SIGMA * float(few[len(few) // 2])
     least_dn = _LEAST_NOISE_DN if np.issubdtype(image.dtype, np.integer) else 0.0
     scale = max(scale, least_dn / np.sqrt(_PART_PX))
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
-    limit = _STANDS_OUT * scale
+    limit = SELDOM_SIGMA * scale
     single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
     if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
         return True
     pixel_dn = scale * np.sqrt(0.5 * _PART_PX)
-    if image.dtype == np.uint8 and np.median(parts) < image.min() + _WHOLE_SKY * pixel_dn:
+    if image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn:
         least_dn = _LEAST_NOISE_CUT_OFF_DN
     if pixel_dn <= least_dn:
         return False
-    steps = np.clip(steps, -3.0 * scale, 3.0 * scale)
+    steps = np.clip(steps, -CLIP_SIGMA * scale, CLIP_SIGMA * scale)
     product = steps[0] * steps[1]  # twice the variance of the offsets
     if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_dn**2:
         return False
-    if product.mean() < _SIGNIFICANT * float(product.std()) / np.sqrt(len(product)):
+    if product.mean() < NEVER_SIGMA * float(product.std()) / np.sqrt(len(product)):
         return False
     next_one = float((steps[0, :-1] * steps[1, 1:]).mean())
     return bool(next_one < _LIKE_NOISE * product.mean())
@@ -170,20 +159,20 @@ def _offsets(image: NDArray[Any], saturation_dn: float, whole: bool) -> tuple[ND
 
     Of a sky that is cut off at its least value the means move less than the sky, by the share that is above.
     """
-    sample = image[:, :: max(1, image.shape[1] // _SAMPLES)]
+    sample = image[:, :: max(1, image.shape[1] // _LINES)]
     median = np.median(sample, axis=1)
     rest = sample - median[:, None]
-    noise = 1.4826 * float(np.median(np.abs(rest)))
-    limit = _CLIP_SIGMA * max(noise, 1.0)
+    noise = MAD_SIGMA * float(np.median(np.abs(rest)))
+    limit = CLIP_SIGMA * max(noise, 1.0)
     above = np.mean(sample > sample.min(), axis=1).clip(0.2)
     clipped = np.clip(rest, -limit, limit)
     middle = median + clipped.mean(axis=1) / above
     around = scipy.ndimage.median_filter(middle, _AROUND, mode="nearest")
     off = middle - around
-    inlier = np.clip(off, -3.0 * (spread := 1.4826 * np.median(np.abs(off))), 3.0 * spread)
+    inlier = np.clip(off, -CLIP_SIGMA * (spread := MAD_SIGMA * np.median(np.abs(off))), CLIP_SIGMA * spread)
     window = min(_SMOOTH, len(middle) // 2 * 2 - 1)
     offset = np.asarray(middle - scipy.signal.savgol_filter(around + inlier, window, 2), dtype=np.float32)
-    unusable = median > saturation_dn - _TO_SATURATION * noise
+    unusable = median > saturation_dn - SELDOM_SIGMA * noise
     if whole:  # of a sky that is cut off, raised lines show more noise
         unusable |= _unlike_others(clipped)
     return offset, np.flatnonzero(unusable)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
+from boresight.star_id.beyond_chance import MAD_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
 from boresight.star_id.finding.lines import without_lines
 
@@ -34,17 +35,11 @@ _STAR_PX = 24
 # Share of the tiles that must agree on the brightest and on the darkest of the four pixels: by chance a
 # quarter does.
 _ALIKE = 0.8
-# Least response of a colour, of the mean: a darker pixel tells nothing of a star, and would be amplified.
-_LEAST_RESPONSE = 0.1
 # Fewest stars that show a response: a hot pixel is one of them now and then (set by hand).
 _FEWEST = 5
-# Difference of a response from one, in its standard errors, from which it is divided out: by chance one in
-# 16 000.
-_SIGNIFICANT_SIGMA = 4.0
 # Largest standard error of a response that is divided out: its square is added to the noise of starlight.
+# Least response, of the mean: a darker pixel tells nothing of a star, and would be amplified.
 _LARGEST_ERROR = 0.1
-# Standard error of a median over that of a mean, for normal errors: the root of pi / 2.
-_OF_MEDIAN = 1.2533
 
 
 def has_mosaic(image: NDArray[Any]) -> bool:
@@ -90,12 +85,12 @@ def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
         return np.ones((2, 2))
     of_star = light[..., mean > 0.0] / mean[mean > 0.0]  # (2, 2, N)
     response = np.median(of_star, axis=2)
-    scatter = 1.4826 * np.median(np.abs(of_star - response[..., None]), axis=2)
-    error = _OF_MEDIAN * scatter / np.sqrt(of_star.shape[2])
-    differs = np.abs(response - 1.0) > _SIGNIFICANT_SIGMA * error
+    scatter = MAD_SIGMA * np.median(np.abs(of_star - response[..., None]), axis=2)
+    error = scatter * np.sqrt(0.5 * np.pi / of_star.shape[2])  # of a median, for normal errors
+    differs = np.abs(response - 1.0) > SELDOM_SIGMA * error
     if not differs.any() or error.max() > _LARGEST_ERROR:
         return np.ones((2, 2))
-    return np.asarray((response / response.mean()).clip(_LEAST_RESPONSE))
+    return np.asarray((response / response.mean()).clip(_LARGEST_ERROR))
 
 
 def even_image(

@@ -12,20 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import array, record, scalar
+from boresight.star_id.finding.background import NEAR_PX
 
 __all__ = ["OwnScale", "in_own_counts"]
 
 # Pixels by which steps between values, and the noise, are judged (set by hand).
-_SAMPLE, _SAMPLE_OF_STEPS = 65536, 4096
-# Most steps between the least and the largest value: 16 bits. Departure from whole steps, as a share of one,
-# that rounding to single precision makes at most.
-_MOST_STEPS, _ROUNDED = 65535, 0.02
+_SAMPLE = 16384
+# Departure from whole steps, as a share of one, that rounding to single precision makes at most.
+_ROUNDED = 0.02
 # Noise of other images after the division: steps of whole numbers are then fine enough.
 _NOISE = 16.0
-# Distance, px, of the pixels whose difference gives the noise: as in `background`.
-_NEAR_PX = 4
-# Shares of differences; the first that is not zero gives the unit: of a sky that is cut off most are zero.
-_SHARES = (0.5, 0.75, 0.9, 0.99, 1.0)
 
 
 @record
@@ -46,14 +42,12 @@ def in_own_counts(image: NDArray[Any]) -> OwnScale:
             if floating
             else OwnScale(image)
         )
-    few = image.ravel()[:: max(1, image.size // (_SAMPLE if floating else _SAMPLE_OF_STEPS))].astype(
-        np.float64
-    )
+    few = image.ravel()[:: max(1, image.size // _SAMPLE)].astype(np.float64)
     values = np.unique(np.append(few[few < largest], least))  # the largest may be a limit between two steps
     step = float(np.diff(values).min(initial=float(largest) - float(least)))
     if not floating and step <= 1.0:
         return OwnScale(image)
-    if float(largest) - float(least) <= _MOST_STEPS * step:
+    if float(largest) - float(least) <= np.iinfo(np.uint16).max * step:
         reach = values[-1] - values[0]
         step = float(reach / np.rint(reach / step)) if reach > 0.0 else step  # to the last digits
         steps = (image - np.float64(least)) / step
@@ -64,7 +58,8 @@ def in_own_counts(image: NDArray[Any]) -> OwnScale:
     if not floating:
         return OwnScale(image)
     middle = float(np.median(few))
-    far = image[:, _NEAR_PX:].astype(np.float64) - image[:, :-_NEAR_PX]
-    off = np.quantile(np.abs(far.ravel()[:: max(1, far.size // _SAMPLE)]), _SHARES)
-    unit = float((off[off > 0.0] if off.any() else np.array([float(largest) - float(least)]))[0]) / _NOISE
+    far = image[:, NEAR_PX:].astype(np.float64) - image[:, :-NEAR_PX]
+    off = np.abs(far.ravel()[:: max(1, far.size // _SAMPLE)])
+    off = off[off > 0.0]  # of a sky that is cut off most are zero
+    unit = float(np.median(off) if len(off) else float(largest) - float(least)) / _NOISE
     return OwnScale(((image - np.float64(middle)) / unit).astype(np.float32), unit, middle)

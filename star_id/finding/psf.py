@@ -19,8 +19,10 @@ from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, record, scalar
 
-__all__ = ["FINE", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
+__all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
 
+# Width of the stars of a usual image, px, that detection starts with (set by hand).
+USUAL_SIGMA_PX = 1.2
 # Points along a pixel of the grid of an empirical PSF (set by hand).
 FINE = 2
 # Stars whose empirical images are made at a time, so that they stay in the processor's cache (set by hand).
@@ -53,9 +55,6 @@ class Psf:
     )
     error_factor: NDArray[Any] | None = scalar(
         "(2, 2) errors of centroids over those of stars that look like `shape`", default=None
-    )
-    fields_px: tuple[float, float] = scalar(
-        "motion (column, row) from the exposure of even rows to that of odd ones, px", default=(0.0, 0.0)
     )
 
     @property
@@ -94,8 +93,8 @@ class Psf:
 
     @property
     def reach_px(self) -> float:
-        """Distance, px, beyond that of the Gaussian, to which stars extend by smear, coma and two fields."""
-        return 0.5 * float(np.hypot(*self.smear_px) + abs(self.coma_px) + np.hypot(*self.fields_px))
+        """Distance, px, beyond that of the Gaussian, to which stars extend by smear and coma."""
+        return 0.5 * float(np.hypot(*self.smear_px) + abs(self.coma_px))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,16 +125,6 @@ class PsfImages:
 def images_at(psf: Psf, middles: Ints, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
     """Images of stars at `offset` (N, 2) from the pixels `middles` (N, 2) of the image, px, in windows of
     side 2 radius + 1 about these: empirical, or smeared Gaussians of width `sigma` (N,)."""
-    if not any(psf.fields_px):
-        return _images_of_frame(psf, middles, offset, sigma, radius)
-    side, half = 2 * radius + 1, 0.5 * np.array(psf.fields_px)
-    even, odd = (_images_of_frame(psf, middles, offset + sign * half, sigma, radius) for sign in (-1.0, 1.0))
-    is_odd = (middles[:, 1, None] + np.arange(-radius, radius + 1)) % 2 == 1
-    return PsfImages(np.where(is_odd.repeat(side, axis=1)[:, None], odd.columns, even.columns), None)
-
-
-def _images_of_frame(psf: Psf, middles: Ints, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
-    """Images as in `images_at` whose rows are exposed at one time."""
     if psf.shape is not None:
         return shape_images(psf.shape, offset, radius)
     coma = psf.coma_at(middles.astype(float))

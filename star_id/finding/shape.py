@@ -20,34 +20,26 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
+from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
-# Most and fewest stars of which an empirical PSF is made: of 60 the noise of its mean is 1/8 of a star's,
-# fewer than 8 do not show one.
-_STARS, _FEWEST = 60, 8
+# Most stars of which an empirical PSF is made: the noise of its mean is 1/8 of a star's.
+_STARS = 60
 # Largest and least radius of an empirical PSF, px, whatever the patches of light (set by hand).
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
-# Height of a connected patch of the smoothed image, sigmas, from which it is a star of unknown shape.
-_BLOB_SIGMA = 5.0
 # Width of that smoothing, px: joins the parts of rings and trails (set by hand).
 _SMOOTHING_PX = 2.0
-# Rows around a band that smoothing needs, px: four times `_SMOOTHING_PX`.
-_SMOOTHING_REACH = 8
 # Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
 # MB each.
 _BAND = 256
 # Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
 _SMOOTH_CELLS = 1.2
-# Height of a pixel above its neighbours, sigmas, from which it is hot and replaced by them.
-_HOT_SIGMA = 5.0
-# A peak lower than so many times a brighter star's wings at its place is part of them (set by hand; as in
-# detect.py).
-_WINGS = 1.3
 
 
 @record
@@ -66,7 +58,7 @@ def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float3
     flat = in_noise(image, background)
     around = cv2.medianBlur(flat, 3)
     for band, _ in _bands(len(flat), 0):
-        hot = flat[band] - around[band] > np.maximum(_HOT_SIGMA, 0.5 * np.abs(around[band]))
+        hot = flat[band] - around[band] > np.maximum(NEVER_SIGMA, 0.5 * np.abs(around[band]))
         np.copyto(flat[band], around[band], where=hot)
     return flat
 
@@ -86,7 +78,7 @@ def estimate_shape(
     `image` (H, W) is raw, `flat` (H, W) the same without background (`flat_image`).
     """
     pixels, radius = _blobs(image, flat, saturation_dn)
-    if len(pixels) < _FEWEST:
+    if len(pixels) < FEW_STARS:
         return None
     windows = replace(star_windows(image, pixels, background, radius, saturation_dn), above_cut=None)
     offset, flux = _moments(windows)
@@ -94,7 +86,7 @@ def estimate_shape(
     for _ in range(4):  # measuring places, averaging the stars' images
         shape = _stacked(windows, offset, flux, sky)
         offset, flux, sky, good = _fitted(windows, offset, shape)
-        if good.sum() < _FEWEST:
+        if good.sum() < FEW_STARS:
             return None
         windows, offset, flux, sky = windows.take(good), offset[good], flux[good], sky[good]
     value = shape_images(shape, np.zeros((1, 2)), windows.radius).value[0].astype(float).clip(0.0)
@@ -180,7 +172,7 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray[Any], threshold: floa
     d = np.clip(d, 1, wings.shape[0] - 2)
     near = cv2.dilate(wings, np.ones((3, 3), np.uint8))[d[:, 1], d[:, 0]]
     drop = np.zeros(len(xy), dtype=bool)
-    above = snr[pairs[:, 1]] - _WINGS * near * snr[pairs[:, 0]]
+    above = snr[pairs[:, 1]] - WINGS * near * snr[pairs[:, 0]]
     drop[pairs[above < threshold * np.sqrt(1.0 - np.minimum(near, 1.0) ** 2), 1]] = True
     return xy[~drop]
 
@@ -200,10 +192,10 @@ def _peaks(height: NDArray[np.float32], threshold: float) -> tuple[Ints, Ints]:
 def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) -> tuple[Ints, int]:
     """Middles (N, 2) of bright patches of one size, far from others, and the radius that holds one, px."""
     above, light = np.empty(flat.shape, dtype=np.uint8), []
-    for band, around in _bands(len(flat), _SMOOTHING_REACH):
+    for band, around in _bands(len(flat), int(4.0 * _SMOOTHING_PX)):
         smooth = cv2.GaussianBlur(flat[around], (0, 0), _SMOOTHING_PX)[band.start - around.start :]
         smooth = smooth[: band.stop - band.start]
-        above[band] = smooth > _BLOB_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)
+        above[band] = smooth > NEVER_SIGMA / (2.0 * np.sqrt(np.pi) * _SMOOTHING_PX)
         light.append(smooth[above[band] > 0])
     count, label, stats, middle = cv2.connectedComponentsWithStats(above)
     stats, middle = stats[1:], middle[1:]
@@ -211,7 +203,7 @@ def _blobs(image: NDArray[Any], flat: NDArray[np.float32], saturation: float) ->
     total = np.bincount(label[above > 0], np.concatenate(light), minlength=count)[1:]
     top = np.argsort(-total, kind="stable")[: 4 * _STARS]
     top = top[area[top] > 4]
-    if len(top) < _FEWEST:
+    if len(top) < FEW_STARS:
         return np.empty((0, 2), dtype=np.int64), 0
     side = stats[top][:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     radius = int(np.clip(0.7 * np.median(side) + 3.0, _LEAST_RADIUS, _LARGEST_RADIUS))
@@ -259,7 +251,7 @@ def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) ->
         whole, summed = (gaussian_filter(part, _SMOOTH_CELLS) for part in (whole, summed))
         mean = summed / np.maximum(whole, 1e-9)
         off = np.abs(value - mean.ravel()[cell]) * np.sqrt(weight)
-        keep = off < 4.0 * max(1.0, 1.4826 * float(np.median(off)))
+        keep = off < SELDOM_SIGMA * max(1.0, MAD_SIGMA * float(np.median(off)))
     edge = np.concatenate([mean[:FINE].ravel(), mean[-FINE:].ravel()])
     mean = mean - np.median(edge)
     mean = 0.5 * (mean + mean[::-1, ::-1])

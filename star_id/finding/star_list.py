@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import FEW_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
@@ -20,24 +21,22 @@ from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise, without_block_levels
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
-from boresight.star_id.finding.interlace import find_fields
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.own_scale import in_own_counts
-from boresight.star_id.finding.psf import Psf
+from boresight.star_id.finding.psf import USUAL_SIGMA_PX, Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
-from boresight.star_id.finding.star_shape import WidthFits, fit_widths, gain_from_widths, psf_of
+from boresight.star_id.finding.star_shape import (
+    STARS_FOR_WIDTH,
+    WidthFits,
+    fit_widths,
+    gain_from_widths,
+    psf_of,
+)
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["StarList", "list_stars"]
 
-# Width of the PSF, px, that detection starts with (set by hand).
-_START_SIGMA_PX = 1.2
-# Brightest unsaturated stars that the width is measured of; where fewer than `_FEW_STARS` of them are
-# point-like, of the next 200.
-_STARS_FOR_PSF = 40
-# Number of stars, and of misshapen detections, that is too small to judge the PSF by.
-_FEW_STARS = 8
 # Fewest stars that give a width; with fewer the assumed one stays.
 _LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
@@ -47,23 +46,17 @@ _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
 # signal-to-noise ratio.
 _SMALL_CHANGE = 0.2
-# Excess of chi-square, in its standard deviations, from which the wings of a saturated star do not fit the
-# PSF: loses one good one in 10 000.
-_WINGS_MISFIT = 4.0
-# Share of misshapen detections, of the stars, above which the PSF may be no Gaussian (set by hand).
+# Share of misshapen detections above which the PSF may be no Gaussian, or captions and noise fill the list
+# (set by hand).
 _MISSHAPEN_SHARE = 0.15
-# Share of saturated stars above which misshapen detections are the arms of their blooms (set by hand).
-_SATURATED_SHARE = 0.1
 # Misshapen detections by an empirical PSF over those by the Gaussian, below which it is right (set by
 # hand).
 _FEWER_MISSHAPEN = 0.6
 # Stars found by an empirical PSF over those by the Gaussian that it must exceed: it may reject false stars,
 # not real ones (set by hand).
 _LEAST_KEPT = 0.7
-# Share of the first `max_stars` detections that must be stars; if fewer are, captions or noise fill the
-# list, and more detections are fitted (set by hand).
-_WELL_SHAPED = 0.85
-# Detections fitted then, in units of `max_stars`: three times as many (set by hand; bounds the time).
+# Detections fitted, in units of `max_stars`, where captions or noise fill the list (set by hand; bounds the
+# time).
 _TRIED = 3
 # Share of hot or of dead pixels from which they are looked for before stars are: one star in twenty has one
 # within 3 px.
@@ -163,11 +156,11 @@ class StarList:
         for places in (xy, other):
             places[:, 0] = width_px - 1.0 - places[:, 0]
         cov[:, [0, 1], [1, 0]] *= -1.0
-        smear, fields = ((-x, y) for x, y in (self.psf.smear_px, self.psf.fields_px))
+        smear_x, smear_y = self.psf.smear_px
         old = {name: getattr(self.background, name) for name in _GRIDS}
         grids: dict[str, Any] = {name: None if one is None else one[:, ::-1] for name, one in old.items()}
         sky = replace(self.background, **grids)
-        psf = replace(self.psf, smear_px=smear, fields_px=fields)
+        psf = replace(self.psf, smear_px=(-smear_x, smear_y))
         return replace(self, xy_px=xy, cov_px=cov, misshapen_px=other, psf=psf, background=sky)
 
 
@@ -266,7 +259,7 @@ def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float
         smear_px=None if smear is None else (0.5 * smear[0], 0.5 * smear[1]),
     )
     xy: Ints = _detections(_Frame(cells, estimate_background(cells), of_cells, saturation)).xy_px
-    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:_STARS_FOR_PSF]
+    return xy[cells[xy[:, 1], xy[:, 0]] < saturation][:STARS_FOR_WIDTH]
 
 
 def _list_stars(frame: _Frame) -> StarList:
@@ -290,7 +283,7 @@ def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarLis
     neither explains them better.
     """
     trailed = _with_blur(find_trail, frame, found, stars)
-    if not trailed and not _may_be_no_gaussian(stars):
+    if not trailed and stars.misshapen <= FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px):
         return stars
     shaped = _detections_by_shape(frame, found.hot_pixels)
     if shaped is None:
@@ -300,15 +293,6 @@ def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarLis
     if trails := [one for one in (trailed, by_image) if one]:
         return max(trails, key=lambda one: len(one.xy_px))  # where more are found
     return _by_better_psf(frame, stars, others)
-
-
-def _may_be_no_gaussian(stars: StarList) -> bool:
-    """Whether more detections are misshapen than a Gaussian PSF explains. The arms of saturated stars are so
-    whatever the PSF.
-    """
-    n = len(stars.xy_px)
-    saturated = np.count_nonzero(stars.saturated) > _SATURATED_SHARE * n
-    return not saturated and stars.misshapen > _FEW_STARS + _MISSHAPEN_SHARE * n
 
 
 def _by_better_psf(frame: _Frame, stars: StarList, others: StarList) -> StarList:
@@ -344,7 +328,7 @@ def _measured(frame: _Frame, found: _Found) -> StarList:
     shape, most = frame.image.shape, frame.settings.max_stars
     first = np.arange(min(len(found.xy_px), most))
     fits, good = _fits_of(frame, found, first)
-    if len(found.xy_px) > len(first) and np.mean(good) < _WELL_SHAPED:
+    if len(found.xy_px) > len(first) and np.mean(~good) > _MISSHAPEN_SHARE:
         fits, good = _fits_of(frame, found, _spread_over_image(found.xy_px, _TRIED * most, shape))
     psf = found.psf
     rows = _distinct(fits, np.flatnonzero(good), psf)
@@ -419,7 +403,7 @@ def _detections(frame: _Frame) -> _Found:
     """
     image, background, settings = frame.image, frame.background, frame.settings
     height, width = image.shape
-    sigma = settings.psf_sigma_px or _START_SIGMA_PX
+    sigma = settings.psf_sigma_px or USUAL_SIGMA_PX
     psf, psf_stars = Psf(sigma, sigma, settings.smear_px or (0.0, 0.0), width, height), 0
     halvings, candidates = -1, np.array([], np.int64)
     for _ in range(6):  # detection and width in turn; two are usual
@@ -440,8 +424,6 @@ def _detections(frame: _Frame) -> _Found:
         if abs(np.log(psf.sigma_px / before.sigma_px)) < _SMALL_CHANGE and change < 0.5 * psf.sigma_px:
             break
     gain = gain_from_widths(shapes, background.correlation)
-    if settings.psf_sigma_px is None and settings.smear_px is None and (fields := find_fields(shapes, psf)):
-        (psf, gain), psf_stars = fields, int(np.count_nonzero(shapes.settled))
     return _Found(
         xy_px=found.xy_px,
         offset_px=found.offset_px,
@@ -457,11 +439,11 @@ def _shapes(frame: _Frame, found: Detections, psf: Psf) -> WidthFits:
     """Width fits of the 40 brightest unsaturated detections; if fewer than 8 are point-like, of the next
     200."""
     (column, row), top = found.xy_px.T, frame.saturation_dn
-    below = np.flatnonzero(frame.image[row, column] < top)[: 6 * _STARS_FOR_PSF]
-    for some in (below[:_STARS_FOR_PSF], below[_STARS_FOR_PSF:]):
+    below = np.flatnonzero(frame.image[row, column] < top)[: 6 * STARS_FOR_WIDTH]
+    for some in (below[:STARS_FOR_WIDTH], below[STARS_FOR_WIDTH:]):
         pixels, offset = found.xy_px[some], found.offset_px[some]
         shapes = fit_widths(frame.image, pixels, offset, frame.background, psf, saturation_dn=top)
-        if shapes.stars >= _FEW_STARS:
+        if shapes.stars >= FEW_STARS:
             break
     return shapes
 
@@ -540,7 +522,7 @@ def _blended(fits: StarFits, psf: Psf) -> Bools:
     usual = float(unsaturated[len(unsaturated) // 4]) if len(unsaturated) else 0.0
     blended = ~fits.saturated & (fits.chi2 > fits.dof + 6.0 * np.sqrt(2.0 * fits.dof))
     blended &= misfit > 3.0 * max(usual, 0.0) + 0.003
-    blended |= fits.saturated & (fits.chi2 > fits.dof + _WINGS_MISFIT * np.sqrt(2.0 * fits.dof))
+    blended |= fits.saturated & (fits.chi2 > fits.dof + SELDOM_SIGMA * np.sqrt(2.0 * fits.dof))
     sigma = _width_px(fits.xy_px, psf)
     pairs = cKDTree(fits.xy_px).query_pairs(10.0 * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):

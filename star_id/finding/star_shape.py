@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
-from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
+__all__ = ["STARS_FOR_WIDTH", "WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
+# Brightest unsaturated stars that the width is measured of.
+STARS_FOR_WIDTH = 40
 # Radius of the window, widths of the PSF assumed so far (set by hand).
 _WINDOW_SIGMA = 4.0
 # Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
@@ -46,8 +49,9 @@ class WidthFits:
     error_px: Floats = array("N", "standard errors of the widths, px")
     normal: Floats = array("N, 5, 5", "normal matrices of the fits")
     residual: NDArray[np.float32] = array("N, M", "measured minus fitted, DN")
-    settled: Bools = array("N", "whether the fit has come to rest near its pixel")
-    good: Bools = array("N", "whether, moreover, a Gaussian leaves no more than a star does")
+    good: Bools = array(
+        "N", "whether a fit has come to rest near its pixel and leaves no more than a star does"
+    )
 
     @property
     def stars(self) -> int:
@@ -78,7 +82,9 @@ def fit_widths(
             state = start_state(windows, offset, images)
         step, normal, residual, weight = newton_step(windows, images, state, np.inf)
         flux = state[:, 2]
-        state = state + np.column_stack([np.clip(step[:, :2], -0.8, 0.8), step[:, 2:4]])
+        state = state + np.column_stack(
+            [np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX), step[:, 2:4]]
+        )
         sigma = np.clip(sigma * np.exp(np.clip(step[:, 4], -0.3, 0.3)), 0.25, 4.0 * psf.sigma_px)
     variance = np.linalg.inv(normal)[:, 4, 4]  # negative by rounding where the window shows no width
     error = sigma * np.sqrt(np.where(variance > 0.0, variance, np.inf))
@@ -87,7 +93,9 @@ def fit_widths(
     settled &= sigma < 3.9 * psf.sigma_px
     misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
     energy = ((flux[:, None] * images.value) ** 2 * weight).sum(axis=1)
-    good = settled & (misfit < np.maximum(_PSF_MISFIT * energy, 5.0 * np.sqrt(2.0 * residual.shape[1])))
+    good = settled & (
+        misfit < np.maximum(_PSF_MISFIT * energy, NEVER_SIGMA * np.sqrt(2.0 * residual.shape[1]))
+    )
     state = np.column_stack([state[:, :2], flux, state[:, 3]])
     return WidthFits(
         pixels=pixels,
@@ -98,7 +106,6 @@ def fit_widths(
         error_px=error,
         normal=normal,
         residual=residual,
-        settled=settled,
         good=good,
     )
 
@@ -170,7 +177,7 @@ def _with_smear(psf: Psf, fits: WidthFits) -> Psf:
     each = np.einsum("anm,nm->an", template, residual) * flux / noise2 / np.maximum(energy, 1e-30)
     plus, cross = (_weighted_median(values, weights) for values, weights in zip(each, energy))
     off = np.abs(each - [[plus], [cross]])
-    spread = 1.4826 * max(_median(off[0]), _median(off[1])) / np.sqrt(each.shape[1])
+    spread = MAD_SIGMA * max(_median(off[0]), _median(off[1])) / np.sqrt(each.shape[1])
     found = float(np.hypot(plus, cross))
     if found < 6.0 * spread or found < 0.02 * psf.sigma_px**2:
         return psf
@@ -209,8 +216,8 @@ def _width_over_field(psf: Psf, xy: Floats, sigma: Floats, error: Floats) -> tup
     for _ in range(4):
         w = keep / error**2
         mean = (w * sigma).sum() / w.sum()
-        spread = max(1.0, 1.4826 * _median(np.abs(sigma - mean)[keep] / error[keep]))
-        keep = np.abs(sigma - mean) < 4.0 * spread * error
+        spread = max(1.0, MAD_SIGMA * _median(np.abs(sigma - mean)[keep] / error[keep]))
+        keep = np.abs(sigma - mean) < SELDOM_SIGMA * spread * error
         if keep.sum() < 3:
             return middle, middle
     if keep.sum() < 12:
@@ -218,6 +225,6 @@ def _width_over_field(psf: Psf, xy: Floats, sigma: Floats, error: Floats) -> tup
     A = np.column_stack([np.ones(len(sigma)), radius2]) * (keep / (spread * error))[:, None]
     covariance = np.linalg.inv(A.T @ A + 1e-12 * np.eye(2))
     fit = covariance @ (A.T @ (sigma * keep / (spread * error)))
-    if abs(fit[1]) < 3.0 * np.sqrt(covariance[1, 1]) or fit[0] + min(fit[1], 0.0) < 0.5 * mean:
+    if abs(fit[1]) < CLIP_SIGMA * np.sqrt(covariance[1, 1]) or fit[0] + min(fit[1], 0.0) < 0.5 * mean:
         return float(mean), float(mean)
     return float(fit[0]), float(fit[0] + fit[1])

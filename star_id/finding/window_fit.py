@@ -13,16 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.cut_sky import after_cut
 from boresight.star_id.finding.psf import PsfImages
 from boresight.star_id.finding.windows import StarWindows
 
-__all__ = ["by_parameter", "newton_step", "noise_gain", "start_state"]
+__all__ = ["LARGEST_STEP_PX", "by_parameter", "newton_step", "noise_gain", "start_state"]
 
 Pixels = NDArray[np.float32]
+# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
+LARGEST_STEP_PX = 0.8
 # Least variance of a pixel at the cut, as a share of an uncut one's: noise there is rare and large, but no
 # outlier (1/2 - 1/(2 pi), that of a sky cut off at its level).
-_LEAST_SHARE = 0.34
+_LEAST_SHARE = float(after_cut(np.zeros(()))[1])
 
 
 def start_state(windows: StarWindows, offset: Floats, images: PsfImages) -> Floats:
@@ -86,6 +89,6 @@ def noise_gain(windows: StarWindows, value: Pixels, flux: Floats, sky: Floats) -
     noise2, per_dn = windows.noise2[:, None], 0.0
     for _ in range(4):
         variance = noise2 + per_dn * np.maximum(signal, 0.0)
-        weight = (square < 25.0 * variance) * (signal > 0.0) * windows.good / variance**2
+        weight = (square < NEVER_SIGMA**2 * variance) * (signal > 0.0) * windows.good / variance**2
         per_dn = max(float((weight * signal * (square - noise2)).sum() / (weight * signal**2).sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0.0 else np.inf

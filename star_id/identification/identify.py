@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -34,16 +36,32 @@ from boresight.star_id.identification.tangent_plane import Complex, FieldOfView,
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["DENSER", "STAGES", "AttitudePrior", "Identification", "NotIdentified", "identify_stars"]
+__all__ = [
+    "DENSER",
+    "USUAL",
+    "WIDER",
+    "AttitudePrior",
+    "Identification",
+    "NotIdentified",
+    "identify_stars",
+    "stages_of",
+]
 
-# Number of the table of the index with smaller triangles of more stars; 0 is the usual, 1 the wider one.
-DENSER = 2
-# Stages of identification in their order: (table, from, to) tries triangles of the brightest `to` detections
-# that are not all among the brightest `from`. Table 1 has larger triangles of brighter stars, fewer but more
-# robust to false detections; smaller triangles of more stars come last, should many be missing (set by hand).
-STAGES = (
-    *((0, 0, 8), (1, 0, 10), (0, 8, 14), (0, 14, MOST_DETECTIONS), (1, 10, 18)),
-    *((DENSER, 0, 14), (DENSER, 14, MOST_DETECTIONS)),
+# Tables of the index: the usual one; that of larger triangles of brighter stars, fewer but more robust to
+# false detections; that of smaller triangles of more stars, should many be missing.
+USUAL, WIDER, DENSER = range(3)
+
+
+def stages_of(table: int, *ends: int, begin: int = 0) -> tuple[tuple[int, int, int], ...]:
+    """Stages (table, from, to), one up to each of `ends` (brightest detections): each tries triangles of the
+    brightest `to` detections that are not all among the brightest `from`."""
+    return tuple((table, below, end) for below, end in pairwise((begin, *ends)))
+
+
+# Stages of identification in their order: those of fewer detections first (set by hand).
+_STAGES = (
+    *sorted((*stages_of(USUAL, 8, 14, MOST_DETECTIONS), *stages_of(WIDER, 10, 18)), key=itemgetter(-1)),
+    *stages_of(DENSER, 14, MOST_DETECTIONS),
 )
 # Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
 # neighbours that proposals are judged by (set by hand).
@@ -102,7 +120,7 @@ def identify_stars(
     index: StarIndex,
     settings: StarSettings,
     *,
-    stages: tuple[tuple[int, int, int], ...] = STAGES,
+    stages: tuple[tuple[int, int, int], ...] = _STAGES,
     tried: int = 0,
     prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
@@ -120,7 +138,7 @@ def identify_stars(
     settings : StarSettings
         `max_false_alarm_probability` and `max_identification_stars` are used.
     stages : tuple of (table, from, to)
-        Order of the search, as in STAGES.
+        Order of the search, as in `_STAGES`.
     tried : int
         Proposals examined elsewhere (earlier stages, other fields of view); they count in the false-alarm
         probability.

@@ -28,7 +28,7 @@ _ODDS = _CLUTTER / (1.0 - _CLUTTER)
 _LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER[:, :, 0]), np.log(1.0 - _CLUTTER[:, :, 0])
 # Inverse squares of the factors of stated errors over which the likelihood is averaged with equal weight: a
 # lens may be known better or worse than stated.
-_INVERSE_VARIANCE = np.array([0.25, 0.5, 1.0, 2.0, 4.0])[:, None] ** -2.0
+_INVERSE_VARIANCE = 16.0 ** np.linspace(1.0, -1.0, 5)[:, None]
 
 
 def log_likelihood_ratio(

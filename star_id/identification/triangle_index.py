@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.starlight import StarPlaces
+from boresight.star_id.image_attitude import NEXT, PREV
 
 __all__ = [
     "CLOSE_RAD",
@@ -52,11 +53,17 @@ SHORTEST_SIDE = 0.06
 _LEVEL_STEP = 1.4
 # Cells along each of the two ratios of sides by which triangles are looked up.
 _CELLS = 100
-# The vertices after and before each of three, cyclically.
-_NEXT, _PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def _orders_of_three() -> Ints:
+    """(8, 3) orders of three numbers a, b, c by 1 (a > b) + 2 (a > c) + 4 (b > c), ascending."""
+    ab, ac, bc = (np.arange(8) >> bit & 1 for bit in range(3))
+    return np.argsort([ab + ac, 1 - ab + bc, 2 - ac - bc], axis=0, kind="stable").T
+
+
 # Order of three numbers, ascending, by 1 if the first exceeds the second, plus 2 if it exceeds the third,
 # plus 4 if the second exceeds the third; two of the eight cases cannot be.
-_ORDERS = np.array([[0, 1, 2], [1, 0, 2], [0, 1, 2], [1, 2, 0], [0, 2, 1], [0, 1, 2], [2, 0, 1], [2, 1, 0]])
+_ORDERS = _orders_of_three()
 
 
 @record(kw_only=True)
@@ -249,7 +256,7 @@ def triangle_shapes(u: Floats, triples: NDArray[np.integer]) -> tuple[NDArray[An
     triple product of the ordered vertices is. `triples` (T, 3) are rows of `u`.
     """
     corners = u.take(triples, axis=0)  # (T, 3, 3)
-    across = corners.take(_NEXT, axis=1) - corners.take(_PREV, axis=1)  # sides opposite to each vertex
+    across = corners.take(NEXT, axis=1) - corners.take(PREV, axis=1)  # sides opposite to each vertex
 
     chords = np.sqrt(np.einsum("tij,tij->ti", across, across))  # accurate for small angles
     sides = 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0))
@@ -267,7 +274,7 @@ def triangle_shapes(u: Floats, triples: NDArray[np.integer]) -> tuple[NDArray[An
 
 def cross(a: Floats, b: Floats) -> Floats:
     """Vector products (N, 3)."""
-    return a.take(_NEXT, axis=1) * b.take(_PREV, axis=1) - a.take(_PREV, axis=1) * b.take(_NEXT, axis=1)
+    return a.take(NEXT, axis=1) * b.take(PREV, axis=1) - a.take(PREV, axis=1) * b.take(NEXT, axis=1)
 
 
 def _table(u_i: Floats, fov_rad: float) -> TriangleTable:

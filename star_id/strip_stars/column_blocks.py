@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, array, record
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 
 __all__ = ["Columns", "candidates", "column_levels"]
 
-# Distance from a column's level, sigmas of its noise, beyond which a pixel is a star's and not used.
-_CLIP_SIGMA = 4.0
 # Pixels around such a pixel to which the star extends.
 _AROUND = np.ones((5, 5), np.uint8)
 # Least noise of a column, DN: that of rounding to whole counts, 1 / sqrt(12).
@@ -43,12 +42,12 @@ def column_levels(block: NDArray[Any]) -> Columns:
     middle, low = few[len(few) // 2], few[int(0.1587 * len(few))]
     spread = np.maximum(middle - low, 1.0)
     away = block.astype(np.float32) - middle
-    inside = cv2.dilate((np.abs(away) > _CLIP_SIGMA * spread).astype(np.uint8), _AROUND) == 0
+    inside = cv2.dilate((np.abs(away) > SELDOM_SIGMA * spread).astype(np.uint8), _AROUND) == 0
     count = np.maximum(inside.sum(axis=0), 1)
     away *= inside
     mean = away.sum(axis=0, dtype=float) / count
     variance = np.einsum("ij,ij->j", away, away) / count - mean**2
-    noise = _unclipped(np.sqrt(np.maximum(variance, 0.0)), _CLIP_SIGMA * spread + 0.5)  # whole counts
+    noise = _unclipped(np.sqrt(np.maximum(variance, 0.0)), SELDOM_SIGMA * spread + 0.5)  # whole counts
     usual = float(np.median(noise[noise > 0.0])) if noise.any() else 0.0  # some columns may hold nothing
     return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual)
 

@@ -18,6 +18,8 @@ from scipy.special import lambertw
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.strip_image import StripImage
+from boresight.star_id.finding.candidates import MAX_CANDIDATES
+from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.column_blocks import Columns, candidates, column_levels
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_from_windows, width_of
@@ -28,8 +30,8 @@ __all__ = ["StripMotion", "StripStars", "find_strip_stars"]
 
 # Rows read at a time, which bounds memory; rows with one level and noise of each column.
 _ROWS_READ, _ROWS_ALIKE = 1024, 256
-# Most stars that the width and the gain are estimated from.
-_STARS_FOR_WIDTH, _STARS_FOR_GAIN = 40, 300
+# Most stars that the gain is estimated from.
+_STARS_FOR_GAIN = 300
 # SNR of stars that give width and gain: of the first limit that three stars reach.
 _BRIGHT_SNR = (30.0, 10.0)
 # Stars fitted at a time, which bounds memory.
@@ -43,8 +45,6 @@ _SAME_STAR_PX = 1.8
 _GHOST = 0.03
 # Light of a neighbour over the star's own from which it displaces it.
 _DISTURBING = 0.01
-# Most candidates of a strip; one with more shows no sky. Bounds time and memory.
-_MAX_CANDIDATES = 20_000
 
 
 @record
@@ -136,7 +136,7 @@ def find_strip_stars(
     rough = _fits(found, found.start, sigma, np.inf)
     inside = _on_detector(found, rough, images)
     gain = settings.gain_e_per_dn or np.inf
-    few = _bright(found, rough, inside, _BRIGHT_SNR, _STARS_FOR_WIDTH)
+    few = _bright(found, rough, inside, _BRIGHT_SNR, STARS_FOR_WIDTH)
     if settings.psf_sigma_px is None and len(few):
         chosen = found.take(few)
         sigma = width_of(chosen.windows, rough.offset[few], chosen.motion)
@@ -191,7 +191,7 @@ def _candidates(
             own = (peaks[:, 1] >= inner.start - 1) & (peaks[:, 1] <= inner.stop)  # at a seam in both
             for column, row in peaks[own].tolist():
                 side = 2 * radius + 1
-                if min(block.shape) < side or len(ccds) >= _MAX_CANDIDATES:
+                if min(block.shape) < side or len(ccds) >= MAX_CANDIDATES:
                     continue
                 left = int(np.clip(column - radius, 0, block.shape[1] - side))
                 top = int(np.clip(row - radius, 0, block.shape[0] - side))

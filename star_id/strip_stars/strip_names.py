@@ -25,6 +25,7 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import SELDOM_SIGMA
 
 __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]
 
@@ -34,8 +35,6 @@ _TWICE_RAD = 1e-4
 _LEAST = 3
 # Chi-square of two degrees of freedom up to which a star agrees: one in 100 000 exceeds it, exp(-23 / 2).
 _GATE = 23.0
-# Standard deviations of the attitudes' errors within which a star agrees with a rotation.
-_SIGMAS = 4.0
 
 
 @record(kw_only=True)
@@ -81,7 +80,7 @@ class StripField:
     def tolerance(self) -> Floats:
         """Matrix (2, 2) that takes the unit circle to the largest distances, an ellipse, rad."""
         values, vectors = np.linalg.eigh(self.spread)
-        return vectors * (self.slack_rad + _SIGMAS * np.sqrt(np.maximum(values, 0.0)))
+        return vectors * (self.slack_rad + SELDOM_SIGMA * np.sqrt(np.maximum(values, 0.0)))
 
     @property
     def reach_rad(self) -> Floats:

@@ -3,14 +3,14 @@
 The renderer shares nothing with the simulator or with `star_id`: the point spread function is a table of
 eight points a pixel (a core with the wings of a Moffat function, drawn out to a trail, a ring or a comatic
 fan), integrated over pixels and interpolated by cubic splines; electrons are Poisson; sensors add column
-offsets, row noise, hot pixels, dead rows, unequal pixels, vignetting, colour filters, captions, two fields of
-rows, a gamma curve and the black clip of a consumer camera.
+offsets, row noise, hot pixels, dead rows, unequal pixels, vignetting, colour filters, captions, a gamma curve
+and the black clip of a consumer camera.
 """
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
@@ -72,7 +72,6 @@ class Sensor:
     jpeg: int | None = None  # quality, of 8 bits
     prnu: float = 0.0  # scatter of the pixels' response, normal
     dead_rows: int = 0  # that read zero
-    interlace_px: float = 0.0  # motion along rows between the exposures of even and odd rows
     gamma: float = 1.0  # of the curve from light to numbers, over the full range
 
 
@@ -174,7 +173,8 @@ def render(
     sensitivity = response(sensor, size)
     variance = sensor.read_e**2 + light * sensitivity + sensor.e_per_dn**2 / 12.0
     variance += (sensor.prnu * light * sensitivity) ** 2
-    light = _exposed(light, stars, blur, sensor) * sensitivity
+    add_stars(light, stars, blur)
+    light *= sensitivity
     if sensor.prnu:
         light *= rng.normal(1.0, sensor.prnu, light.shape).clip(0.0)
     noise = np.sqrt(sensor.read_e**2 + sensor.sky_e)
@@ -208,21 +208,6 @@ def render(
         _, file = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg])
         image = cv2.imdecode(file, cv2.IMREAD_UNCHANGED)
     return image, variance
-
-
-def _exposed(sky: NDArray, stars: Stars, blur: Blur, sensor: Sensor) -> NDArray:
-    """Light of sky and stars (H, W); that of even and odd rows was exposed half a motion before and after."""
-    if not sensor.interlace_px:
-        add_stars(sky, stars, blur)
-        return sky
-    fields = []
-    for sign in (-0.5, 0.5):
-        light = sky.copy()
-        shift = np.array([sign * sensor.interlace_px, 0.0])
-        add_stars(light, replace(stars, xy_px=stars.xy_px + shift), blur)
-        fields.append(light)
-    fields[0][1::2] = fields[1][1::2]
-    return fields[0]
 
 
 def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:

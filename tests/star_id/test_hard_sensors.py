@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frames import PLACES, WIDE, Sensor, listed_stars, render
-from numpy.testing import assert_allclose
 from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -102,33 +101,6 @@ def test_offsets_of_a_grey_sensor_are_no_colours(count):
     assert stars.saturation_dn == 255.0
     found, false, _ = scored(stars, xy)
     assert found >= 0.95 and false <= 2
-
-
-@pytest.mark.parametrize("motion_px", [(1.0, 0.0), (-1.6, 0.7), (0.3, -0.5)])
-@pytest.mark.parametrize("exposed", [0.0, 1.0])
-def test_stars_of_two_fields_of_rows_are_measured_between_both(motion_px, exposed):
-    """Even rows exposed before odd ones, each field for none or all of the time between both."""
-    rng = np.random.default_rng([14, int(exposed), int(100 * abs(motion_px[0]))])
-    xy, motion = places(rng), np.array(motion_px)
-    flux = rng.uniform(400.0, 6000.0, len(xy))
-    sensor = replace(SENSOR, smear_px=(exposed * motion_px[0], exposed * motion_px[1]))
-    even, odd = (render(xy + sign * motion, flux, SIZE, SIZE, sensor, rng) for sign in (-0.5, 0.5))
-    even[1::2] = odd[1::2]
-    stars = list_stars(even, StarSettings())
-    assert_allclose(stars.psf.fields_px, motion, atol=0.05)  # px; a star of SNR 100 errs by 0.015
-    assert abs(stars.gain_e_per_dn / 4.0 - 1.0) < 0.35  # combs counted as noise, 0.1 to 1 before
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.97 and false <= 2
-    assert 0.75 < chi2 < 1.3  # 300 coordinates: 0.08
-
-
-def test_a_frame_of_one_time_has_no_fields():
-    rng = np.random.default_rng(15)
-    for smear_px in ((0.0, 0.0), (2.5, 0.4)):
-        sensor = replace(SENSOR, smear_px=smear_px)
-        xy = places(rng)
-        image = render(xy, rng.uniform(400.0, 9000.0, len(xy)), SIZE, SIZE, sensor, rng)
-        assert list_stars(image, StarSettings()).psf.fields_px == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("share", [0.003, 0.01, 0.02])

@@ -1,0 +1,22 @@
+"""How far from its expected value chance takes what is measured, in standard deviations: one scale of three
+marks for everything that finds, fits and names stars; and how many stars it takes to judge by.
+
+Which mark holds depends on how many values are judged and on what a wrong judgement costs.
+"""
+
+from __future__ import annotations
+
+__all__ = ["CLIP_SIGMA", "FEW_STARS", "LOST_BY_CHANCE", "MAD_SIGMA", "NEVER_SIGMA", "SELDOM_SIGMA"]
+
+# Of good values one in 370 is farther off: left out of a mean, they change it by nothing.
+CLIP_SIGMA = 3.0
+# One in 16 000: of the hundreds of stars or lines of an image none.
+SELDOM_SIGMA = 4.0
+# One in 1.7 million: of the pixels of an image one or two.
+NEVER_SIGMA = 5.0
+# Standard deviation of a normal distribution over its median absolute deviation.
+MAD_SIGMA = 1.4826
+# Probability of rejecting a good star by its place.
+LOST_BY_CHANCE = 1e-4
+# Fewest stars whose median and scatter judge a PSF or a camera: both are then known to a third (set by hand).
+FEW_STARS = 8
