@@ -304,7 +304,9 @@ def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
 def _allan(dump: Dump, settings: Settings) -> pa.Table:
     """Allan deviation of the attitudes of the longest piece without a gap; no row without attitudes."""
     found = attitude_signal(dump, settings)
-    names, times, deviation = "", np.zeros(0), np.zeros((0, 3))
+    names = ""
+    times: Floats = np.zeros(0)
+    deviation: Floats = np.zeros((0, 3))
     if found is not None:
         names, signal = " and ".join(found[0]), found[1]
         longest = max(signal.pieces, key=lambda piece: piece.stop - piece.start)
