@@ -18,7 +18,7 @@ from boresight.calib.moved_input import SIZES, InputError, MovedInput
 from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
@@ -53,6 +53,7 @@ ERRORS: dict[str, ErrorKind] = {
     "datum of the targets, height": ("m", 30.0, 3.0, TARGETS, "", SIZES),
     "attitude or mounting": ("″", STABILITY, 1.0, "{attitudes}, orbit", "", SIZES),
     "mounting moved": ("″", STABILITY, 30.0, MOVES, "", SIZES),
+    "mounting varies with the season": ("″", STABILITY, 30.0, MOVES, "", SIZES),
     "mounting drifts": ("″", 1.0, 30.0, MOVES, "", SIZES),
     "mounting bends": ("″", 1.0, 30.0, MOVES, "", SIZES),
     "place of the CCDs, along the track": ("px", 0.5, 1.0, CAMERA, "x_offset_mm", SIZES),
@@ -76,6 +77,9 @@ ABOUT_AXES = ("about x of c", "about y of c", "about z of c")
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
+# A season is looked for where passes of so many days span so much of a year; its phases are 30° apart, so
+# that one of them has 0.93 of the variance of any season.
+FEWEST_DAYS, LEAST_YEARS, PHASES = 5, 0.5, 6
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
@@ -184,7 +188,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
     found += _of_datum(of)
     if len(of.prepared) > 1:
-        found += [*_of_attitude(of), *_of_mounting(of), *_of_images(of)]
+        found += [*_of_attitude(of), *_of_season(of), *_of_mounting(of), *_of_images(of)]
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
@@ -373,6 +377,20 @@ def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
 def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A jump of the mounting from one pass to the next, which stays."""
     yield from _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
+
+
+def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
+    """A yearly variation of the mounting, of phases in equal steps from that of the first pass on."""
+    t_s = of.column("t_s")
+    years = (t_s - t_s.min()) / (365.25 * DAY_S)
+    if years.max() < LEAST_YEARS or len(np.unique(np.floor(365.25 * years))) < FEWEST_DAYS:
+        return
+    first = Subject(Kind.STRIP, strip=of.column("strip")[np.argmin(t_s)])
+    for n in range(PHASES):
+        place = f"every pass, most {round(182.625 * n / PHASES)} days after {first.words}"
+        profile = np.cos(2.0 * np.pi * years - np.pi * n / PHASES)[:, None]
+        turns = _turns(of, "mounting varies with the season", ABOUT_AXES)
+        yield from _in_each(_all(place, of), [replace(one, change_c=profile * one.change_c) for one in turns])
 
 
 def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:

@@ -30,7 +30,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 from boresight.pipeline.results.reading import read_mounting
 
 __all__ = ["Comparison", "Differing", "compare_mountings"]

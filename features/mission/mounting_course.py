@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize_scalar
+from scipy.sparse import csr_array
 from scipy.special import chdtrc
 
 from boresight.features.mission.saved_mounting import utc_at
@@ -86,10 +87,13 @@ class MountingSeries:
 
     def conditions(self, term: str) -> Floats:
         """What a term is made of, (K, m); of m = 0 where it is not known for all results."""
-        known = {"annual": annual_columns(self.t_s), "orbit phase": self.cos_sin}
-        known["beta angle"] = np.sin(self.beta_rad)[:, None]
-        known["temperature"] = 0.1 * (self.temperature_c - np.mean(self.temperature_c))[:, None]
-        return known[term] if np.isfinite(known[term]).all() else np.empty((len(self.t_s), 0))
+        known = {
+            "annual": lambda: annual_columns(self.t_s),
+            "orbit phase": lambda: self.cos_sin,
+            "beta angle": lambda: np.sin(self.beta_rad)[:, None],
+            "temperature": lambda: 0.1 * (self.temperature_c - np.mean(self.temperature_c))[:, None],
+        }[term]()
+        return known if np.isfinite(known).all() else np.empty((len(self.t_s), 0))
 
     def directions(self, term: str) -> Floats:
         """Combinations (m, r) of a term's conditions that vary enough to differ from the mean; where
@@ -363,8 +367,11 @@ def _p_term(
     """Probability of the fall of chi2 by a term, given the others."""
     without = tuple(one for one in terms if one != term)
     having = tuple(one for one in TERMS if one in without or one == term)
-    fits = [fit_columns(series, _design(series, some, steps), density) for some in (without, having)]
-    return float(chdtrc(3 * series.columns(term).shape[1], max(fits[1].explained - fits[0].explained, 0.0)))
+    less, more = (
+        _Normal.of(series, _design(series, some, steps), density > 0.0).loss(series, density)
+        for some in (without, having)
+    )
+    return float(chdtrc(3 * series.columns(term).shape[1], max(less - more, 0.0)))
 
 
 def _accepted_steps(
@@ -404,11 +411,11 @@ def _best_step(
     rows = np.setdiff1d(np.arange(1, count, stride), steps)
     if not len(rows):
         return 1, 0.0
-    gains = fit_columns(series, X, density, rows).gains
+    gains, _ = _step_gains(series, X, density, rows)
     best = int(rows[np.argmax(gains)])
     if stride > 1:
         rows = np.setdiff1d(np.arange(max(1, best - stride), min(count, best + stride)), steps)
-        gains = fit_columns(series, X, density, rows).gains
+        gains, _ = _step_gains(series, X, density, rows)
         best = int(rows[np.argmax(gains)])
     return best, float(gains.max())
 
@@ -435,8 +442,8 @@ def dated_steps(
         if len(rows) > MOST_GAPS:  # what is far away has no part in the date
             rows = rows[np.abs(rows - row) <= MOST_GAPS // 2]
         others = _design(series, terms, tuple(one for one in steps if one != row))
-        tried = fit_columns(series, others, density, rows)
-        log_weight = 0.5 * (tried.gains - tried.log_determinants)
+        gains, log_determinants = _step_gains(series, others, density, rows)
+        log_weight = 0.5 * (gains - log_determinants)
         weight = np.diff(t_s)[rows - 1] * np.exp(log_weight - log_weight.max())
         cumulative = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
         tail, edges = 0.5 * (1.0 - settings.confidence), t_s[np.append(rows - 1, rows[-1])]
@@ -448,7 +455,7 @@ def dated_steps(
                 row=row,
                 interval_s=(t_s[row - 1], t_s[row]) if is_known else (float(interval[0]), float(interval[1])),
                 probability=1.0 if is_known else float(np.diff(cumulative)[here]),
-                p_value=0.0 if is_known else min(1.0, (count - 1) * float(chdtrc(3, tried.gains[here]))),
+                p_value=0.0 if is_known else min(1.0, (count - 1) * float(chdtrc(3, gains[here]))),
                 is_exchange=is_known,
                 theta=fit.coefficients[first + n],
                 covariance=_block(fit.covariance, first + n, 1),
@@ -472,82 +479,145 @@ def fit_columns(
     for each, what one more step before that row would bring.
     """
     normal = _Normal.of(series, X, with_walk=density > 0.0)
-    X, right, m = normal.X, normal.right, normal.X.shape[1]
     prior, scale, factor = normal.factored(series, density)
-    x = scale * cho_solve(factor, scale * right)
-    inverse = cho_solve(factor, np.eye(len(x)))[: 3 * m, : 3 * m] * np.outer(scale[: 3 * m], scale[: 3 * m])
-    gains, logs = np.empty(0), np.empty(0)
-    if rows is not None:
-        residual = series.right - np.einsum("kab,kb->ka", series.F, X @ x[: 3 * m].reshape(m, 3))
-        residual -= series.F_shared @ x[3 * m :]
-        own = _from(series.F, rows)
-        with_columns = _from(X[:, :, None, None] * series.F[:, None], rows).reshape(len(rows), 3 * m, 3)
-        with_shared = np.swapaxes(_from(series.F_shared, rows), 1, 2)
-        C = np.concatenate([with_columns, with_shared], axis=1) * scale[:, None]
-        wide = C.transpose(1, 0, 2).reshape(len(x), -1)
-        solved = cho_solve(factor, wide).reshape(len(x), len(rows), 3).transpose(1, 0, 2)
-        information = own - np.swapaxes(C, 1, 2) @ solved
-        score = _from(residual, rows)
-        values, vectors = np.linalg.eigh(0.5 * (information + np.swapaxes(information, 1, 2)))
-        # a direction that mean, terms and steps take up already has no information left
-        seen = values > 1e-9 * np.einsum("gaa->g", own)[:, None]
-        along = np.einsum("gab,ga->gb", vectors, score)
-        gains = np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
-        logs = np.sum(np.log(np.where(seen, values, 1.0)), axis=1)
+    n, x = len(normal.N), scale * cho_solve(factor, scale * normal.right)
+    inverse = cho_solve(factor, np.eye(len(x)))[:n, :n] * np.outer(scale[:n], scale[:n])
+    gains, logs = (np.empty(0),) * 2 if rows is None else _step_gains(series, X, density, rows)
     return CourseFit(
-        coefficients=x[: 3 * m].reshape(m, 3),
+        coefficients=x[:n].reshape(-1, 3),
         covariance=0.5 * (inverse + inverse.T),
-        shared=x[3 * m :],
-        explained=float(x @ right),
-        log_volume=_log_volume(normal.N, normal.cross, series.shared_F, prior),
+        shared=x[n:],
+        explained=float(x @ normal.right),
+        log_volume=normal.log_volume(series, prior),
         gains=gains,
         log_determinants=logs,
     )
+
+
+def _step_gains(series: MountingSeries, X: Floats, density: float, rows: Ints) -> tuple[Floats, Floats]:
+    """Fall of chi2 (G,) by one more step before each of `rows` (G,) beside columns (K, m) and the walk, and
+    the logarithm of the determinant of the information on it.
+    """
+    normal = _Normal.of(series, X, with_walk=density > 0.0)
+    _, scale, factor = normal.factored(series, density)
+    n, x = len(normal.N), scale * cho_solve(factor, scale * normal.right)
+    of_columns, of_walk = np.split(x[:n].reshape(-1, 3), [X.shape[1]])
+    there = X @ of_columns + normal.walk.course(of_walk)
+    residual = series.right - np.einsum("kab,kb->ka", series.F, there) - series.F_shared @ x[n:]
+    own = _from(series.F, rows)
+    ramps = normal.walk.sums_from(series.F.reshape(-1, 9), rows).reshape(len(rows), -1, 3)
+    columns = _from(X[:, :, None, None] * series.F[:, None], rows).reshape(len(rows), -1, 3)
+    C = np.concatenate([columns, ramps, np.swapaxes(_from(series.F_shared, rows), 1, 2)], axis=1)
+    wide = (C * scale[:, None]).transpose(1, 0, 2).reshape(len(x), -1)
+    half = solve_triangular(factor[0], wide, lower=True).reshape(len(x), len(rows), 3)
+    information = own - np.einsum("nga,ngb->gab", half, half, optimize=True)
+    values, vectors = np.linalg.eigh(0.5 * (information + np.swapaxes(information, 1, 2)))
+    # a direction that mean, terms and steps take up already has no information left
+    seen = values > 1e-9 * np.einsum("gaa->g", own)[:, None]
+    along = np.einsum("gab,ga->gb", vectors, _from(residual, rows))
+    values = np.where(seen, values, 1.0)
+    return np.sum(np.where(seen, along**2 / values, 0.0), axis=1), np.sum(np.log(values), axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Walk:
+    """The ramps of a walk by sums: each is 0 before its interval between two knots, and 1 after it."""
+
+    steps_s: Floats  # (w,) lengths of the intervals
+    first: Ints  # (w + 1,) first row in each, and the number of rows
+    whole: csr_array  # (w, K) which results are in it
+    part: csr_array  # (w, K) how much of it has passed at these
+
+    @classmethod
+    def between(cls, knots: Floats, t_s: Floats) -> _Walk:
+        first = np.append(np.searchsorted(t_s, knots[:-1]), len(t_s))
+        begin, steps_s = (np.repeat(values, np.diff(first)) for values in (knots[:-1], np.diff(knots)))
+        at, shape = np.arange(len(begin)), (len(first) - 1, len(t_s))
+        part = (t_s - begin) / steps_s if len(begin) else begin
+        first = first if len(begin) else np.zeros(1, dtype=int)
+        whole, passed = (csr_array((data, at, first), shape) for data in (np.ones(len(at)), part))
+        return cls(np.diff(knots), first, whole, passed)
+
+    def course(self, ramps: Floats) -> Floats:
+        """The walk (K, 3) of the ramps' coefficients (w, 3)."""
+        return np.asarray(self.whole.T @ (np.cumsum(ramps, axis=0) - ramps) + self.part.T @ ramps)
+
+    def sums(self, values: Floats, of: csr_array | None = None) -> Floats:
+        """Sums (w, n) of ramp times values (K, n) of the results; `of` (w, K): the ramps in the intervals."""
+        return np.asarray((self.part if of is None else of) @ values + self.after(values))
+
+    def after(self, values: Floats) -> Floats:
+        """Sums (w, n) of values (K, n) over the rows after each interval."""
+        within = self.whole @ values
+        return np.asarray(np.cumsum(within[::-1], axis=0)[::-1] - within)
+
+    def sums_from(self, values: Floats, rows: Ints) -> Floats:
+        """Sums (G, w, n) of ramp times values (K, n) over the rows k >= row, for each of `rows`."""
+        own = np.searchsorted(self.first, rows, side="right") - 1  # interval of each row
+        if not len(self.steps_s):
+            return np.zeros((len(rows), 0, values.shape[1]))
+        order = (np.arange(len(self.steps_s)) - own[:, None])[:, :, None]
+        part = self.part.sum(axis=0)[:, None] * values
+        here = _from(part, rows) + (self.after(values) - self.after(part))[own]
+        later = np.where(order > 0, self.sums(values), here[:, None])
+        return np.where(order < 0, _from(values, rows)[:, None], later)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
     """Normal equations of columns, of the walk's ramps after them, and of the shared unknowns."""
 
-    X: Floats  # (K, m)
-    steps_s: Floats  # (w,) lengths of the ramps, the last w columns
-    N: Floats  # (3 m, 3 m)
+    walk: _Walk
+    N: Floats  # (3 m, 3 m) of columns and ramps
     cross: Floats  # (3 m, n) with the shared unknowns
     right: Floats  # (3 m + n,)
 
     @classmethod
     def of(cls, series: MountingSeries, X: Floats, with_walk: bool) -> _Normal:
-        knots = _knots(series.t_s) if with_walk else np.zeros(1)
-        if with_walk:
-            X = np.hstack([X, _ramps(series.t_s, knots)])
-        m, (a, b) = X.shape[1], np.triu_indices(3)
-        upper = X.T @ (series.F[:, a, b, None] * X[:, None, :]).reshape(len(X), -1)
+        walk = _Walk.between(_knots(series.t_s) if with_walk else np.zeros(1), series.t_s)
+        c, (a, b) = X.shape[1], np.triu_indices(3)
+        m, F = c + len(walk.steps_s), series.F[:, a, b]
+        each, ramp = (X[:, :, None] * F[:, None]).reshape(len(X), -1), np.arange(m - c)
+        upper = np.empty((m, m, len(a)))
+        upper[:c, :c] = (X.T @ each).reshape(c, c, -1)
+        upper[c:, :c] = walk.sums(each).reshape(-1, c, len(a))
+        upper[:c, c:] = np.swapaxes(upper[c:, :c], 0, 1)
+        upper[c:, c:] = walk.sums(F)[np.maximum(ramp[:, None], ramp)]  # the earlier one is 1 there
+        upper[c + ramp, c + ramp] = walk.sums(F, walk.part.power(2))
         blocks = np.empty((m, 3, m, 3))
-        blocks[:, a, :, b] = blocks[:, b, :, a] = np.swapaxes(upper.reshape(m, len(a), m), 0, 1)
-        cross = (X.T @ series.F_shared.reshape(len(X), -1)).reshape(3 * m, -1)
-        right = np.concatenate([(X.T @ series.right).ravel(), series.shared_right])
-        return cls(X, np.diff(knots), blocks.reshape(3 * m, 3 * m), cross, right)
+        blocks[:, a, :, b] = blocks[:, b, :, a] = np.moveaxis(upper, 2, 0)
+        cross, right = (
+            np.concatenate([X.T @ values, walk.sums(values)]).reshape(3 * m, -1)
+            for values in (series.F_shared.reshape(len(X), -1), series.right)
+        )
+        right = np.concatenate([right.ravel(), series.shared_right])
+        return cls(walk, blocks.reshape(3 * m, 3 * m), cross, right)
 
     def factored(self, series: MountingSeries, density: float) -> tuple[Floats, Floats, tuple[Any, bool]]:
         """Prior information (3 m,) of the columns with a density of the walk, the scale (3 m + n,) of all
         unknowns, and the factor of the equations so scaled: coefficients are radians, shared unknowns are in
         units of their prior.
         """
-        prior, w = np.zeros(len(self.N)), len(self.steps_s)
-        prior[len(prior) - 3 * w :] = np.repeat(1.0 / (density * self.steps_s), 3) if w else 0.0
+        prior, w = np.zeros(len(self.N)), len(self.walk.steps_s)
+        prior[len(prior) - 3 * w :] = np.repeat(1.0 / (density * self.walk.steps_s), 3) if w else 0.0
         whole = np.block([[self.N + np.diag(prior), self.cross], [self.cross.T, series.shared_F]])
         scale = 1.0 / np.sqrt(np.diag(whole))
         return prior, scale, cho_factor(whole * np.outer(scale, scale), lower=True)
 
+    def loss(self, series: MountingSeries, density: float) -> float:
+        """-2 log L with a density of the walk, from that of theta = 0 at rest."""
+        prior, scale, factor = self.factored(series, density)
+        right = scale * self.right
+        return self.log_volume(series, prior) - float(right @ cho_solve(factor, right))
 
-def _log_volume(N: Floats, cross: Floats, shared_F: Floats, prior: Floats) -> float:
-    """log |I + Q Zᵀ L Z| of the walk: Q the prior covariance of its ramps, L the results' information."""
-    walk = prior > 0.0
-    if not walk.any():
-        return 0.0
-    inner = N[np.ix_(walk, walk)] - cross[walk] @ np.linalg.solve(shared_F, cross[walk].T)
-    root = prior[walk] ** -0.5
-    return float(np.linalg.slogdet(np.eye(len(root)) + root[:, None] * inner * root)[1])
+    def log_volume(self, series: MountingSeries, prior: Floats) -> float:
+        """log |I + Q Zᵀ L Z| of the walk: Q the prior covariance of its ramps, L the results' information."""
+        walk = prior > 0.0
+        if not walk.any():
+            return 0.0
+        shared = self.cross[walk] @ np.linalg.solve(series.shared_F, self.cross[walk].T)
+        inner, root = self.N[np.ix_(walk, walk)] - shared, prior[walk] ** -0.5
+        return float(np.linalg.slogdet(np.eye(len(root)) + root[:, None] * inner * root)[1])
 
 
 def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
@@ -556,25 +626,21 @@ def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
         return 0.0, 1.0
     sigma2 = 1.0 / np.median(np.linalg.eigvalsh(series.F), axis=0)[-1]
     span = float(series.t_s[-1] - series.t_s[0])
-    rest = fit_columns(series, X)
-
+    rest = _Normal.of(series, X, with_walk=False).loss(series, 0.0)
     normal = _Normal.of(series, X, with_walk=True)
 
     def loss(log_density: float) -> float:
-        prior, scale, factor = normal.factored(series, float(np.exp(log_density)))
-        right = scale * normal.right
-        explained = float(right @ cho_solve(factor, right))
-        return _log_volume(normal.N, normal.cross, series.shared_F, prior) - explained
+        return normal.loss(series, float(np.exp(log_density)))
 
     around = np.log(sigma2 / span)
     grid = around + np.linspace(-4.0, 10.0, 8)
     losses = [loss(x) for x in grid]
     best = int(np.argmin(losses))
-    if losses[best] >= -rest.explained:
+    if losses[best] >= rest:
         return 0.0, 1.0
     window = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
     found = minimize_scalar(loss, bounds=window, method="bounded", options={"xatol": 0.05})
-    gain = max(-rest.explained - float(found.fun), 0.0)
+    gain = max(rest - float(found.fun), 0.0)
     return float(np.exp(found.x)), 0.5 * float(chdtrc(1, gain))
 
 
@@ -582,9 +648,9 @@ def _cost(
     series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float, known: int
 ) -> float:
     """Schwarz's criterion of a model: -2 log L and the logarithm of K for each number that was fitted."""
-    fit = fit_columns(series, _design(series, terms, steps), density)
+    loss = _Normal.of(series, _design(series, terms, steps), density > 0.0).loss(series, density)
     fitted = 4 * (len(steps) - known) + 3 * sum(series.columns(term).shape[1] for term in terms)
-    return fit.log_volume - fit.explained + (fitted + (density > 0.0)) * float(np.log(len(series.t_s)))
+    return loss + (fitted + (density > 0.0)) * float(np.log(len(series.t_s)))
 
 
 def explained_by_free(series: MountingSeries) -> float:
@@ -610,7 +676,10 @@ def _ramps(t_s: Floats, knots: Floats) -> Floats:
 
 def _from(values: Floats, rows: Ints) -> Floats:
     """Sums over the rows k >= row, for each of `rows`, increasing."""
-    return np.cumsum(np.add.reduceat(values, rows, axis=0)[::-1], axis=0)[::-1]
+    at, first = np.arange(rows[0], len(values)), np.append(rows, len(values)) - rows[0]
+    groups = csr_array((np.ones(len(at)), at, first), (len(rows), len(values)))
+    sums = groups @ values.reshape(len(values), int(np.prod(values.shape[1:])))
+    return np.cumsum(sums[::-1], axis=0)[::-1].reshape(len(rows), *values.shape[1:])
 
 
 def _block(covariance: Floats, first: int, count: int) -> Floats:

@@ -19,7 +19,7 @@ from boresight.features.mission.trends import Trend, changes_of, step_words
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.record import Floats
 from boresight.pipeline import __version__
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 
 __all__ = ["trends_html"]
 

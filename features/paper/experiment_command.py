@@ -20,7 +20,7 @@ from boresight.pipeline.console.messages import (
     wrong_usage,
 )
 from boresight.pipeline.console.progress import progress_bars
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 
 __all__ = ["experiment_command"]
 

@@ -15,7 +15,7 @@ from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.marks import SHAPES, strip_style
 from boresight.pipeline.report.observations import Pictures, TargetCard, shown_pictures
-from boresight.pipeline.report.template import Number, template
+from boresight.pipeline.report.page_template import Number, template
 from boresight.pipeline.report.unmatched import pictures_at
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.strip import StripTask, pictures_of_match, pushbroom_of

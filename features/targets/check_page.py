@@ -9,7 +9,7 @@ import numpy as np
 from boresight.features.targets.dump_check import DumpCheck, grouped_faults
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.drawing import Axis, Drawing, Figure, drawn
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 
 __all__ = ["write_check_page"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from boresight.pipeline import __version__
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.reading import read_installation
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from boresight.pipeline.report.template import number_from
+from boresight.pipeline.report.page_template import number_from
 
 __all__ = ["CONTEXT", "JOINT_BUDGET", "budget_rows"]
 

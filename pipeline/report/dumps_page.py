@@ -14,9 +14,9 @@ from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
 from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import data_uri
+from boresight.pipeline.report.page_template import number_from, template
 from boresight.pipeline.report.sheet import SheetBasis, angles, basis_of, matrix_numbers
 from boresight.pipeline.report.small_maps import small_maps
-from boresight.pipeline.report.template import number_from, template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import identity_of_result, saved_about

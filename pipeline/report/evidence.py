@@ -274,8 +274,8 @@ def _convergence(calibration: DumpCalibration) -> pa.Table:
 
 def _angles(calibration: DumpCalibration) -> pa.Table:
     angles = cross_angles(_motions(calibration), calibration.estimate.R_cs, calibration.settings)
-    columns = {name: getattr(angles, name) for name in EVIDENCE["angles"]}
-    return pa.table({name: arrow_array(one, EVIDENCE["angles"][name]) for name, one in columns.items()})
+    types = EVIDENCE["angles"].items()
+    return pa.table({name: arrow_array(getattr(angles, name), kind) for name, kind in types})
 
 
 def _motions(calibration: DumpCalibration) -> list[MeasuredStrip]:
@@ -308,8 +308,9 @@ def _attitude_noise(dump: Dump, settings: Settings) -> dict[str, pa.Table]:
     times, `MOST_MEANS` at most; no rows without attitudes.
     """
     found, names = attitude_signal(dump, settings), ""
-    times, t_s = [np.zeros(0)] * 2
-    deviation, turns = [np.zeros((0, 3))] * 2
+    times: Floats = np.zeros(0)
+    deviation: Floats = np.zeros((0, 3))
+    t_s, turns = times, deviation
     if found is not None:
         heads, signal, t_s = found
         names = " and ".join(heads)
@@ -370,8 +371,7 @@ def _preview(dump: Dump, calibration: DumpCalibration, settings: Settings) -> St
 
 def _exposure(dump: Dump, calibration: DumpCalibration, settings: Settings) -> pa.Table:
     """One row per detection; the schema's metadata holds the picture (JPEG) and the facts of the exposure."""
-    preview = _preview(dump, calibration, settings)
-    if preview is None:
+    if (preview := _preview(dump, calibration, settings)) is None:
         return pa.schema(list(EVIDENCE["exposure"].items())).empty_table()
     about = {name: getattr(preview, name) for name in ("exposure_id", "shrunk", "hot_pixels", "misshapen")}
     table = pa.table(columns_of(preview)).select(list(EVIDENCE["exposure"]))

@@ -28,8 +28,8 @@ from boresight.pipeline.report.drawing import (
     drawn,
 )
 from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
+from boresight.pipeline.report.page_template import utc_text
 from boresight.pipeline.report.saved import Saved
-from boresight.pipeline.report.template import utc_text
 
 __all__ = [
     "allan_plot",
@@ -180,8 +180,8 @@ def ground_scatter(saved: Saved) -> Drawing:
     ce90 = float(saved.context["accuracy"][0]["ce90_m"] or 0.0)
     reach = 1.15 * float(np.abs([*across, *along, ce90, 1e-3]).max())
     figure, edges, beside = Figure(WIDTH_IN), np.linspace(-reach, reach, 21), 0.8
-    both = (Axis(f"{which} the track, m", -reach, reach) for which in ("across", "along"))
-    axes = figure.panel(*both, (0, beside, 0.2, 1))
+    x, y = (Axis(f"{which} the track, m", -reach, reach) for which in ("across", "along"))
+    axes = figure.panel(x, y, (0, beside, 0.2, 1))
     axes.marks(across, along, "o")
     axes.line(*_ellipse(ce90**2 * np.eye(2)), Pen(colour=AXES[1].colour, width=1.4))
     for values, is_turned, place in ((across, False, (0, beside, 0, 0.19)), (along, True, (0.81, 1, 0.2, 1))):

@@ -12,8 +12,8 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import State
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.page_template import Number, number_from
 from boresight.pipeline.report.saved import Saved
-from boresight.pipeline.report.template import Number, number_from
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = ["FirstScreen", "Found", "Help", "Required", "first_screen", "required", "sigma_on_ground"]

@@ -28,11 +28,11 @@ LONGEST = 2.5 * ARROW * WIDTH  # units of the sheet: a gross error must not cros
 class Layer:
     """A strip or the terrain of a scene."""
 
-    strip_id: str = scalar("strip; empty for the terrain")
-    shape: str = scalar("mark of the strip")
-    colour: str = scalar("CSS class of its colour")
-    path: str = scalar("outlines of its CCDs")
-    clip: str = scalar("id of the clip path of those outlines")
+    strip_id: str = scalar("strip; empty for the terrain", default="")
+    shape: str = scalar("mark of the strip", default="")
+    colour: str = scalar("CSS class of its colour", default="")
+    path: str = scalar("outlines of its CCDs", default="")
+    clip: str = scalar("id of the clip path of those outlines", default="")
     picture: str = scalar("data URI; empty if there is none")
     box: tuple[float, float, float, float] = scalar("x, y, width, height of the picture")
 
@@ -158,15 +158,12 @@ def _scene(saved: Saved, number: int, origin: tuple[float, float], scale: float)
         strips.append(Layer(strip_id=strip["id"], picture=picture, box=box, **marks))
     names = ", ".join(strip.strip_id for strip in strips[:4]) + (" …" if len(strips) > 4 else "")
     ns, ew = "NS"[scene["lat_deg"] < 0], "EW"[scene["lon_deg"] < 0]
-    terrain = None
-    if "" in pictures:
-        picture, box = pictures[""]
-        terrain = Layer(strip_id="", shape="", colour="", path="", clip="", picture=picture, box=box)
+    picture, box = pictures.get("", ("", outside))
     return SceneView(
         caption=f"{names}   {abs(scene['lat_deg']):.2f}° {ns}, {abs(scene['lon_deg']):.2f}° {ew}",
         x=round(outside[0], 1),
         y=round(outside[1], 1),
-        terrain=terrain,
+        terrain=Layer(picture=picture, box=box) if picture else None,
         strips=tuple(strips),
     )
 

@@ -9,7 +9,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.whole_file import write_text
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 
 __all__ = ["write_no_result"]
 

@@ -15,8 +15,8 @@ from boresight.geometry.ledger import Kind, State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.marks import strip_style
+from boresight.pipeline.report.page_template import Number
 from boresight.pipeline.report.saved import Saved
-from boresight.pipeline.report.template import Number
 from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [

@@ -18,12 +18,12 @@ from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
 from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
 from boresight.pipeline.report.page_figures import page_figures
+from boresight.pipeline.report.page_template import Number, number_from, template
 from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
-from boresight.pipeline.report.template import Number, number_from, template
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 

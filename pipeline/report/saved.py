@@ -13,7 +13,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.report.ground_map import SCHEMA as GROUND
-from boresight.pipeline.report.template import UTC_FROM, Number, number_from
+from boresight.pipeline.report.page_template import UTC_FROM, Number, number_from
 from boresight.pipeline.results.folder import INTERIOR
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation

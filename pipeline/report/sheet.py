@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import record, scalar
-from boresight.pipeline.report.template import Number, number_from
+from boresight.pipeline.report.page_template import Number, number_from
 
 __all__ = ["SheetBasis", "angles", "basis_of", "matrix_numbers"]
 

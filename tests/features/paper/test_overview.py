@@ -16,7 +16,7 @@ from boresight.features.paper.paper_page import run_all, verdict_of
 from boresight.features.paper.paper_tables import TABLE_4_RMS_ARCSEC, TABLE_5
 from boresight.features.paper.tables import EXPERIMENTS
 from boresight.features.paper.vector_experiments import ExperimentSettings
-from boresight.pipeline.report.template import template
+from boresight.pipeline.report.page_template import template
 
 
 @pytest.fixture(scope="module")

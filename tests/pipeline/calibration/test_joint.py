@@ -26,7 +26,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
-from boresight.geometry.installation import theta_between
+from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.calibration.calibrate import calibrate_dump
@@ -407,38 +407,37 @@ def test_names_tell_dumps_apart_in_whatever_order_they_stand() -> None:
     assert dump_names([Path("/A/May"), Path("/b/may")]) == ["A-May", "b-may"]  # one file to some systems
 
 
+def visit(n: int, own: list, turns: int, site: np.ndarray) -> tuple:
+    """A dump so many turns of the Earth after the first, as far as a joint calibration looks at it."""
+    targets = {
+        name: SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0), reference=None)
+        for one in own
+        for name in one.ground.target_id.tolist()
+    }
+    dump = SimpleNamespace(
+        root=Path(f"d{n}"),
+        camera="",
+        epoch=Epoch(round(turns * 2.0 * np.pi / EARTH_ROTATION_RATE)),
+        ground_targets=targets,
+        R_cs0=BOLD,
+        sigma_installation_rad=np.full(3, 3e-3),
+        heads=(SimpleNamespace(name="s"),),
+        line_camera=SimpleNamespace(pixel_rad=1e-6),
+        target_files="targets.csv",
+        star_camera=None,
+    )
+    found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=(), rows=())
+    return SimpleNamespace(name=f"d{n}", dump=dump), found
+
+
 def visits(place: np.ndarray) -> list:
-    """Two dumps of four strips each over one calibration site, as far as a joint calibration looks at them.
-    The campaign's Earth is at rest, so a whole number of its turns lies between the dumps.
+    """Two dumps of four strips each over one calibration site. The campaign's Earth is at rest, so a whole
+    number of its turns lies between the dumps.
     """
     plan = StripPlan(strips=8, sigma_position_m=1.0, sigma_target_m=3.0, same_targets=True)
     strips, _ = draw_strips(plan, CameraPair(BOLD), np.random.default_rng(21))
-    days = Epoch(0), Epoch(round(60 * 2.0 * np.pi / EARTH_ROTATION_RATE))
     sites = [np.zeros(3), place]
-    out = []
-    for n, (epoch, site) in enumerate(zip(days, sites)):
-        targets = {
-            name: SimpleNamespace(target_id=name, p_e=site, sigma_m=np.full(3, 3.0), reference=None)
-            for name in strips[0].ground.target_id.tolist()
-        }
-        sigma = np.full(3, 3e-3)
-        head = SimpleNamespace(name="s")
-        dump = SimpleNamespace(
-            root=Path(f"d{n}"),
-            camera="",
-            epoch=epoch,
-            ground_targets=targets,
-            R_cs0=BOLD,
-            sigma_installation_rad=sigma,
-            heads=(head,),
-            line_camera=SimpleNamespace(pixel_rad=1e-6),
-            target_files="targets.csv",
-            star_camera=None,
-        )
-        own = strips[4 * n : 4 * n + 4]
-        found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=(), rows=())
-        out.append((SimpleNamespace(name=f"d{n}", dump=dump), found))
-    return [out, strips]
+    return [[visit(n, strips[4 * n : 4 * n + 4], 60 * n, site) for n, site in enumerate(sites)], strips]
 
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
@@ -464,3 +463,23 @@ def test_targets_of_one_name_at_two_places_are_two_points() -> None:
     assert {name.split("/")[1] for name in two.pairs.shared} == {"d0", "d1"}
     # The survey's error, 3 m, rules: shared by all it does not average, by halves it does.
     assert two.cov_theta[1, 1] < 0.8 * one.cov_theta[1, 1]
+
+
+@pytest.mark.parametrize("what", ["season", "jump", "rest"])
+def test_a_season_of_the_mounting_over_dumps_of_a_year_is_told_from_a_jump(what: str) -> None:
+    plan = StripPlan(strips=8, sigma_position_m=1.0, sigma_target_m=1.0)
+    strips, _ = draw_strips(plan, CameraPair(BOLD), np.random.default_rng(5))
+    turns = [0, 41, 95, 150, 187, 240, 301, 340]
+    season = 3.0 * ARCSEC * np.cos(2.0 * np.pi * np.array(turns) / 366.25)
+    course = {"season": season, "jump": 3.0 * ARCSEC * (np.arange(8) > 3), "rest": np.zeros(8)}[what]
+    calibrated = []
+    for n, (strip, x) in enumerate(zip(strips, course)):
+        u_c = deviation_from_theta(np.array([x, 0.0, 0.0])).apply(strip.ground.u_c)
+        own = replace(strip, ground=replace(strip.ground, u_c=u_c))
+        calibrated.append(visit(n, [own], turns[n], np.zeros(3)))
+    found = calibrate_jointly(calibrated, [], Settings()).verdict.findings
+    causes = {
+        "season": "mounting varies with the season, about x of c",
+        "jump": "mounting moved, about x of c",
+    }
+    assert [one.cause for one in found] == ([causes[what]] if what in causes else [])
