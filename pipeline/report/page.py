@@ -7,6 +7,7 @@ import html
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from unicodedata import category
@@ -35,11 +36,13 @@ from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
+from boresight.pipeline.run.index_cache import cache_folder
 
 __all__ = ["report_html", "template", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
+SYNTAX: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}  # of templates
 TO_ARCSEC = 1.0 / ARCSEC  # arcsec in a radian
 
 
@@ -125,15 +128,33 @@ def template(name: str) -> jinja2.Template:
     return _environment().get_template(name)
 
 
+class _Compiled(jinja2.FileSystemBytecodeCache):
+    """Compiled templates, kept between runs where the user's cache folder can be written."""
+
+    def get_source_checksum(self, source: str) -> str:
+        """What compiling depends on."""
+        return super().get_source_checksum(f"{SYNTAX}{source}")
+
+    def load_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+        """Read one that is kept."""
+        with suppress(OSError):
+            super().load_bytecode(bucket)
+
+    def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+        """Keep one."""
+        with suppress(OSError):
+            Path(self.directory).mkdir(parents=True, exist_ok=True)
+            super().dump_bytecode(bucket)
+
+
 @functools.cache  # with the templates that it has compiled
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
-        autoescape=True,
+        bytecode_cache=_Compiled(str(cache_folder() / "templates")),  # 0.15 s to compile
         finalize=_visible,
         undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+        **SYNTAX,
     )
     environment.filters["number"] = _number
     return environment

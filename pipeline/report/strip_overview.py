@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from boresight.gct_match.search.coarse import means_of_usable, read_coarse
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import array, record, scalar
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.tiff import StripFiles
+from boresight.pipeline.files.strip_table import Strip
 
-__all__ = ["Overview", "overview"]
+__all__ = ["Overview", "StripPart", "overview", "overview_of_part", "parts_of"]
 
 SIDE_PX = 420  # least length of the longer side, if the image has as many pixels
 LEAST_ROWS = 100  # of the overview of a strip that is read in bands
@@ -24,6 +28,32 @@ class Overview:
     means: np.ndarray = array("H, W", "counts, single precision; NaN where none is usable")
     first_px: tuple[float, float] = scalar("middle (sample, line) of the first block")
     pitch_px: tuple[int, int] = scalar("samples and lines from one block to the next")
+
+
+@record
+class StripPart:
+    """What the overview of one CCD's image depends on."""
+
+    images: StripFiles = scalar("of the strip")
+    ccd: int = scalar("number of the CCD")
+    settings: MatchSettings = scalar("which counts are usable")
+
+
+def parts_of(strips: Sequence[Strip], settings: MatchSettings) -> dict[tuple[str, int], StripPart]:
+    """The images of strips, by id of the strip and CCD."""
+    return {
+        (strip.strip_id, ccd): StripPart(strip.images, ccd, settings)
+        for strip in strips
+        for ccd in strip.images.ccds
+    }
+
+
+def overview_of_part(part: StripPart) -> Overview | None:
+    """The overview of an image; None if it is damaged, which is reported as an omission."""
+    try:
+        return overview(part.images, part.ccd, part.settings)
+    except RawDataError:
+        return None
 
 
 def overview(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview:
