@@ -30,7 +30,7 @@ from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.no_result import write_no_result
 from boresight.pipeline.report.page import write_report
-from boresight.pipeline.report.strip_overview import overview_of_part, parts_of
+from boresight.pipeline.report.strip_overview import overviews_of
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -211,8 +211,8 @@ def _calibrated(
     begin_result(out)
     make_own_folder(out / "work")
     store = store or store_of(out.resolve())
-    shown = parts_of(dump.strips, request.settings.match) if request.report else {}
-    with work_ahead(executor, overview_of_part, shown) as overviews:
+    shown = overviews_of(dump.strips, request.settings.match) if request.report else {}
+    with work_ahead(executor, shown) as overviews:
         try:
             found = calibrate_dump(dump, request.settings, store, executor, progress)
         except DataNotSufficientError as error:

@@ -50,7 +50,7 @@ from boresight.pipeline.report.ground_map import ground_table, scene_json, scene
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
-from boresight.pipeline.report.strip_overview import Overview, overview_of_part, parts_of
+from boresight.pipeline.report.strip_overview import Overview, overviews_of
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.head_records import attitude_signal
@@ -81,7 +81,7 @@ def write_evidence(
     """
     folder, executor = result / "evidence", executor or InOrder()
     if overviews is None:
-        with work_ahead(executor, overview_of_part, parts_of(dump.strips, settings.match)) as overviews:
+        with work_ahead(executor, overviews_of(dump.strips, settings.match)) as overviews:
             return write_evidence(result, dump, calibration, settings, executor, overviews)
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)

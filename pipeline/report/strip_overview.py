@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 
 import cv2
 import numpy as np
@@ -14,7 +16,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.strip_table import Strip
 
-__all__ = ["Overview", "StripPart", "overview", "overview_of_part", "parts_of"]
+__all__ = ["Overview", "overview", "overviews_of"]
 
 SIDE_PX = 420  # least length of the longer side, if the image has as many pixels
 LEAST_ROWS = 100  # of the overview of a strip that is read in bands
@@ -30,30 +32,21 @@ class Overview:
     pitch_px: tuple[int, int] = scalar("samples and lines from one block to the next")
 
 
-@record
-class StripPart:
-    """What the overview of one CCD's image depends on."""
-
-    images: StripFiles = scalar("of the strip")
-    ccd: int = scalar("number of the CCD")
-    settings: MatchSettings = scalar("which counts are usable")
-
-
-def parts_of(strips: Sequence[Strip], settings: MatchSettings) -> dict[tuple[str, int], StripPart]:
-    """The images of strips, by id of the strip and CCD."""
+def overviews_of(
+    strips: Sequence[Strip], settings: MatchSettings
+) -> dict[tuple[str, int], Callable[[], Overview | None]]:
+    """What makes the overview of each image, None of a damaged one, by id of the strip and CCD."""
     return {
-        (strip.strip_id, ccd): StripPart(strip.images, ccd, settings)
+        (strip.strip_id, ccd): partial(_readable, strip.images, ccd, settings)
         for strip in strips
         for ccd in strip.images.ccds
     }
 
 
-def overview_of_part(part: StripPart) -> Overview | None:
-    """The overview of an image; None if it is damaged, which is reported as an omission."""
-    try:
-        return overview(part.images, part.ccd, part.settings)
-    except RawDataError:
-        return None
+def _readable(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview | None:
+    with suppress(RawDataError):  # reported as an omission
+        return overview(images, ccd, settings)
+    return None
 
 
 def overview(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview:

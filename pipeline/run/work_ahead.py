@@ -1,18 +1,19 @@
 """Work that is asked for later, done by a process that takes what processor time the others leave.
 
 Processes wait for one another: while one strip is searched alone, for the last of three strips, and while the
-first process writes. What nothing else depends on fills these gaps. Outcomes go into a file without a name:
-they may be larger than a pipe holds while nobody reads it.
+first process writes. What nothing else depends on fills these gaps. Outcomes go into a file in memory: they
+may be larger than a pipe holds while nobody reads it.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
 import signal
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from operator import call
 from typing import IO, Any, TypeVar
 
 from boresight.pipeline.run.executor import Executor
@@ -21,7 +22,6 @@ from boresight.pipeline.run.processes import FORKS, START, Processes
 __all__ = ["Ahead", "work_ahead"]
 
 Key = TypeVar("Key")
-Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 Ahead = Callable[[Sequence[Key]], dict[Key, Outcome]]
 LEAST_URGENT = 19  # of the system's niceness
@@ -29,26 +29,27 @@ LEAST_URGENT = 19  # of the system's niceness
 
 @contextmanager
 def work_ahead(
-    executor: Executor, function: Callable[[Item], Outcome], items: Mapping[Key, Item]
+    executor: Executor, work: Mapping[Key, Callable[[], Outcome]]
 ) -> Iterator[Ahead[Key, Outcome]]:
-    """Outcomes of items by their keys, when these are asked for. What is not done by then is left to the
-    executor: everything unless it is one of forked processes.
+    """Outcomes of pieces of work by their keys, when these are asked for. What is not done by then is left to
+    the executor: everything unless it is one of forked processes.
     """
-    with tempfile.TemporaryFile() as kept:
-        process = START.Process(target=_one_after_another, args=(kept, function, list(items.values())))
-        if begun := FORKS and isinstance(executor, Processes) and bool(items):
+    forks = FORKS and isinstance(executor, Processes) and bool(work)
+    with open(os.memfd_create("work ahead"), "w+b") if forks else io.BytesIO() as kept:
+        process = START.Process(target=_one_after_another, args=(kept, list(work.values())))
+        if forks:
             process.start()
 
         def stop() -> None:
-            if begun:
+            if forks:
                 process.kill()
                 process.join()
 
         def outcomes(keys: Sequence[Key]) -> dict[Key, Outcome]:
             stop()
-            done = dict(zip(items, _outcomes(kept)))
+            done = dict(zip(work, _outcomes(kept)))
             rest = [key for key in keys if key not in done]
-            more = executor.map(function, [items[key] for key in rest], lambda n, outcome: None)
+            more = executor.map(call, [work[key] for key in rest], lambda n, outcome: None)
             return done | dict(zip(rest, more))
 
         try:
@@ -57,12 +58,13 @@ def work_ahead(
             stop()
 
 
-def _one_after_another(kept: IO[bytes], function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+def _one_after_another(kept: IO[bytes], work: Sequence[Callable[[], Any]]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process receives it too and stops this one
     os.nice(LEAST_URGENT)
-    for item in items:
-        pickle.dump(function(item), kept)
-        kept.flush()
+    with suppress(Exception):  # it arises again where the rest is done
+        for piece in work:
+            pickle.dump(piece(), kept)
+            kept.flush()
 
 
 def _outcomes(kept: IO[bytes]) -> Iterator[Any]:

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ def test_outcomes_are_the_same_however_far_the_process_came_before_it_died(tmp_p
 
     with (
         executor_for(2, None, 0) as executor,
-        work_ahead(executor, unit, {str(n): n for n in range(4)}) as ahead,
+        work_ahead(executor, {str(n): partial(unit, n) for n in range(4)}) as ahead,
     ):
         while not list(tmp_path.glob(f"{last} *")):
             time.sleep(0.01)
@@ -47,11 +48,11 @@ def test_outcomes_are_the_same_however_far_the_process_came_before_it_died(tmp_p
 
 @forked
 def test_process_is_gone_when_nothing_is_asked_of_it(tmp_path: Path) -> None:
-    def slow(number: int) -> None:
+    def slow() -> None:
         (tmp_path / str(os.getpid())).touch()
         time.sleep(60.0)
 
-    with executor_for(2, None, 0) as executor, work_ahead(executor, slow, {"a": 1}):
+    with executor_for(2, None, 0) as executor, work_ahead(executor, {"a": slow}):
         while not (begun := list(tmp_path.iterdir())):
             time.sleep(0.01)
     with pytest.raises(ProcessLookupError):
@@ -60,7 +61,7 @@ def test_process_is_gone_when_nothing_is_asked_of_it(tmp_path: Path) -> None:
 
 def test_one_process_computes_only_what_is_asked_for() -> None:
     made: list[int] = []
-    with work_ahead(InOrder(), made.append, {"a": 1, "b": 2}) as ahead:
+    with work_ahead(InOrder(), {"a": partial(made.append, 1), "b": partial(made.append, 2)}) as ahead:
         assert made == []
         assert ahead(["b"]) == {"b": None}
     assert made == [2]
