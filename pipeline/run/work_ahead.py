@@ -1,8 +1,8 @@
 """Work that is asked for later, done by a process that takes what processor time the others leave.
 
 Processes wait for one another: while one strip is searched alone, for the last of three strips, and while the
-first process writes. What nothing else depends on fills these gaps. Outcomes go into a file in memory: they
-may be larger than a pipe holds while nobody reads it.
+first process writes. What nothing else depends on fills these gaps. Outcomes go into a file in memory, since
+a pipe holds less than one of them until it is read.
 """
 
 from __future__ import annotations
