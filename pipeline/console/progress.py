@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from rich import console, progress
-
 from boresight.pipeline.console.messages import log, shows_bars
 from boresight.pipeline.run.stage_words import stage_words
 
@@ -35,6 +33,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int | None], None]]:
     if sys.stderr is None or not (sys.stderr.isatty() and shows_bars()):
         yield noted
         return
+    from rich import console, progress  # 20 ms to load
 
     columns = (
         progress.TextColumn("{task.description}", markup=False),

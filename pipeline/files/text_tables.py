@@ -13,8 +13,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tomlkit
-
 from boresight.pipeline.errors import printable
 
 if TYPE_CHECKING:
@@ -27,6 +25,8 @@ FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")  # the la
 
 def write_toml(path: Path, tables: Mapping[str, Any]) -> None:
     """Write nested tables as a TOML file."""
+    import tomlkit  # 6 ms to load, in commands that write none
+
     path.write_text(tomlkit.dumps(tables), encoding="utf-8")
 
 

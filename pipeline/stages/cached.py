@@ -70,6 +70,8 @@ class StageRunner:
             self.progress(folder, n, len(tasks))
 
         self.progress(folder, 0, len(tasks))
+        if self.store is not None:
+            program_digest(stage.__module__, __name__)  # once, for all processes that are forked from here
         more = (self.executor.share(len(tasks)),) if in_parts else ()
         done = self.executor.map(Cached(stage, self.store, folder, more), tasks, ended)
         return [unit.outcome for unit in done], [unit.computed for unit in done]
