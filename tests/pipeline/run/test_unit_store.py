@@ -144,7 +144,7 @@ def test_program_of_a_stage_includes_the_readers_of_files() -> None:
         modules = set(digests.sources_of(stage.__module__))
         assert {
             "boresight.pipeline.files.images.tiff",
-            "boresight.pipeline.files.dump",
+            "boresight.pipeline.files.strip_table",
             "boresight.geometry.orbit",
             "data of boresight.geometry",
         } <= modules
