@@ -1,4 +1,4 @@
-"""A mounting that varies with the season is told from one that jumps, over dumps of a year."""
+"""A mounting that varies with the season is distinguished from one that jumps, over dumps of a year."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DAYS = np.array([0, 31, 70, 118, 163, 201, 246, 290, 342])  # of the strips
 
 
 def causes(seed, turns_arcsec, days=DAYS):
-    """Causes, items, sizes and sigmas told of strips at `days`, the mounting of each turned about y of c."""
+    """Causes, items, sizes and sigmas found, of strips at `days` with the mounting turned about y of c."""
     drawn = with_attitudes(draw_strips(PLAN, CAMERAS, np.random.default_rng(seed))[0], SETTINGS.attitudes)
     strips = []
     for strip, day, turn in zip(drawn, days, turns_arcsec):
@@ -51,12 +51,12 @@ def season(phase_days, days=DAYS):
 
 
 @pytest.mark.parametrize("seed, phase_days", [(0, 0.0), (4, 297.0), (18, 109.0)])
-def test_a_season_is_told_as_a_season_with_its_size(seed, phase_days):
+def test_a_season_is_reported_as_a_season_with_its_size(seed, phase_days):
     ((cause, item, size, sigma),) = causes(seed, season(phase_days))
     assert cause == "mounting varies with the season, about y of c"
     told_days = float(item.partition("most ")[2].partition(" days")[0])
     phase = 2.0 * np.pi * (told_days - phase_days) / 365.25
-    # told is the part of this phase; where noise lets the next but one win, 30° off
+    # reported is the part of this phase; where noise lets the next but one win, 30° off
     assert size == pytest.approx(6.0 * np.cos(phase), abs=5.0 * sigma)
     assert abs(np.cos(phase)) > np.cos(np.pi / 6.0)
 
@@ -70,6 +70,6 @@ def test_a_mounting_at_rest_has_no_season():
     assert causes(2, np.zeros(9)) == []
 
 
-def test_no_season_is_told_of_a_month():
+def test_no_season_is_reported_of_a_month():
     days = DAYS / 12.0
     assert not any("season" in cause for cause, *_ in causes(0, season(23.0, DAYS), days))

@@ -466,7 +466,7 @@ def test_targets_of_one_name_at_two_places_are_two_points() -> None:
 
 
 @pytest.mark.parametrize("what", ["season", "jump", "rest"])
-def test_a_season_of_the_mounting_over_dumps_of_a_year_is_told_from_a_jump(what: str) -> None:
+def test_a_season_of_the_mounting_over_dumps_of_a_year_is_distinguished_from_a_jump(what: str) -> None:
     plan = StripPlan(strips=8, sigma_position_m=1.0, sigma_target_m=1.0)
     strips, _ = draw_strips(plan, CameraPair(BOLD), np.random.default_rng(5))
     turns = [0, 41, 95, 150, 187, 240, 301, 340]
