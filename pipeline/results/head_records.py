@@ -43,8 +43,8 @@ def noise_of_heads(dump: Dump, settings: Settings, lowest_hz: float = LOWEST_HZ)
 
 def attitude_signal(dump: Dump, settings: Settings) -> tuple[tuple[str, ...], Signal, Floats] | None:
     """Names of the heads that deliver attitudes, the signal that shows their noise, rotation vectors in rad,
-    and its instants: their differences, or that of a single one against the nominal motion. None without
-    such heads or with too few attitudes.
+    and its instants (K,), s: their differences, or that of a single one against the nominal motion. None
+    without such heads or with too few attitudes.
     """
     solved = [head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]
     if not solved:

@@ -48,11 +48,9 @@ OWN_FILES = (
     + [f"drift.{kind}" for kind in ("json", "csv", "png")]
     + [f"sightings/{n}.parquet" for n in "stars exposures targets strips passes ledger omissions".split()]
     + ["sightings/reliability.parquet"]
-    + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground".split()]
-    + [
-        f"evidence/{n}"
-        for n in "unmatched.parquet map.parquet allan.parquet context.json budget.json".split()
-    ]
+    + [f"evidence/{n}.parquet" for n in "inputs convergence angles matches exposure ground unmatched".split()]
+    + [f"evidence/{n}.parquet" for n in "map allan attitude_noise".split()]
+    + [f"evidence/{n}.json" for n in "context budget".split()]
 )
 # Regular expression of the files of finished work that the program writes, STAGE/NAME.DIGEST.parquet: only
 # such files are removed.
