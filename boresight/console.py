@@ -29,6 +29,7 @@ def run_command_line() -> None:
     shell names; rasterio reads no store by itself (`files.object_store` does) and goes without boto3.
     """
     os.environ["MPLBACKEND"] = "agg"
+    os.environ.setdefault("GDAL_CACHEMAX", "16")  # MB; else 5 % of the memory, for tiles that are read once
     sys.modules.setdefault("boto3", None)  # type: ignore[arg-type]  # where it is installed, 0.1 s to load
     words = _words()
     begin(words)
