@@ -260,14 +260,14 @@ def _iterated(
     weight: Floats,
     iterations: list[Iteration],
     scale_c: float,
-    step: Step | None = None,
+    known: Step | None = None,
 ) -> Step:
-    """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `step` where
+    """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `known` where
     that is the same; the last step, about its matrix.
     """
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, step), weight, step)
+        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, known), weight, known)
         iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
