@@ -264,7 +264,7 @@ def _inverse(information: Array) -> Array:
     """
     factor, not_positive = dpotrf(information, lower=1) if len(information) else (information, 1)
     if not_positive:
-        return np.linalg.inv(information)
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)
     half = np.tril(dpotri(factor, lower=1)[0])
     return np.asarray(half + np.tril(half, -1).T)
 
