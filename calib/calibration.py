@@ -63,7 +63,7 @@ from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Bools, Floats, Ints
-from boresight.geometry.sightings import ExposureAttitudes, StripSightings
+from boresight.geometry.sightings import StripSightings
 
 __all__ = ["calibrate_strips", "strip_pairs"]
 
@@ -260,14 +260,14 @@ def _iterated(
     weight: Floats,
     iterations: list[Iteration],
     scale_c: float,
-    step: Step | None = None,
+    known: Step | None = None,
 ) -> Step:
-    """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `step` where
+    """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `known` where
     that is the same; the last step, about its matrix.
     """
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, step), weight, step)
+        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, known), weight, known)
         iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
@@ -383,7 +383,7 @@ def _estimate(
         dof_stars=dof_stars,
         n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
         n_exposures=n_exposures,
-        n_stars=int(sum(_stars_kept(attitudes, used) for attitudes, used in exposures)),
+        n_stars=sum(int(a.kept[a.stars(k)].sum()) for a, used in exposures for k in np.flatnonzero(used)),
         n_targets=n_kept,
         iterations=tuple(fit.iterations),
         converged_matrix=bool(np.linalg.norm(last) <= settings.tolerance_rad),
@@ -438,8 +438,3 @@ def _with_heads(
         R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
         heads.append(HeadInstallation(name=name, R_cs=R_cs * Rotation.from_rotvec(alpha) * R_sh))
     return replace(estimate, heads=tuple(heads), cov_heads=lift @ solution.covariance_all @ lift.T)
-
-
-def _stars_kept(attitudes: ExposureAttitudes, used: Bools) -> int:
-    """Stars that were not rejected, of the exposures used."""
-    return sum(int(attitudes.kept[attitudes.stars(k)].sum()) for k in np.flatnonzero(used))

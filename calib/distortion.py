@@ -153,7 +153,7 @@ def prior_information(names: tuple[str, ...]) -> Array:
         if k not in MODES:
             rows_of.setdefault((axis, int(curve)), []).append(row)
     information = np.eye(len(names))
-    for (_, curve), rows in rows_of.items():  # curves are independent
-        of_curve = correlation(tuple((curve, int(parts[row][3])) for row in rows))
-        information[np.ix_(rows, rows)] = np.linalg.inv(of_curve)
+    for (_, number), rows in rows_of.items():  # curves are independent
+        knots = tuple((number, int(parts[row][3])) for row in rows)
+        information[np.ix_(rows, rows)] = np.linalg.inv(correlation(knots))
     return information

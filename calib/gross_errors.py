@@ -54,7 +54,15 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import Bools, Floats, Ints
 
-__all__ = ["detectable_bias", "l1_start", "refine_geman_mcclure", "rejection_test", "snoop", "weigh"]
+__all__ = [
+    "detectable_bias",
+    "l1_start",
+    "noncentrality_of",
+    "refine_geman_mcclure",
+    "rejection_test",
+    "snoop",
+    "weigh",
+]
 
 POWER = 0.8  # of the test, for the minimal detectable bias: the value usual in geodesy
 SEPARABLE_ODDS = 19.0  # likelihood ratio by which one of two targets is the wrong one: 95 %
@@ -67,9 +75,13 @@ SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTest:
     """Limit, family-wise false-alarm rate of `n_tests` tests, and noncentrality of the stated power."""
     limit = float(chdtri(2, probability_false_alarm))
-    noncentrality = float(brentq(lambda size: 1.0 - chndtr(limit, 2, size) - POWER, 1e-3, 1e3))
     of_any = -float(np.expm1(n_tests * np.log1p(-probability_false_alarm)))
-    return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality)
+    return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality_of(limit, 2, POWER))
+
+
+def noncentrality_of(limit: float, dof: int, power: float) -> float:
+    """Of the chi-square distribution that exceeds `limit` with the probability `power`."""
+    return float(brentq(lambda size: 1.0 - chndtr(limit, dof, size) - power, 1e-3, 1e3))
 
 
 def _too_many(problem: Problem, kept: Bools) -> bool:

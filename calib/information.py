@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.installation import deviation_from_theta, theta_between
@@ -238,7 +237,7 @@ def solve_total(
     prior = np.zeros((0, 0)) if prior_shared is None else prior_shared
     t = len(F) - len(prior)
     shared_F = F[t:, t:] + prior
-    solved = solve(shared_F, np.column_stack([F[t:, :t], F_theta[t:]]), assume_a="pos")
+    solved = np.linalg.solve(shared_F, np.column_stack([F[t:, :t], F_theta[t:]]))
     gain, shared_0 = np.asarray(solved[:, :-1]), solved[:, -1]
     information = F[:t, :t] - F[:t, t:] @ gain
     information = 0.5 * (information + information.T)
@@ -260,10 +259,13 @@ def solve_total(
 
 
 def _inverse(information: Array) -> Array:
-    """The inverse (N, N) of an information matrix, which has half the operations of that of any matrix."""
-    if not len(information):
-        return information
-    half = np.tril(dpotri(cholesky(information, lower=True), lower=1)[0])
+    """The inverse (N, N) of an information matrix: half the work of that of any matrix, which is computed
+    where rounding leaves it not positive.
+    """
+    factor, not_positive = dpotrf(information, lower=1) if len(information) else (information, 1)
+    if not_positive:
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)
+    half = np.tril(dpotri(factor, lower=1)[0])
     return np.asarray(half + np.tril(half, -1).T)
 
 

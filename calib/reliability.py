@@ -30,11 +30,11 @@ from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import brentq
-from scipy.special import chdtrc, chdtri, chndtr
+from scipy.special import chdtrc, chdtri
 
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
+from boresight.calib.gross_errors import noncentrality_of
 from boresight.calib.heads import aligned, carried
 from boresight.calib.hypotheses import USUAL, Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
 from boresight.calib.joint_solution import (
@@ -351,7 +351,8 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
     by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
     redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
     seen = redundancy > 1e-9
-    noncentrality = _noncentrality(limits.probability_found / len(S)) * limits.sigma_understated**2
+    limit = float(chdtri(1, limits.probability_found / len(S)))
+    noncentrality = noncentrality_of(limit, 1, POWER) * limits.sigma_understated**2
     tests = []
     for n, h in enumerate(one.table):
         statistic = float(y[n] ** 2 / S[n]) if seen[n] else 0.0
@@ -393,11 +394,6 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
                 yield h
 
 
-def _noncentrality(p: float) -> float:
-    limit = float(chdtri(1, p))
-    return float(brentq(lambda size: 1.0 - chndtr(limit, 1, size) - POWER, 1e-3, 1e3))
-
-
 def _suspects(
     one: _Adjustment, chosen: Sequence[int], last: _Fit, noise: NoiseGroup | None
 ) -> Iterator[Contradiction]:
@@ -436,7 +432,8 @@ def _causes(
     n, before, strongest = len(one.table), _minimum(one, []), 0.0
     while len(chosen) < MOST_CAUSES:
         trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
-        trials = {h: fit for h, fit in trials.items() if _is_possible(one.table[h], fit)}
+        largest = {h: one.table[h].largest + BEYOND_SIGMAS * fit.sigma[-1] for h, fit in trials.items()}
+        trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
         strip, ccd, is_star = (one.of.column(name) for name in ("strip", "ccd", "is_star"))
@@ -505,11 +502,6 @@ def _of_noise(
         p_value=min(p_value, 1.0),
         explains=one.subjects(noise.inside & ~before.kept),
     )
-
-
-def _is_possible(h: Hypothesis, fit: _Fit) -> bool:
-    """Whether the size of the last hypothesis of a fit can be one."""
-    return bool(abs(fit.size[-1]) < h.largest + BEYOND_SIGMAS * fit.sigma[-1])
 
 
 def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:

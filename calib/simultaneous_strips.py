@@ -57,7 +57,12 @@ def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:
     for strip in strips:
         if strip.exposures:
             continue
-        by = [group for group, span in zip(groups, covered) if _is_within(strip.ground.t_s, span)]
+        t_s = strip.ground.t_s
+        by = [
+            group
+            for group, (first, last) in zip(groups, covered)
+            if len(t_s) and first <= t_s.min() and t_s.max() <= last
+        ]
         (by[0] if by else blind).append(strip)
     return groups + _touching(blind, [_reach_s(_times_of_others(strip)) for strip in blind])
 
@@ -108,10 +113,6 @@ def _reach_s(times: Floats) -> Span:
         return np.inf, np.inf
     reach = REACH_STEPS * float(np.diff(times).max()) if len(times) > 1 else REACH_S
     return float(times[0]) - reach, float(times[-1]) + reach
-
-
-def _is_within(t_s: Floats, span: Span) -> bool:
-    return bool(len(t_s) and span[0] <= t_s.min() and t_s.max() <= span[1])
 
 
 def _joined(strips: list[StripSightings]) -> StripSightings:

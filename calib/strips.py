@@ -520,8 +520,9 @@ def _curves(strip: PreparedStrip, at: Ints | slice, unknowns: SharedUnknowns) ->
     """Change (I, m) of the look directions of some targets by each knot and CCD mode, rad, and the share (I,)
     of the curves' variance that knots miss.
     """
-    sigma, share = strip.distortion_rad[at, None], np.ones(len(strip.ccd[at]))
-    weights, curved = np.zeros((len(sigma), len(unknowns.knots))), sigma[:, 0] > 0.0
+    sigma = strip.distortion_rad[at, None]
+    curved, share = sigma[:, 0] > 0.0, np.ones_like(sigma[:, 0])
+    weights: Floats = np.zeros((len(sigma), len(unknowns.knots)))
     if unknowns.knots:
         places = strip.curve[at][curved], strip.place[at][curved]
         weights[curved] = knot_weights(*places, unknowns.knots)
