@@ -390,7 +390,7 @@ def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
         place = f"every pass, most {round(182.625 * n / PHASES)} days after {first.words}"
         profile = np.cos(2.0 * np.pi * years - np.pi * n / PHASES)[:, None]
         turns = _turns(of, "mounting varies with the season", ABOUT_AXES)
-        yield from _in_each(_all(place, of), [replace(one, change_c=profile * one.change_c) for one in turns])
+        yield from _in_each(_all(place, of), [replace(one, moves_c=profile * one.moves_c) for one in turns])
 
 
 def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
