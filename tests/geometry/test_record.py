@@ -1,5 +1,7 @@
 """Records: one declaration gives the shape check, the documentation and keyword construction."""
 
+from __future__ import annotations
+
 import dataclasses
 import pydoc
 

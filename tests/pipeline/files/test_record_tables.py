@@ -1,5 +1,7 @@
 """Records come back from tables bit for bit, in the types that they declare."""
 
+from __future__ import annotations
+
 import dataclasses
 import json
 from enum import StrEnum
