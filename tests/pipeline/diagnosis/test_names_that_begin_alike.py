@@ -94,7 +94,7 @@ ALLOWED = {
     "pipeline/results/ownership.py": ("re.compile",),
     "pipeline/results/reading.py": ("ALIGNMENT", "DISTORTION", "target/"),
     "pipeline/results/summary.py": ('cause.partition(",")',),
-    "pipeline/report/saved.py": ('table.rpartition("/")',),
+    "pipeline/report/saved.py": ('table.rpartition("/")', 'column.partition(".")'),
 }
 
 
