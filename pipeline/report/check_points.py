@@ -40,23 +40,19 @@ def write_validation(result: Path, found: TruthErrors) -> Path:
 
 def check_points_on_map(saved: Saved) -> tuple[CheckPoint, ...]:
     """The check points that lie in strips of the map; none where the result was not validated."""
-    scene_of = {
-        strip["id"]: n for n, scene in enumerate(saved.context["scenes"]) for strip in scene["strips"]
-    }
+    scenes = saved.context["scenes"]
+    scene_of = {strip["id"]: n for n, scene in enumerate(scenes) for strip in scene["strips"]}
     after: dict[str, Any] = saved.validation.get("after", {})
     found = []
     for n, strip_id in enumerate(after.get("strip_id", ())):
         if strip_id not in scene_of:
             continue
-        number = scene_of[strip_id]
-        scene = saved.context["scenes"][number]
-        place = local_plane(scene["lat_deg"], scene["lon_deg"]).transform(
-            after["lon_deg"][n], after["lat_deg"][n]
-        )
+        scene, lon, lat = scenes[scene_of[strip_id]], after["lon_deg"][n], after["lat_deg"][n]
+        place = local_plane(scene["lat_deg"], scene["lon_deg"]).transform(lon, lat)
         along, across = after["along_m"][n], after["across_m"][n]
         found.append(
             CheckPoint(
-                scene=number,
+                scene=scene_of[strip_id],
                 place_m=place,
                 error_m=(after["east_m"][n], after["north_m"][n]),
                 words=f"check point {after['point_id'][n]}, strip {strip_id}: error "

@@ -5,25 +5,34 @@ from __future__ import annotations
 import functools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.report import figures
 from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
-from boresight.pipeline.report.observations import data_uri, exposure_rows, strip_numbers, target_rows
-from boresight.pipeline.report.page_figures import page_figures
+from boresight.pipeline.report.observations import (
+    ExposureCard,
+    SeenCard,
+    TargetCard,
+    data_uri,
+    exposure_rows,
+    strip_numbers,
+    target_rows,
+)
 from boresight.pipeline.report.page_template import Number, number_from, template
 from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
 from boresight.pipeline.report.strip_stars import strip_star_rows
+from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
@@ -81,7 +90,7 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
             part: [saved.context_number(f"new_strip.{part}.{i}", ".2f") for i in (0, 1)]
             for part in ("sigma_m", "le90_m")
         },
-        **page_figures(saved, targets, exposures, strip_stars),
+        **_figures(saved, targets, exposures, strip_stars),
         interior=_interior(saved),
         seen_in=" and ".join(name for name, one in (("targets", targets), ("stars", strip_stars)) if one)
         or "targets",
@@ -97,6 +106,34 @@ def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
     )
+
+
+def _figures(
+    saved: Saved,
+    targets: Sequence[TargetCard],
+    exposures: Sequence[ExposureCard],
+    strip_stars: Sequence[SeenCard],
+) -> dict[str, Any]:
+    """Drawings by their names in the page's template; of stars and of targets where there are any."""
+    has_stars = saved.context["star_camera"] is not None
+    seen = "stars of strips" if strip_stars and not targets else "targets"
+    statistics = [
+        figures.squared_residual_histogram(saved, "stars", "stars") if has_stars else None,
+        figures.squared_residual_histogram(saved, "targets", seen),
+        figures.exposure_chi2(saved, exposures) if has_stars else None,
+        figures.allan_plot(saved),
+        figures.attitudes_in_time(saved),
+    ]
+    return {
+        "convergence": figures.convergence(saved),
+        "ellipses": figures.covariance_ellipses(saved),
+        "on_sky": strips_on_sky(saved, strip_stars),
+        "angles": [figures.angle_histogram(saved), figures.angle_spread(saved)] if has_stars else [],
+        "star_map": figures.star_residual_map(saved) if has_stars else None,
+        "statistics": [drawing for drawing in statistics if drawing is not None],
+        "residuals": figures.residual_panels(saved, targets) if targets or not strip_stars else [],
+        "star_residuals": figures.star_residual_panels(saved, strip_stars) if strip_stars else [],
+    }
 
 
 def _summary(saved: Saved) -> dict[str, Any]:

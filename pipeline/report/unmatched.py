@@ -72,17 +72,13 @@ def pictures_at(
         around = task.strip.images.read(ccd, top, bottom, left, right).astype(np.float32)
     except RawDataError:  # its omission says so
         return None
-    expected = np.where(template.valid, template.image, np.float32(np.mean(template.image))).astype(
-        np.float32
-    )
+    filled = np.where(template.valid, template.image, np.mean(template.image))
+    expected = filled.astype(np.float32)
     found = around[y0 - top : y0 - top + h, x0 - left : x0 - left + w]
     surface_px = cv2.matchTemplate(around, expected, cv2.TM_CCOEFF_NORMED)
     design = np.column_stack([expected.ravel(), np.ones(expected.size)])
     gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
     residual = (found - (gain * expected + offset)).astype(np.float32)
-    places = Places(
-        in_chip=xy_px - (x0, y0),
-        in_surface=np.array([x0 - left, y0 - top], dtype=float),
-        off_px=np.full(2, np.nan),
-    )
+    in_surface, unknown = np.array([x0 - left, y0 - top], dtype=float), np.full(2, np.nan)
+    places = Places(in_chip=xy_px - (x0, y0), in_surface=in_surface, off_px=unknown)
     return match_pictures(expected, found, residual, surface_px, places)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boresight.pipeline.report.labels import line_boxes, mark_boxes, place_labels
+from boresight.pipeline.report.marks import line_boxes, mark_boxes, place_labels
 
 FRAME = np.array([0.0, 0.0, 100.0, 60.0])
 NOTHING = np.zeros((0, 4))
