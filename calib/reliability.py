@@ -81,6 +81,7 @@ MOST_ROUNDS = 8  # of such a search
 BEYOND_SIGMAS = 3.0  # by which an estimated size may exceed the largest possible one
 EQUAL = 1.0  # difference of evidence by which two causes explain the same
 MOST_RIVALS = 3  # that a finding names
+LEAST_RANGE_M = 4e5  # of a satellite to what it sees
 NOT_LINEAR = 0.01  # of the evidence of a cause: less may be what its linear form leaves
 AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
 
@@ -137,11 +138,16 @@ class Contradiction:
 
     def displaced_m(self, stated_m: Floats, axes_o: Floats) -> tuple[Floats, Floats]:
         """How far the stated place lies from the true one along two directions `axes_o` (3, 2), along the
-        track, to the right and down, m (2,) with covariance, m²; `stated_m` (2,) is the same by the attitudes
-        and the orbit as measured, about the estimated matrix.
+        track, to the right and down, m (2,) with covariance, m². `stated_m` (2,) is the same by rays to the
+        ground, with attitudes that are not those of the estimate: it enters as far as the distance is so
+        large that its square, by the least distance of a satellite, exceeds its 1-sigma.
         """
         back = np.linalg.inv(self.by_place @ axes_o)
-        return stated_m + back @ self.estimated, back @ self.covariance @ back.T
+        covariance = back @ self.covariance @ back.T
+        curved = (stated_m @ stated_m / LEAST_RANGE_M) ** 2
+        share = curved / (curved + 0.5 * np.trace(covariance))
+        off_m = back @ self.residual + share * (stated_m - back @ (self.residual - self.estimated))
+        return off_m, covariance
 
 
 @record
@@ -446,9 +452,8 @@ def _causes(
         if not gain:
             break
         most = max(worth.values())
-        left = NOT_LINEAR * max(
-            0.0, *gain.values()
-        )  # by which two linear forms of the same large error may differ
+        # By what two linear forms of the same large error may differ.
+        left = NOT_LINEAR * max(0.0, *gain.values())
         alike = [h for h in gain if most - worth[h] < EQUAL + left]
         decade = {h: np.floor((gain[h] - worth[h]) / (2.0 * np.log(10.0))) for h in alike}
         # Of equals the most usual size, then what concerns most, then the first of the table.
@@ -460,9 +465,7 @@ def _causes(
             break
         rivals = sorted(h for h in gain if most - worth[h] < AMBIGUOUS + left)
         further = _finding(one, best, trials, rivals, p_value * (n - len(chosen)), before, limits)
-        if (
-            gain[best] < NOT_LINEAR * strongest
-        ):  # what the linear form of a large error leaves is its own harm
+        if gain[best] < NOT_LINEAR * strongest:  # what the linear form of a large error leaves is its own
             findings[0] = replace(findings[0], refutes=findings[0].refutes or further.refutes)
             break
         chosen.append(best)
@@ -551,10 +554,10 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
                 break
             tried.add(kept.tobytes())
             fit = _fit(one, rows, kept)
-            if best is None or fit.criterion < best.criterion:
-                best = fit
+            if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
+                best = fit  # without what an unknown would need, it is no explanation
             kept = inside & (fit.statistic < one.limit)
-    return best or _fit(one, rows, inside)  # too few observations for any of the starts
+    return best or _fit(one, rows, inside)  # none of the starts has observations enough
 
 
 def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
