@@ -203,8 +203,9 @@ def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narro
 
 @pytest.mark.parametrize("number", [0, 7, 8])
 def test_a_calibration_without_a_matrix_names_the_reading(sound, tmp_path, number):
-    """Not those within the pre-launch uncertainty: 0.003 rad are 250 px of an image of 512 x 2000 px. A matrix
-    from three points that happen to agree is refuted by it."""
+    """Not those within the pre-launch uncertainty: 0.003 rad are 250 px of an image of 512 x 2000 px. A
+    matrix from three points that happen to agree is refuted by it.
+    """
     file, change, cause, _ = READINGS[number]
     fault_dumps.linked(sound, tmp_path / "dump")
     faults.edited(file, change, tmp_path / "dump")
