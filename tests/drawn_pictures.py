@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from boresight.features.panels import OURS, SERIES
+from boresight.pipeline.report.panels import OURS, SERIES
 
 FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 

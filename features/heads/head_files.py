@@ -11,12 +11,12 @@ from scipy.special import chdtrc
 
 from boresight.calib.noise_spectrum import allan_deviation
 from boresight.features.heads.alignment import HeadAlignment, HeadsAlone
-from boresight.features.panels import GREY, SERIES, panels
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
+from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.pipeline.results.head_records import HeadNoise
 
 if TYPE_CHECKING:

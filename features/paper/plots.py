@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from boresight.features.panels import AXES, BOUND, GREY, INK, OURS, THIRD, legend_below, panels
 from boresight.features.paper.paper_tables import (
     FIGURE_7_SIGMA_ARCSEC,
     FIGURES_5_6_Z_ARCSEC,
     TABLE_4,
     TABLE_5,
 )
+from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD, legend_below, panels
 
 __all__ = ["PLOTS"]
 

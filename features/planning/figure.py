@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from boresight.features.panels import AXES, BOUND, SERIES, panels
+from boresight.pipeline.report.panels import AXES, BOUND, SERIES, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,12 +9,12 @@ import erfa
 import numpy as np
 import pandas as pd
 
-from boresight.features.panels import INK, OURS, SERIES, panels
 from boresight.features.planning.scan_plan import PlannedScan, ScanChoice
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import INK, OURS, SERIES, panels
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

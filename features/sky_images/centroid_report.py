@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from boresight.features.panels import GREY, SERIES, panels
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings

@@ -17,7 +17,6 @@ from astropy.time import Time
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.features.panels import GREY, INK, OURS, THIRD, panels
 from boresight.features.sky_images.identify_images import read_camera, read_sky_image, sky_index
 from boresight.features.sky_images.planned_camera import (
     LIMIT_SNR,
@@ -31,6 +30,7 @@ from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
 from boresight.star_id.field import ra_dec_roll, solve_field
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex

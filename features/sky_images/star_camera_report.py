@@ -12,7 +12,6 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from boresight.features.panels import GREY, panels
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
 from boresight.features.sky_images.identify_images import (
     EPOCH_ERROR_YEARS,
@@ -27,6 +26,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
+from boresight.pipeline.report.panels import GREY, panels
 from boresight.star_id.camera_calibration import (
     LARGEST_UNMODELLED_PX,
     CameraCalibration,

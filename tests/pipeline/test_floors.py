@@ -1,5 +1,7 @@
 """Who may import whom: the rooms of the house (docs/design.md)."""
 
+from __future__ import annotations
+
 import ast
 import re
 from functools import cache
@@ -156,7 +158,6 @@ def test_nothing_prints_but_the_one_module_that_escapes():
 
 
 FEATURES = sorted(path.name for path in (ROOT / "features").iterdir() if (path / "__init__.py").is_file())
-SHARED = {"panels"}  # modules beside the features, which several may import: the style of their figures
 DOOR_FOR_FEATURES = {"accepted", "display", "version"}  # forms of arguments, how results print, the version
 
 
@@ -167,13 +168,12 @@ def test_mathematics_and_spine_import_no_feature() -> None:
 
 @pytest.mark.parametrize("feature", FEATURES)
 def test_a_feature_imports_no_other_feature_and_not_the_door(feature: str) -> None:
-    may = {feature} | SHARED
     wrong = [
         f"{path.relative_to(ROOT)}:{line} imports {module}"
         for path in (ROOT / "features" / feature).rglob("*.py")
         for line, module in imported_modules(path)
         if (parts := module.split("."))[0] == "boresight"
-        and ((parts[1] == "features" and parts[2] not in may) or parts[1] not in ROOMS | DOOR_FOR_FEATURES)
+        and ((parts[1] == "features" and parts[2] != feature) or parts[1] not in ROOMS | DOOR_FOR_FEATURES)
     ]
     assert wrong == []
 
