@@ -30,7 +30,6 @@ from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.no_result import write_no_result
 from boresight.pipeline.report.page import write_report
-from boresight.pipeline.report.strip_overview import overviews_of
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -61,7 +60,6 @@ from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.run.work_ahead import work_ahead
 from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
@@ -211,17 +209,15 @@ def _calibrated(
     begin_result(out)
     make_own_folder(out / "work")
     store = store or store_of(out.resolve())
-    shown = overviews_of(dump.strips, request.settings.match) if request.report else {}
-    with work_ahead(executor, shown) as overviews:
-        try:
-            found = calibrate_dump(dump, request.settings, store, executor, progress)
-        except DataNotSufficientError as error:
-            if request.report:
-                write_no_result(out, dump, error)
-            raise
-        write_sightings(out, found)
+    try:
+        found = calibrate_dump(dump, request.settings, store, executor, progress)
+    except DataNotSufficientError as error:
         if request.report:
-            write_evidence(out, dump, found, request.settings, executor, overviews)
+            write_no_result(out, dump, error)
+        raise
+    write_sightings(out, found)
+    if request.report:
+        write_evidence(out, dump, found, request.settings, executor)
     write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)

@@ -50,14 +50,12 @@ from boresight.pipeline.report.ground_map import ground_table, scene_json, scene
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
-from boresight.pipeline.report.strip_overview import Overview, overviews_of
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.results.head_records import attitude_signal
 from boresight.pipeline.results.plan_forecast import improvements
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.run.work_ahead import Ahead, work_ahead
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.sky_strip import as_matched
@@ -73,17 +71,12 @@ def write_evidence(
     calibration: DumpCalibration,
     settings: Settings,
     executor: Executor | None = None,
-    overviews: Ahead[tuple[str, int], Overview | None] | None = None,
 ) -> list[Finding]:
     """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
 
-    `executor` makes what takes longest; default: this process. `overviews` are those of the strips' images,
-    begun before; default: made now.
+    `executor` makes what takes longest; default: this process.
     """
     folder, executor = result / "evidence", executor or InOrder()
-    if overviews is None:
-        with work_ahead(executor, overviews_of(dump.strips, settings.match)) as overviews:
-            return write_evidence(result, dump, calibration, settings, executor, overviews)
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
     parts = (
@@ -94,7 +87,6 @@ def write_evidence(
     )
     here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
     exposure, accuracy, found, unmatched = here.map(call, parts, lambda n, part: None)
-    shown = [(s.strip_id, ccd) for scene in scenes for s in scene.strips for ccd in s.task.strip.images.ccds]
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
@@ -104,7 +96,7 @@ def write_evidence(
         "ground": ground,
         "unmatched": unmatched,
         **_attitude_noise(dump, settings),
-        "map": scene_pictures(scenes, dump, overviews(shown), here),
+        "map": scene_pictures(scenes, dump, calibration, executor),
     }
     for name, table in tables.items():
         write_inside(

@@ -8,7 +8,8 @@ strip's rigorous model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 
@@ -27,12 +28,13 @@ from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.star_preview import jpeg_of
-from boresight.pipeline.report.strip_overview import Overview
+from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
@@ -313,26 +315,24 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
 def scene_pictures(
     scenes: Sequence[MapScene],
     dump: Dump,
-    overviews: Mapping[tuple[str, int], Overview | None],
+    calibration: DumpCalibration,
     executor: Executor,
 ) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip.
-    `overviews` are those of the images by strip and CCD.
-    """
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
     views = [
-        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd, seen=overviews[one.strip_id, ccd])
+        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd)
         for scene in scenes
         for one in scene.strips
         for ccd in one.task.strip.images.ccds
     ]
-    quicklooks = iter(executor.map(_quicklook, views, lambda n, picture: None))
+    seen = iter(executor.map(_quicklook, views, lambda n, picture: None))
     rows: list[dict[str, object]] = []
     surface = surface_of(dump.terrain)
     for number, scene in enumerate(scenes):
         if not isinstance(dump.terrain, TargetHeights):
             rows.append(_picture(number, "", scene.box_m, _shaded(scene, surface)))
         for one in scene.strips:
-            if parts := list(islice(quicklooks, len(one.task.strip.images.ccds))):
+            if parts := list(islice(seen, len(one.task.strip.images.ccds))):
                 rows.append(_picture(number, one.strip_id, one.box_m(scene), _joined(parts)))
     types = {"scene": pa.int64(), "strip_id": pa.string(), "box_m": pa.list_(pa.float64(), 4)}
     return arrow_rows(rows, pa.schema([*types.items(), ("jpeg", pa.binary())]))
@@ -376,7 +376,6 @@ class _View:
     scene: MapScene = scalar("plane of the map")
     strip: StripOnGround = scalar("strip with its model")
     ccd: int = scalar("number of the CCD")
-    seen: Overview | None = scalar("overview of its image; None: it cannot be read")
 
 
 def _quicklook(view: _View) -> NDArray[np.float32]:
@@ -392,7 +391,8 @@ def _quicklook(view: _View) -> NDArray[np.float32]:
     sample, line = (cv2.remap(v, *to_size, cv2.INTER_LINEAR) for v in pixels.reshape(2, NODES, NODES))
     lines, samples = images.shape(ccd)
     picture = np.full((rows, columns), np.nan, dtype=np.float32)
-    if (seen := view.seen) is not None:
+    with suppress(RawDataError):  # reported as an omission
+        seen = overview(images, ccd, one.task.settings)
         x, y = ((v - first) / by for v, first, by in zip((sample, line), seen.first_px, seen.pitch_px))
         inside = (sample > -0.5) & (sample < samples - 0.5) & (line > -0.5) & (line < lines - 0.5)
         shown = cv2.remap(seen.means, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
-
 import cv2
 import numpy as np
 
 from boresight.gct_match.search.coarse import means_of_usable, read_coarse
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.record import array, record, scalar
-from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.tiff import StripFiles
-from boresight.pipeline.files.strip_table import Strip
 
-__all__ = ["Overview", "overview", "overviews_of"]
+__all__ = ["Overview", "overview"]
 
 SIDE_PX = 420  # least length of the longer side, if the image has as many pixels
 LEAST_ROWS = 100  # of the overview of a strip that is read in bands
@@ -30,23 +24,6 @@ class Overview:
     means: np.ndarray = array("H, W", "counts, single precision; NaN where none is usable")
     first_px: tuple[float, float] = scalar("middle (sample, line) of the first block")
     pitch_px: tuple[int, int] = scalar("samples and lines from one block to the next")
-
-
-def overviews_of(
-    strips: Sequence[Strip], settings: MatchSettings
-) -> dict[tuple[str, int], Callable[[], Overview | None]]:
-    """What makes the overview of each image, None of a damaged one, by id of the strip and CCD."""
-    return {
-        (strip.strip_id, ccd): partial(_readable, strip.images, ccd, settings)
-        for strip in strips
-        for ccd in strip.images.ccds
-    }
-
-
-def _readable(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview | None:
-    with suppress(RawDataError):  # reported as an omission
-        return overview(images, ccd, settings)
-    return None
 
 
 def overview(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview:
