@@ -30,30 +30,10 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 __all__ = ["ImageLike", "PathLike", "Progress", "RotationLike", "SiteLike", "Table", "TimeLike", "cell_of"]
-__all__ += [
-    "column_of",
-    "count_of",
-    "counted",
-    "flag_of",
-    "floats_of",
-    "image_of",
-    "instance_of",
-    "label_of",
-    "values_by_column",
-]
-__all__ += ["listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument", "path_of"]
-__all__ += [
-    "pixels_of",
-    "progress_of",
-    "rotation_of",
-    "rows_of",
-    "shown",
-    "site_of",
-    "source_of",
-    "utc_of",
-    "vacant_folder_of",
-]
-__all__ += ["wrong"]
+__all__ += ["column_of", "count_of", "counted", "flag_of", "floats_of", "image_of", "instance_of"]
+__all__ += ["label_of", "listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument"]
+__all__ += ["path_of", "pixels_of", "progress_of", "rotation_of", "rows_of", "shown", "site_of"]
+__all__ += ["source_of", "utc_of", "vacant_folder_of", "values_by_column", "wrong"]
 
 PathLike: TypeAlias = Union[str, "os.PathLike[str]"]
 TimeLike: TypeAlias = Union[str, datetime.datetime, np.datetime64, "Time"]

@@ -56,14 +56,7 @@ from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.check_point_test import RmsTest
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_identity
-from boresight.pipeline.results.reading import (
-    SavedResult,
-    read_for_dump,
-    read_matrices,
-)
-from boresight.pipeline.results.reading import (
-    read_saved_result as saved_in,
-)
+from boresight.pipeline.results.reading import SavedResult, read_for_dump, read_matrices, read_saved_result
 from boresight.pipeline.results.scratch_folder import ScratchFolder
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import validation_summary
@@ -273,10 +266,8 @@ class Calibration(Result):
             raise wrong("name", name, f"one of {', '.join(map(repr, self.cameras))}")
         if len(self.cameras) == 1:
             return self
-        n, own = (
-            self.cameras.index(name),
-            slice(3 * self.cameras.index(name), 3 * self.cameras.index(name) + 3),
-        )
+        n = self.cameras.index(name)
+        own = slice(3 * n, 3 * n + 3)
         camera_of = self.targets["strip_id"].str.rpartition("/")[0]
         return dataclasses.replace(
             self,
@@ -370,9 +361,8 @@ class Calibration(Result):
         Raises `ValueError` for an unknown format, and for all but `spice` of a result from vectors,
         `RawDataError` for a damaged result, `DataNotSufficientError` where a format has nothing to write.
         """
-
         write: Callable[..., list[Path]] = feature_function("exports", "export_files")
-        place = None if dump is None else _root_of(source_of_dump(dump))
+        place = None if dump is None else _folder_of(dump)
         return write(Path(self), formats, out, dump=place, strips=strips, camera=camera)
 
     def geolocate(
@@ -390,7 +380,7 @@ class Calibration(Result):
         if self.facts.get("made_from") == "vectors":
             raise ValueError("geolocate: found a result from vectors, expected that of a dump, with strips")
         find: Callable[..., pd.DataFrame] = feature_function("geolocate", "geolocate")
-        place = None if dump is None else _root_of(source_of_dump(dump))
+        place = None if dump is None else _folder_of(dump)
         return find(self, strip, ccd, line, sample, dump=place, camera=camera, height_m=height_m)
 
 
@@ -517,7 +507,7 @@ def calibrate(
         )
         stale = flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
-            several = open_dumps([_root_of(one) for one in sources], chosen, allow_stale_eop=stale)
+            several = open_dumps([_folder_of(one) for one in sources], chosen, allow_stale_eop=stale)
         else:
             several = tuple(named_cameras(open_cameras(sources[0], allow_stale_eop=stale)))
         scratch = ScratchFolder()
@@ -546,8 +536,9 @@ def calibrate(
 MOST_WORKERS = 1024  # processes; a larger number is taken for a slip
 
 
-def _root_of(source: str | Path | Dump) -> Path:
+def _folder_of(dump: DumpLike) -> Path:
     """Folder of a dump."""
+    source = source_of_dump(dump)
     return source.root if isinstance(source, Dump) else dump_folder(source)
 
 
@@ -630,7 +621,7 @@ def read_result(folder: PathLike) -> Calibration:
         if of_vectors
         else read_sightings(place, "ledger", " ".join(UNUSED)).to_pandas(),
         facts=facts,
-        saved=None if len(cameras) > 1 or of_vectors else saved_in(place),
+        saved=None if len(cameras) > 1 or of_vectors else read_saved_result(place),
         folder=place,
     )
 
