@@ -155,13 +155,11 @@ def residual_panels(saved: Saved, rows: Sequence[TargetCard]) -> list[Drawing]:
     ground, width = saved.ground, saved.context["remote_camera"]["samples"]
     start = np.concatenate([[0.0], np.cumsum(width)])
     ccd = column(ground, "ccd").astype(int)
-    t_s = column(ground, "t_s")
     known = np.isfinite(column(ground, "residual_m"))
-    first_s = float(np.floor(t_s[known].min())) if known.any() else 0.0
     against = {
         "sample": ("sample, CCDs side by side, px", start[np.maximum(ccd, 0)] + column(ground, "sample_px")),
         "line": ("line of the strip", column(ground, "line_px")),
-        "time": (f"seconds after {utc_text(saved.context['epoch_utc'], first_s)} UTC", t_s - first_s),
+        "time": _seconds_after(saved, column(ground, "t_s"), known),
         "height": ("ellipsoidal height of the target, m", column(ground, "height_m")),
     }
     warm = column(ground, "temperature_c")
@@ -314,10 +312,8 @@ def exposure_chi2(saved: Saved, rows: Sequence[ExposureCard]) -> Drawing:
     dof = column(table, "dof").astype(float)
     ratio = np.divide(column(table, "chi2"), dof, out=np.full(len(dof), np.nan), where=dof > 0)
     figure = Figure(2.6)
-    t = column(table, "t_s")
-    first_s = float(np.floor(t[0])) if len(t) else 0.0
-    label = f"seconds after {utc_text(saved.context['epoch_utc'], first_s)} UTC"
-    t, shown = t - first_s, np.nan_to_num(ratio)
+    label, t = _seconds_after(saved, column(table, "t_s"))
+    shown = np.nan_to_num(ratio)
     spread = 2.0 * np.sqrt(2.0 / np.median(dof[usable])) if usable.any() else 0.0
     high = 1.05 * max(1.0 + spread, *shown)
     axes = figure.panel(Axis.over(label, t), Axis("χ² / degrees of freedom", 0.0, high))
@@ -356,23 +352,25 @@ def allan_plot(saved: Saved) -> Drawing | None:
 
 def attitudes_in_time(saved: Saved) -> Drawing | None:
     """Attitudes that star cameras deliver, less their median, against time; None where they deliver none."""
-    t = column(saved.attitude_noise, "t_s")
+    label, t = _seconds_after(saved, column(saved.attitude_noise, "t_s"))
     if not len(t):
         return None
     turns = list_values(saved.attitude_noise, "turn_rad", 3) / ARCSEC
     turns -= np.median(turns, axis=0)
-    figure, first_s = Figure(2.6), float(np.floor(t[0]))
-    after = utc_text(saved.context["epoch_utc"], first_s)
-    axes = figure.panel(
-        Axis.over(f"seconds after {after} UTC", t - first_s),
-        Axis.over("arc-seconds, less their median", turns),
-    )
+    figure = Figure(2.6)
+    axes = figure.panel(Axis.over(label, t), Axis.over("arc-seconds, less their median", turns))
     for curve, values in zip(AXES, turns.T):
         pen = Pen(colour=curve.colour, dash=curve.dash, width=0.9)
-        axes.line(t - first_s, values, pen, curve.name.lower())
+        axes.line(t, values, pen, curve.name.lower())
     axes.legend()
     text = f"{_whose_attitudes(saved.attitude_noise)} A step is a jump of a head; slow waves are its drift."
     return drawn(figure, "attitudes", text, f"Attitudes at {len(t)} instants. {text}")
+
+
+def _seconds_after(saved: Saved, t_s: Floats, of: Any = slice(None)) -> tuple[str, Floats]:
+    """Label of an axis, and instants (N,) as seconds after the first full one `of` those."""
+    first_s = float(np.floor(t_s[of].min())) if len(t_s[of]) else 0.0
+    return f"seconds after {utc_text(saved.context['epoch_utc'], first_s)} UTC", t_s - first_s
 
 
 def _whose_attitudes(table: pa.Table) -> str:

@@ -21,6 +21,7 @@ from boresight.pipeline.results.summary import REASON_WORDS
 
 __all__ = [
     "KEYS",
+    "MOST_PRINTED",
     "Aims",
     "ExposureCard",
     "Pictures",
@@ -35,7 +36,7 @@ __all__ = [
     "target_rows",
 ]
 
-MOST_PRINTED = 12  # cards of used targets that a print shows; those not used are all printed
+MOST_PRINTED = 12  # cards of used targets or stars that a print shows; those not used are all printed
 GROUND, TARGETS = "evidence/ground", "sightings/targets"  # tables of a result, without suffix
 
 

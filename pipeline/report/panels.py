@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,20 +20,12 @@ SERIES = ((OURS, "-", "o"), (THIRD, "--", "s"), (GREY, ":", "^"))  # colour, das
 BOUND = {"color": INK, "ls": "--", "lw": 1.0}  # how Matplotlib draws a limit
 
 
-def panels(
-    rows: int,
-    columns: int,
-    height: float,
-    *,
-    sharex: bool = False,
-    sharey: bool | Literal["col"] = False,
-    **given: Any,
-) -> tuple[Figure, np.ndarray]:
+def panels(rows: int, columns: int, height: float, **given: Any) -> tuple[Figure, np.ndarray]:
     """A figure with rows x columns of axes, each row so many inches high; `given` is passed to `subplots`."""
     from matplotlib.figure import Figure  # 0.2 s to load; only needed to draw
 
     figure = Figure(figsize=(WIDTH_IN, height * rows + 0.6), layout="constrained")
-    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey, **given)
+    axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, **given)
     for ax in axes.ravel():
         ax.grid(True, which="major", color="#dddddd", lw=0.6)
         ax.spines[["top", "right"]].set_visible(False)

@@ -7,12 +7,11 @@ from typing import Any
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.report.marks import strip_style
-from boresight.pipeline.report.observations import KEYS, SeenCard, pictures_of, rows_by_key
+from boresight.pipeline.report.observations import KEYS, MOST_PRINTED, SeenCard, pictures_of, rows_by_key
 from boresight.pipeline.report.saved import Saved
 
 __all__ = ["strip_star_rows"]
 
-MOST_PRINTED = 12  # cards of used stars that a print shows
 TARGETS = "sightings/targets"  # table of a result, without suffix
 CELLS: dict[str, tuple[Any, ...]] = {  # of each number: column, form, factor, whether it is a root
     "t_s": ("t_s", "UTC"),

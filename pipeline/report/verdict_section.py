@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,8 @@ REMEDIES = {
     "Z": "targets near both ends of the swath, and more strips",
 }
 # Numbers of a check and their forms.
-FORMS = {
-    "statistic": ".4g",
-    "expected": ".4g",
-    "n": ".0f",
-    "p_value": ".2g",
-    "p_plain": ".2g",
-    "limit": ".2g",
-}
+FORMS = {"statistic": ".4g", "expected": ".4g", "n": ".0f"}
+FORMS |= dict.fromkeys(("p_value", "p_plain", "limit"), ".2g")
 # Outcomes of a check by the keys of the verdict that say so; the first that holds.
 OUTCOMES = {"holds": "holds", "is_caution": "smaller than stated", "fails": "fails"}
 
@@ -120,28 +115,24 @@ class VerdictView:
 
 def verdict_view(installation: dict[str, Any], source: str = "installation.json") -> VerdictView:
     """The verdict in the content of the file `source`."""
-    verdict = installation["verdict"]
-
-    def number(key: str, form: str, scale: float = 1.0) -> Number:
-        return number_from(installation, source, f"verdict.{key}", form, scale=scale)
-
+    verdict, number = installation["verdict"], partial(number_from, installation, source)
     return VerdictView(
         outcome=str(verdict["outcome"]),
         sentence=str(verdict["sentence"]),
         checks=tuple(
             CheckRow(
                 kind=str(check["kind"]),
-                **{name: number(f"checks.{n}.{name}", form) for name, form in FORMS.items()},
+                **{name: number(f"verdict.checks.{n}.{name}", form) for name, form in FORMS.items()},
                 outcome=next((words for key, words in OUTCOMES.items() if check[key]), "not applicable"),
                 look_at=tuple(map(str, check["look_at"])),
                 names=tuple(" = ".join(map(str, group)) for group in check["names"]),
             )
             for n, check in enumerate(verdict["checks"])
         ),
-        false_alarm=number("probability_false_alarm", ".1g"),
+        false_alarm=number("verdict.probability_false_alarm", ".1g"),
         weakest_axis="XYZ"[int(np.argmax(np.abs(verdict["weakest_axis_c"])))],
-        weakest_arcsec=number("weakest_sigma_rad", ".4f", 1.0 / ARCSEC),
-        direction=tuple(number(f"weakest_axis_c.{axis}", "+.3f") for axis in range(3)),
+        weakest_arcsec=number("verdict.weakest_sigma_rad", ".4f", scale=1.0 / ARCSEC),
+        direction=tuple(number(f"verdict.weakest_axis_c.{axis}", "+.3f") for axis in range(3)),
         blind=tuple(
             _blind_row(installation, source, n) for n, _ in enumerate(installation.get("blind_spots", ()))
         ),
@@ -151,10 +142,7 @@ def verdict_view(installation: dict[str, Any], source: str = "installation.json"
 def _blind_row(installation: dict[str, Any], source: str, n: int) -> BlindRow:
     one = installation["blind_spots"][n]
     axis = int(np.argmax(np.abs(one["effect_rad"])))
-
-    def number(key: str, form: str, scale: float = 1.0) -> Number:
-        return number_from(installation, source, f"blind_spots.{n}.{key}", form, scale=scale)
-
+    number, at = partial(number_from, installation, source), f"blind_spots.{n}"
     effect_arcsec, found = one["effect_rad"][axis] / ARCSEC, float(one["detectable"] or np.inf)
     return BlindRow(
         cause=str(one["cause"]),
@@ -162,8 +150,8 @@ def _blind_row(installation: dict[str, Any], source: str, n: int) -> BlindRow:
         unit=str(one["unit"]),
         where=f"{one['file']} {one['field']}".strip(),
         axis="XYZ"[axis % 3],
-        effect_arcsec=number(f"effect_rad.{axis}", f"+{two_digits(effect_arcsec)}", 1.0 / ARCSEC),
-        detectable=number("detectable", two_digits(found)),
-        hidden_sigma=number("hidden_sigma", ".1f"),
+        effect_arcsec=number(f"{at}.effect_rad.{axis}", f"+{two_digits(effect_arcsec)}", scale=1.0 / ARCSEC),
+        detectable=number(f"{at}.detectable", two_digits(found)),
+        hidden_sigma=number(f"{at}.hidden_sigma", ".1f"),
         is_unseen=bool(one["is_unseen"]),
     )
