@@ -1,7 +1,7 @@
 """`calibrate_vectors` against the most likely matrix by another solver: all unknowns in one system, with no
 elimination, rejection or code of the package.
 
-    python tests/api/test_most_likely_matrix.py 300
+    PYTHONPATH=tests python tests/api/test_most_likely_matrix.py 300
 
 prints for that many random sets of each kind the largest difference of matrices in sigmas, the mean NEES, and
 how many matrices with wrong vectors are accepted although they are off.
