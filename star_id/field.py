@@ -111,8 +111,6 @@ _BEYOND_CHANCE = 2.0
 # Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
 # fisheye's image (set by hand).
 _EXTENDED_PX = 0.5
-# Ratio of identified stars above which kinds of fisheyes are compared by their residuals (set by hand).
-_NEARLY_AS_MANY = 0.98
 
 
 @record(kw_only=True)
@@ -336,12 +334,14 @@ def _of_likelier_projection(
     solution = _fitted(stars, found, start, known)
     if solution is None:
         return best
-    return _likeliest([best, replace(solution, mirrored=best.mirrored)], best, stars)
+    return _likeliest([best, replace(solution, mirrored=best.mirrored)], stars)
 
 
-def _likeliest(lenses: Sequence[FieldSolution], best: FieldSolution, stars: StarList) -> FieldSolution:
-    """The one of several lenses that leaves the smallest residuals of the stars of `best`; the first, unless
-    others are clearly better."""
+def _likeliest(every: Sequence[FieldSolution], stars: StarList) -> FieldSolution:
+    """The lens that, of those with nearly as many stars as the one with most, leaves the smallest residuals
+    of that one's stars; the first, unless others are clearly better."""
+    best = max(every, key=lambda lens: lens.matches)
+    lenses = [lens for lens in every if CLEARLY_MORE * lens.matches >= best.matches]
     W = np.linalg.inv(stars.cov_px[best.detections])
 
     def misfit(lens: FieldSolution) -> float:
@@ -382,9 +382,7 @@ def _of_fisheye(stars: StarList, known: _Known, fov_x_rad: float) -> FieldSoluti
             ]
             if not lenses:
                 continue
-            best = max(lenses, key=lambda lens: lens.matches)
-            alike = [lens for lens in lenses if lens.matches >= _NEARLY_AS_MANY * best.matches]
-            return _likeliest(alike, best, seen)
+            return _likeliest(lenses, seen)
         reasons.append(_without_lens(named))
     return max(reasons, key=lambda answer: answer.best_log_odds)
 
