@@ -207,18 +207,18 @@ def _l1(u_c: Floats, v_s: Floats, R_cs: Rotation) -> Rotation:
 
 
 def refine_geman_mcclure(
-    problem: Problem, R_cs: Rotation, iterations: list[Iteration], scale_c: float
+    problem: Problem, R_cs: Rotation, iterations: list[Iteration]
 ) -> tuple[Rotation, Bools]:
     """Matrix by Geman and McClure's weights, and the targets (J,) of more than a quarter of full weight.
 
     The weights' scale halves until it is three sigma, so that the minimum found is that near `R_cs`.
     """
-    about = linearised(problem, R_cs, scale_c)
+    about = linearised(problem, R_cs)
     at_start = np.linalg.norm(np.concatenate([line.r.reshape(-1, 2) for line in about.strips]), axis=1)
     scale = max(3.0, 3.0 * float(np.median(at_start[problem.inside])))
     weight = problem.inside * (1.0 + (at_start / scale) ** 2) ** -2.0
     for _ in range(40):
-        step = solve_weighted(problem, linearised(problem, R_cs, scale_c), weight)
+        step = solve_weighted(problem, linearised(problem, R_cs), weight)
         iterations.append(iteration_record(step, weight))
         R_cs = corrected(R_cs, step.solution.theta)
         scale, before = max(3.0, 0.5 * scale), weight

@@ -297,7 +297,7 @@ def _adjustment(
     prepared = prepare_strips(strips, settings, estimate.cameras)
     problem = Problem.of(prepared, settings, None, estimate.cameras, estimate.prior)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
-    about = linearised(problem, estimate.R_cs, 1.0)
+    about = linearised(problem, estimate.R_cs)
     found = estimate.targets
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))

@@ -39,12 +39,10 @@ class CalibrationSettings:
     sigma_mounting_rad: float = (
         10.0 * ARCSEC
     )  # about each axis, between strips: weighs causes, moves no matrix
-    use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
     most_shared_targets: int = 100  # seen in several strips as one point each; the rest as many points
     probability_false_alarm: float = 1e-3  # of rejecting a good star or target
     robust: bool = True  # look for gross errors at all
     fewest_stars: int = 3  # an exposure with fewer is not used: nothing checks its attitude
-    estimate_noise: bool = False  # scale the sigmas of star and target positions by what the residuals show
     sigma_observable_rad: float = 1e-3  # a ground measurement is better; a weaker direction gets no number
     of_cameras: tuple[tuple[str, CalibrationSettings], ...] = ()  # by name, of those with other distortions
     tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
@@ -77,7 +75,6 @@ class CalibrationSettings:
             robust=self.robust,
             probability_false_alarm=self.probability_false_alarm,
             fewest_stars=self.fewest_stars,
-            estimate_noise=self.estimate_noise,
         )
 
     def __post_init__(self) -> None:

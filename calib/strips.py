@@ -184,7 +184,6 @@ class LinearStrips:
     n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
-    measured: Floats  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
     tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
     tie_common: Floats  # (S, h, 3 C + g)
     tie_q: Floats  # (S, h, n)
@@ -280,7 +279,7 @@ def prepare_strip(
         shared_s=np.concatenate([by_rotation @ attitude.root_s, position, clocks], axis=2),
         unknowns=(*attitude.names, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
         coordinates_s=_by_coordinates(ground, attitude.R_si, move_s),
-        cov_coordinates=own * settings.use_target_sigma,
+        cov_coordinates=own,
         bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         reference=references.name,
         reference_s=-move_s @ _ground_axes(references, strip.R_oi_targets),
@@ -313,20 +312,15 @@ def group_strips(
     return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
 
 
-def linearise(
-    group: StripGroup, R_cs: Rotation, settings: CalibrationSettings, scale_c: float = 1.0
-) -> LinearStrips:
-    """Whitened residuals and their derivatives about `R_cs`; rows of zeros for targets not covered.
-
-    `scale_c` is a factor of the image measurements' standard deviations.
-    """
+def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) -> LinearStrips:
+    """Whitened residuals and their derivatives about `R_cs`; rows of zeros for targets not covered."""
     C, S = matrix_of_each(R_cs, group.which), len(group.place)
     w = turned(C, group.v_s)  # (S, J, 3)
     tangent = tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
-    measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
     tangent_s = tangent @ C
-    white = scale_c**2 * measurement + tangent_s @ group.white_s @ np.swapaxes(tangent_s, 2, 3)
+    white = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
+    white = white + tangent_s @ group.white_s @ np.swapaxes(tangent_s, 2, 3)
     white = white + (settings.sigma_vibration_rad**2 + group.missed)[:, :, None, None] * np.eye(2)
     whitener = _inverse_cholesky_2x2(white)
     rows = whitener * group.inside[:, :, None, None]
@@ -369,7 +363,6 @@ def linearise(
         n_common=n_common,
         X_q=X_q,
         whitener=whitener,
-        measured=whitener @ measurement @ np.swapaxes(whitener, 2, 3),
         tie_r=group.ties[:, :, -1],
         tie_common=np.concatenate([np.zeros((S, h, unseen)), by_heads], axis=2),
         tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),

@@ -36,7 +36,6 @@ __all__ = [
     "fit_attitudes",
     "fit_exposures",
     "sums_over",
-    "trimmed_mean",
     "wahba_matrices",
     "wahba_rotation",
     "with_attitudes",
@@ -56,13 +55,12 @@ class AttitudeSettings:
     robust: bool = True  # reject outliers at all
     probability_false_alarm: float = 1e-3  # of rejecting a star whose stated covariance holds
     fewest_stars: int = 3  # an exposure with fewer kept stars is not usable: nothing checks its attitude
-    estimate_noise: bool = False  # scale the stars' sigmas by what the residuals of all exposures show
 
 
 def fit_exposures(
     exposures: Sequence[StarSightings], settings: AttitudeSettings = AttitudeSettings()
 ) -> ExposureAttitudes:
-    """Attitudes of K exposures from their stars; with `estimate_noise` also the scale of the stars' sigmas.
+    """Attitudes of K exposures from their stars.
 
     Parameters
     ----------
@@ -82,17 +80,7 @@ def fit_exposures(
     u_s = np.concatenate([none, *(exposure.u_s for exposure in exposures)])
     u_i = np.concatenate([none, *(exposure.u_i for exposure in exposures)])
     cov_s = np.concatenate([np.zeros((0, 3, 3)), *(exposure.cov_s for exposure in exposures)])
-    fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
-    if not settings.estimate_noise or not len(u_s):
-        return fit
-    scale = float(np.sqrt(np.median(fit.squared_mahalanobis) / chdtri(2, 0.5)))  # robust start
-    mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
-    for _ in range(4):
-        fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
-        dof = int(fit.dof[fit.usable].sum())
-        scale *= float(np.sqrt(fit.chi2[fit.usable].sum() / (dof * mean)))
-    fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
-    return replace(fit, sigma_scale=scale, sigma_scale_error=scale / np.sqrt(2.0 * dof))
+    return fit_attitudes(u_s, u_i, cov_s, start, settings)
 
 
 def with_attitudes(
@@ -223,11 +211,6 @@ def sums_over(start: Ints, values: NDArray[Any]) -> NDArray[Any]:
     if len(full):
         out[full] = np.add.reduceat(values, start[full], axis=0)
     return out
-
-
-def trimmed_mean(probability: float) -> float:
-    """Mean of a chi-square of two degrees of freedom, over 2, without its upper tail of this probability."""
-    return float(1.0 + probability * np.log(probability) / (1.0 - probability))
 
 
 def _robust_start(u_s: Floats, u_i: Floats, variance: Floats, start: Ints) -> Floats:

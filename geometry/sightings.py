@@ -64,8 +64,6 @@ class ExposureAttitudes:
     squared_mahalanobis: Floats = array("N", "squared residual over its variance, two degrees of freedom")
     chi2: Floats = array("K", "sum of `squared_mahalanobis` over kept stars")
     dof: Ints = array("K", "2 kept stars - 3")
-    sigma_scale: float = scalar("factor by which the stated sigmas of all stars were multiplied", default=1.0)
-    sigma_scale_error: float = scalar("1-sigma of that factor; 0 where it was not estimated", default=0.0)
 
     def stars(self, k: int) -> slice:
         """Rows of the stars of exposure k."""
@@ -85,7 +83,7 @@ class ExposureAttitudes:
 
     @classmethod
     def together(cls, parts: Sequence[ExposureAttitudes]) -> ExposureAttitudes:
-        """The exposures of several, part after part; scale and its error are those of the first."""
+        """The exposures of several, part after part."""
         counts = np.concatenate([np.diff(part.start) for part in parts])
         names = ("R_si", "covariance_s", "usable", "kept", "squared_mahalanobis", "chi2", "dof")
         return replace(

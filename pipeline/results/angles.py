@@ -104,8 +104,7 @@ def _target_covariances(motion: MeasuredStrip, R_ci: Array, settings: Calibratio
     covariance = covariance * across
     v = np.einsum("jab,jbc,jc->ja", across, R_ci, ground.v_rel_i) * settings.sigma_clock_s
     covariance = covariance + v[:, :, None] * v[:, None, :] / distance**2
-    if settings.use_target_sigma:
-        own = R_ci @ ground.cov_target_i @ np.swapaxes(R_ci, 1, 2)
-        reach = np.where(ground.is_star[:, None, None], 1.0, distance)  # a star's is an angle already
-        covariance = covariance + across @ own @ across / reach**2
+    own = R_ci @ ground.cov_target_i @ np.swapaxes(R_ci, 1, 2)
+    reach = np.where(ground.is_star[:, None, None], 1.0, distance)  # a star's is an angle already
+    covariance = covariance + across @ own @ across / reach**2
     return np.asarray(covariance + ground.cov_c)
