@@ -360,7 +360,6 @@ def _estimate(
         shared_values=step.solution.shared,
         shared_covariance=step.solution.covariance_all[n_theta:, n_theta:],
         theta_with_shared=step.solution.covariance_all[:n_theta, n_theta:],
-        n_targets_treated_independent=problem.shared.n_treated_independent,
         targets=residuals,
         rejection=test,
         agreement=problem.agreement,

@@ -173,9 +173,6 @@ class InstallationEstimate:
     shared_values: Floats = array("G", "the shared unknowns as estimated")
     shared_covariance: Floats = array("G, G", "their covariance")
     theta_with_shared: Floats = array("T, G", "covariance of theta with them")
-    n_targets_treated_independent: int = scalar(
-        "targets seen in several strips whose coordinate errors were taken as independent in each"
-    )
     targets: TargetResiduals = scalar("residuals of all targets")
     rejection: RejectionTest = scalar("how targets were tested")
     agreement: HeadAgreement = scalar("of the heads with one another")

@@ -15,13 +15,13 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
+from boresight.calib.error_table import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 

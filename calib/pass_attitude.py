@@ -47,8 +47,7 @@ class PassAttitude:
     R_si: Floats = array("J, 3, 3", "GCRS to frame s; the identity where they do not")
     rate_s: Floats = array("3", "mean rotation rate of the sky in frame s, rad/s")
     root_s: Floats = array("J, 3, P", "rotation about the axes of s by unknowns of unit variance, rad")
-    names: tuple[str, ...] = array("P", "of these unknowns")
-    n_phi: int = scalar("of them, the first, that the rows of heads tell of")
+    n_phi: int = scalar("how many of them, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
     weights: Floats = array("J, U", "by which a rotation of the exposures rotates it; dense or sparse")
     heads: tuple[str, ...] = scalar("heads whose alignments change it")
@@ -110,8 +109,6 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
     root = np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K)
     between = _by_motion(motion, nodes.t_s, t_s, weights, inside)
     moved = (np.eye(3)[:, None, :] * between[:, None, :, None]).reshape(len(t_s), 3, -1)
-    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [one.name for one in lasting]
-    motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PassAttitude(
         inside=inside,
         R_si=R_si_targets,
@@ -119,8 +116,7 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
         root_s=np.concatenate(
             [np.tensordot(weights, root, axes=1), inside[:, None, None] * constant, moved], axis=2
         ),
-        names=(*names, *motions),
-        n_phi=len(names),
+        n_phi=3 * K + len(lasting),
         lasting=lasting,
         weights=weights @ nodes.share,
         heads=(),
@@ -154,11 +150,10 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     constant = block_diag(*(columns for _, columns, _ in parts))
     lasting = tuple(one for *_, errors in parts for one in errors)
     is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
-    n, m = root.shape[2], constant.shape[1]
     tie = HeadTie(
         heads=tuple(filter(None, heads)),
         r=r,
-        by_phi=np.column_stack([np.zeros((len(r), n)), T @ constant]),
+        by_phi=np.column_stack([np.zeros((len(r), root.shape[2])), T @ constant]),
         by_alpha=-T[:, is_known],
         dof=dof,
     )
@@ -167,8 +162,7 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         R_si=R_si,
         rate_s=_rotation_rate(times, rows[0].R_so * _used(strip)[2]),
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
-        names=(*(f"attitude/{k}" for k in range(n)), *(f"{one.head}/{one.name}" for one in lasting)),
-        n_phi=n + m,
+        n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
         weights=linear_weights(times, t_s, inside),
         heads=tie.heads,

@@ -32,17 +32,17 @@ from boresight.calib.distortion import (
     residual_distortion,
     unit_numbers,
 )
-from boresight.calib.heads import HeadTie, alignment_columns
-from boresight.calib.orbit_bias import bias_columns
-from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
-from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import (
+from boresight.calib.error_table import (
     MICRORADIAN,
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
     find_shared,
+    of_pass,
 )
+from boresight.calib.heads import HeadTie, alignment_columns
+from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
+from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
@@ -87,13 +87,12 @@ class PreparedStrip:
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by that attitude")
-    shared_s: Floats = array("J, 3, N", "change of v_s by each unknown in units of its prior sigma, rad")
-    unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
+    number: Ints = array("J", "which pass of those that are eliminated together")
+    attitude_s: Floats = array("J, 3, N", "change of v_s by unknowns of the attitude, 1-sigma each, rad")
     coordinates_s: Floats = array(
         "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
-    bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
     reference: Texts = array("J", "ground reference of each target; empty: none")
     reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
     reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
@@ -101,15 +100,14 @@ class PreparedStrip:
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
-    move_s: Floats = array(
-        "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
-    )
+    move_i: Floats = array("J, 3, 3", "change of v_s by the satellite's true position, GCRS axes, 1/m")
+    move_s: Floats = array("J, 3, 3", "the same by its true position along the track, to the right, down")
     ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their alignments")
     heads: tuple[str, ...] = scalar("heads whose alignments change the attitude at the targets")
     by_alignments_s: Floats = array("J, 3, A", "change of v_s by these alignments, three each")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
-    n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
+    n_phi: int = scalar("how many of these, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
 
     @property
@@ -128,7 +126,7 @@ class StripGroup:
     u_c: Floats = array("S, J, 3", "as in `PreparedStrip`")
     cov_c: Floats = array("S, J, 3, 3", "as in `PreparedStrip`")
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
-    shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
+    shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
     interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
@@ -250,15 +248,12 @@ def prepare_strip(
     attitude, ground, attitudes = attitude_of(strip, settings, motion), strip.ground, strip.attitudes
     assert attitudes is not None
     v_s = np.einsum("jab,jb->ja", attitude.R_si, ground.u_i)
-    move_s = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    move_i = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
     by_rotation = -cross_matrices(v_s)
-    position = move_s * settings.sigma_position_m
-    late = move_s @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
+    late = move_i @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
     camera = np.array(
         [cameras.index(name) if cameras[1:] else 0 for name in strip.camera_of_target.tolist()], int
     )
-    clock = late * settings.sigma_clock_s
-    clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     references = ground.referenced()
     models = [settings.of(name) for name in cameras]
@@ -276,19 +271,19 @@ def prepare_strip(
         distortion_rad=distortion_rad,
         modes_rad=modes_rad,
         v_s=v_s,
-        shared_s=np.concatenate([by_rotation @ attitude.root_s, position, clocks], axis=2),
-        unknowns=(*attitude.names, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
-        coordinates_s=_by_coordinates(ground, attitude.R_si, move_s),
+        number=np.zeros(len(v_s), dtype=np.int64),
+        attitude_s=by_rotation @ attitude.root_s,
+        coordinates_s=_by_coordinates(ground, attitude.R_si, move_i),
         cov_coordinates=own,
-        bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
         reference=references.name,
-        reference_s=-move_s @ _ground_axes(references, strip.R_oi_targets),
+        reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
         reference_sigma_m=references.sigma_m,
         reference_place=references.place,
         earth_s=attitude.R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
-        move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
+        move_i=move_i,
+        move_s=move_i @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         by_alignments_s=by_rotation @ attitude.by_alignments,
         carrier=strip.carrier,
         **{name: getattr(ground, name) for name in OF_GROUND},
@@ -301,15 +296,18 @@ def group_strips(
 ) -> list[StripGroup]:
     """Groups of strips of equal shape, in order of first occurrence, without strips of no covered target."""
     shapes: dict[tuple[int, ...], list[int]] = {}
+    columns: dict[int, tuple[Floats, Floats]] = {}
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
         own = _own(strip, settings)
-        n = 2 * len(own.knots) + 6 * len(own.ccds) + 3 * len(_seen_again(strip, shared))
+        n = 2 * len(own.knots) + 6 * len(own.ccds)
         h = sum(len(tie.r) for tie in strip.ties)
-        size = strip.n_phi, strip.shared_s.shape[2]
+        again, white = _coordinates(strip, shared)
+        columns[place] = np.concatenate([strip.attitude_s, of_pass(strip, settings), again], axis=2), white
+        size = strip.n_phi, columns[place][0].shape[2]
         shapes.setdefault((*size, *strip.camera.tolist(), n, h), []).append(place)
-    return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
+    return [_group(strips, places, columns, shared, settings) for places in shapes.values()]
 
 
 def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) -> LinearStrips:
@@ -389,14 +387,18 @@ def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Flo
 
 
 def _group(
-    strips: list[PreparedStrip], place: Ints, shared: SharedUnknowns, settings: CalibrationSettings
+    strips: list[PreparedStrip],
+    places: list[int],
+    columns: dict[int, tuple[Floats, Floats]],
+    shared: SharedUnknowns,
+    settings: CalibrationSettings,
 ) -> StripGroup:
-    members = [strips[n] for n in place]
+    """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
+    members = [strips[n] for n in places]
     looks, delays = zip(*(_interior(strip, shared) for strip in members))
-    again, white = zip(*(_coordinates(strip, shared) for strip in members))
+    shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
-    shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
     which = np.stack([strip.camera for strip in members])
     targets_s = np.stack([shared.columns_s(strip) for strip in members])
     own, own_shares = zip(*(_own_curves(strip, settings) for strip in members))
@@ -407,17 +409,17 @@ def _group(
         missed[:, at] *= np.stack(shares)
         parts.append(GroupPart(camera, at, numbers, np.stack(changes), others))
     return StripGroup(
-        place=place,
+        place=np.array(places),
         which=which,
         shared_s=shared_s,
-        white_s=np.stack(white),
+        white_s=white,
         targets_s=targets_s,
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
         own=np.stack(own),
         missed=missed,
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
-        by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
+        by_ties=np.zeros((len(places), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
         n_curves=len(shared.knots) + len(MODES) * len(shared.ccds),
         parts=tuple(parts),
@@ -460,17 +462,11 @@ def _direction_by_position(ground: GroundSightings) -> Floats:
     return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
 
 
-def _by_coordinates(ground: GroundSightings, R_si: Floats, move_s: Floats) -> Floats:
+def _by_coordinates(ground: GroundSightings, R_si: Floats, move_i: Floats) -> Floats:
     """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units)."""
-    change = -move_s @ earth_axes(ground.t_s)
+    change = -move_i @ earth_axes(ground.t_s)
     across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
     return np.asarray(np.where(ground.is_star[:, None, None], MICRORADIAN * R_si @ across, change))
-
-
-def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
-    """Targets that this strip alone sees, more than once: of the same points, on two CCDs."""
-    ids, count = np.unique(strip.target_id, return_counts=True)
-    return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
 
 
 def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
@@ -479,7 +475,8 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
-    again = _seen_again(strip, shared)
+    ids, count = np.unique(strip.target_id, return_counts=True)
+    again = [name for name in ids[count > 1].tolist() if name not in shared.targets]
     own = np.zeros((len(move), 3, 3 * len(again)))
     white[np.isin(strip.target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):

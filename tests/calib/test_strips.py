@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
+from boresight.calib.error_table import SharedUnknowns, of_pass
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SharedUnknowns
 from boresight.calib.strips import group_strips, linearise, prepare_strip, tangent_axes
 from boresight.features.paper.frames import calibrate_frames
 from boresight.geometry.attitude import lagrange_weights
@@ -92,11 +92,11 @@ def test_exposures_doubled_a_millisecond_apart_tell_nothing_more_and_nothing_les
     assert apart @ np.linalg.solve(by_each.cov_theta, apart) < 0.1**2 * 3  # a tenth of 1 sigma
 
 
-@pytest.mark.parametrize("unknown", ["position/y", "clock"])
-def test_shared_errors_move_the_targets_as_the_physics_says(unknown):
+@pytest.mark.parametrize("unknown", [1, 3])  # position along y, clock of the rows
+def test_errors_of_a_pass_move_the_targets_as_the_physics_says(unknown):
     strip = strips_of(StripPlan(strips=1, wave_rad=(0.0, 0.0)))[0]
-    ground, late_s = strip.ground, 1e-3 if unknown == "clock" else 0.0
-    shift = ground.v_rel_i * late_s if unknown == "clock" else np.array([0.0, 2.0, 0.0])
+    ground, late_s = strip.ground, 1e-3 if unknown == 3 else 0.0
+    shift = ground.v_rel_i * late_s if unknown == 3 else np.array([0.0, 2.0, 0.0])
     seen_from_there = ground.range_m[:, None] * ground.u_i - shift
     seen_from_there /= np.linalg.norm(seen_from_there, axis=1, keepdims=True)
     span = strip.exposures[-1].t_s - strip.exposures[0].t_s
@@ -105,7 +105,7 @@ def test_shared_errors_move_the_targets_as_the_physics_says(unknown):
     there = replace(strip, ground=replace(ground, u_i=seen_from_there), R_oi_targets=later)
     settings = replace(NONE, sigma_position_m=2.0, sigma_clock_s=1e-3)
     before, after = prepare_strip(strip, settings), prepare_strip(there, settings)
-    column = before.shared_s[:, :, before.unknowns.index(unknown)]
+    column = of_pass(before, settings)[:, :, unknown]
     size = np.abs(column).max()
     assert size > 1e-6  # rad
     np.testing.assert_allclose(
@@ -139,8 +139,7 @@ def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
 def test_a_prior_of_zero_switches_its_error_off():
     strip = strips_of(StripPlan(strips=1))[0]
     prepared = prepare_strip(strip, NONE)
-    for unknown in ("position/x", "position/y", "position/z", "clock"):
-        assert not np.any(prepared.shared_s[:, :, prepared.unknowns.index(unknown)])
+    assert of_pass(prepared, NONE).shape[2] == 4 and not np.any(of_pass(prepared, NONE))
     group = group_strips([prepared], NOTHING, NONE)[0]
     assert not np.any(group.white_s) and not np.any(group.missed)
 
@@ -151,7 +150,7 @@ def test_a_target_seen_twice_is_one_point_on_the_ground():
     ids[3] = ids[7]
     prepared = prepare_strip(replace(strip, ground=replace(strip.ground, target_id=ids)), NONE)
     group = group_strips([prepared], NOTHING, NONE)[0]
-    assert group.shared_s.shape[3] == prepared.shared_s.shape[2] + 3
+    assert group.shared_s.shape[3] == prepared.attitude_s.shape[2] + 4 + 3
     own = group.shared_s[0, :, :, -3:]
     assert np.flatnonzero(np.any(own != 0, axis=(1, 2))).tolist() == [3, 7]
     assert np.flatnonzero(~np.any(group.white_s[0] != 0, axis=(1, 2))).tolist() == [3, 7]
@@ -172,7 +171,9 @@ def test_vibration_seen_by_the_exposures_adds_to_the_covariance_of_their_attitud
     )
     weights = lagrange_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
     phi = slice(0, 3 * len(strip.exposures))
-    added = [np.einsum("jan,jbn->jab", p.shared_s[:, :, phi], p.shared_s[:, :, phi]) for p in (shaken, still)]
+    added = [
+        np.einsum("jan,jbn->jab", p.attitude_s[:, :, phi], p.attitude_s[:, :, phi]) for p in (shaken, still)
+    ]
     across = np.eye(3) - still.v_s[:, :, None] * still.v_s[:, None, :]
     expected = sigma**2 * np.sum(weights**2, axis=1)[:, None, None] * across
     np.testing.assert_allclose(added[0] - added[1], expected, rtol=0, atol=1e-6 * sigma**2)

@@ -1,6 +1,7 @@
-"""The table of errors that several strips share: each declared once, with its unknowns, prior and columns.
+"""The table of errors: each declared once, with its unknowns, their prior and their columns.
 
     scope             error                                                    unknowns
+    pass              position, clock of a camera's rows: processes in time    independent parts, 1-sigma each
     camera            residual distortion, interior orientation                knots, CCDs' modes; parameters
     target            coordinates of one that several strips see               metres; of a star µrad
     satellite         bias of the orbit and of the row clocks                  stated errors of a strip
@@ -8,15 +9,18 @@
     ground reference  offset of a mosaic or a survey                           1-sigma stated for it
     head              alignment to the reference head                          radians
 
-Each is one named unknown of the whole calibration and does not average over strips. Coordinates are in axes
-that rotate with the Earth about the pole of GCRS, which agree with ITRS closely enough for errors of metres;
-those of a star are its direction, GCRS axes. Errors of one pass alone are columns of its strips (`strips`).
+All but those of a pass are named unknowns of the whole calibration, which do not average over strips.
+Coordinates are in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS closely
+enough for errors of metres; those of a star are its direction, GCRS axes. The errors at two instants of a
+process with a correlation time T have the correlation exp(-|t - t'| / T), whatever pass the instants are of;
+without one it is constant over a pass and independent from pass to pass.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,11 +32,11 @@ from boresight.calib.distortion import MODES, OF_CAMERA, Knot, knots_touched, pr
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import head_names, of_heads
 from boresight.calib.interior_parameters import InteriorModel
-from boresight.calib.orbit_bias import BIASES, bias_prior
+from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
-from boresight.geometry.record import Bools, array, record, scalar
+from boresight.geometry.record import Bools, Ints, array, record, scalar
 
 if TYPE_CHECKING:
     from boresight.calib.strips import PreparedStrip
@@ -42,15 +46,19 @@ __all__ = [
     "SIGMA_ALIGNMENT_RAD",
     "SharedError",
     "SharedUnknowns",
+    "by_kind",
     "coordinate_covariance",
     "coordinate_names",
     "earth_axes",
     "find_shared",
+    "of_pass",
+    "prior_of",
 ]
 
 Array = NDArray[np.float64]
 MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
+NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +66,6 @@ class SharedError:
     """One row of the table: an error that moves the known directions of targets."""
 
     names: tuple[str, ...]  # of its n unknowns
-    prior: Array  # (n, n) information
     columns: Callable[[PreparedStrip], Array]  # change (J, 3, n) of v_s by each
 
 
@@ -71,9 +78,9 @@ class SharedUnknowns:
     interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
     errors: tuple[SharedError, ...] = scalar("all others; alignments of heads are the last", default=())
     targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
+    prior_targets: Array = scalar("(3 T, 3 T) information on these", default_factory=lambda: np.zeros((0, 0)))
     references: tuple[ReferenceField, ...] = scalar("offsets of ground references", default=())
     heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
-    n_treated_independent: int = scalar("targets in several strips beyond the limit", default=0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,10 +91,7 @@ class SharedUnknowns:
 
     def prior_information(self) -> Array:
         """Inverse prior covariance (n, n), each error in its unit."""
-        camera = prior_information(unknown_names(self.knots, self.ccds))
-        interior = np.eye(len(self.interior.unknowns) if self.interior else 0)
-        parts = [part for part in (camera, interior, *(e.prior for e in self.errors)) if part.size]
-        return np.asarray(block_diag(*parts)) if parts else np.zeros((0, 0))
+        return prior_of(self.names, self.prior_targets)
 
     def distortion_of(self, camera: int) -> tuple[NDArray[np.int64], SharedUnknowns]:
         """Numbers (m,) of the knots and CCD modes of one camera, among all of them, and these unknowns."""
@@ -165,20 +169,87 @@ def find_shared(
         ccds=tuple(sorted(ccds)),
         interior=interior,
         errors=(
-            _coordinates(kept, [covariance[name] for name in kept]),
-            _biases(BIASES if mixed else ()),
+            _coordinates(kept),
+            *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
             _earth(earth),
-            *(SharedError(one.names, np.eye(len(one.names)), one.columns) for one in fields),
-            _alignments(heads),
+            *(SharedError(one.names, one.columns) for one in fields),
+            SharedError(head_names(heads), lambda one: of_heads(one.heads, one.by_alignments_s, heads)),
         ),
         targets=kept,
+        prior_targets=_in_blocks([np.linalg.inv(covariance[name]) for name in kept]),
         references=fields,
         heads=heads,
-        n_treated_independent=len(often) - len(kept),
     )
 
 
-def _coordinates(targets: tuple[str, ...], covariances: Sequence[Array]) -> SharedError:
+def prior_of(names: Sequence[str], of_targets: Array) -> Array:
+    """Prior information (n, n) of shared unknowns by their names, those of one kind one after another;
+    `of_targets` (3 T, 3 T) is that of the coordinates.
+    """
+    priors = PRIORS | {"target": lambda _: of_targets}
+    return _in_blocks([priors[kind](tuple(own)) for kind, own in groupby(names, key=_kind)])
+
+
+def by_kind(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of shared unknowns in the order of the table."""
+    return tuple(sorted(names, key=lambda name: list(PRIORS).index(_kind(name))))
+
+
+def _kind(name: str) -> str:
+    return name.partition("/")[0]
+
+
+def _in_blocks(parts: Sequence[Array]) -> Array:
+    """Matrices on the diagonal of one (n, n); none: (0, 0)."""
+    return np.asarray(block_diag(np.zeros((0, 0)), *parts))
+
+
+def _of_unit(names: Sequence[str]) -> Array:
+    """Of unknowns in units of their 1-sigma; of other cameras' matrices, whose 1 rad is any."""
+    return np.eye(len(names))
+
+
+# Prior information on the unknowns of each kind by their names, which begin with it.
+PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
+    "distortion": prior_information,
+    "interior": _of_unit,
+    "target": _of_unit,  # if nothing else is known
+    "bias": bias_prior,
+    "earth": prior_of_predictions,
+    "reference": _of_unit,
+    "head": lambda names: np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2,
+    "camera": _of_unit,
+}
+
+
+def of_pass(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
+    """Change (J, 3, N) of v_s by the errors of one pass, or of passes that are still correlated: the position
+    of the satellite (along the track, across it and in height, where it is a process) and the clock of the
+    rows of each camera.
+    """
+    position = strip.move_s if settings.position_time_s else strip.move_i
+    late, one = settings.sigma_clock_s * strip.late_s[:, :, None], np.zeros_like(strip.camera)
+    moved = _process(settings.sigma_position_m * position, strip, settings.position_time_s, one)
+    return np.concatenate([moved, _process(late, strip, settings.clock_time_s, strip.camera)], axis=2)
+
+
+def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> Array:
+    """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
+    instant, (J, 3, A): its M independent parts of unit variance; processes of different `of` (J,) are
+    independent.
+    """
+    if time_s:
+        apart = np.abs(strip.t_s[:, None] - strip.t_s)
+        values, vectors = np.linalg.eigh((of[:, None] == of) * np.exp(-apart / time_s))
+        large = values > NO_EFFECT * values[-1:]
+        root = vectors[:, large] * np.sqrt(values[large])
+    else:
+        own = np.unique(np.column_stack([strip.number, of]), axis=0, return_inverse=True)[1]
+        root = np.eye(int(own.max(initial=-1)) + 1)[own]
+    return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def _coordinates(targets: tuple[str, ...]) -> SharedError:
     number = {name: n for n, name in enumerate(targets)}
 
     def columns(strip: PreparedStrip) -> Array:
@@ -186,13 +257,7 @@ def _coordinates(targets: tuple[str, ...], covariances: Sequence[Array]) -> Shar
             [number.get(name, -1) for name in strip.target_id.tolist()], len(targets), strip.coordinates_s
         )
 
-    prior = block_diag(*np.linalg.inv(covariances)) if targets else np.zeros((0, 0))
-    return SharedError(coordinate_names(targets), prior, columns)
-
-
-def _biases(names: tuple[str, ...]) -> SharedError:
-    which = [BIASES.index(name) for name in names]
-    return SharedError(names, bias_prior(names), lambda strip: strip.bias_s[:, :, which])
+    return SharedError(coordinate_names(targets), columns)
 
 
 def _earth(predictions: tuple[str, ...]) -> SharedError:
@@ -200,18 +265,7 @@ def _earth(predictions: tuple[str, ...]) -> SharedError:
         n = predictions.index(strip.earth) if strip.earth else -1
         return _of_each([n] * len(strip.ccd), len(predictions), strip.earth_s)
 
-    names = earth_names(predictions)
-    return SharedError(names, prior_of_predictions(names), columns)
-
-
-def _alignments(heads: tuple[str, ...]) -> SharedError:
-    """Of the heads whose rows make the attitude at the targets."""
-
-    def columns(strip: PreparedStrip) -> Array:
-        return of_heads(strip.heads, strip.by_alignments_s, heads)
-
-    names = head_names(heads)
-    return SharedError(names, np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2, columns)
+    return SharedError(earth_names(predictions), columns)
 
 
 def _of_each(number: Sequence[int], count: int, change: Array) -> Array:
