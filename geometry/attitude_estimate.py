@@ -60,20 +60,9 @@ class AttitudeSettings:
 def fit_exposures(
     exposures: Sequence[StarSightings], settings: AttitudeSettings = AttitudeSettings()
 ) -> ExposureAttitudes:
-    """Attitudes of K exposures from their stars.
+    """Attitudes of K exposures from their stars, `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
 
-    Parameters
-    ----------
-    exposures : sequence of StarSightings
-        K exposures; `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
-    settings : AttitudeSettings
-        Rejection of outlying stars.
-
-    Returns
-    -------
-    ExposureAttitudes
-        R_si (K, 3, 3), covariances (K, 3, 3) in rad² about the axes of s, and the stars that were kept. An
-        exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
+    An exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
     """
     start = np.cumsum([0, *(len(exposure.hip) for exposure in exposures)])
     none = np.zeros((0, 3))
@@ -115,19 +104,9 @@ def fit_attitudes(
     beyond the chi-square limit are rejected, and the others are fitted with their full weight until the set
     of kept stars no longer changes, so that the covariance is that of least squares.
 
-    Parameters
-    ----------
-    u_s, u_i : (N, 3) array
-        Measured unit vectors, star-camera axes, and apparent catalogue directions, GCRS axes.
-    cov_s : (N, 3, 3) array
-        Covariance of `u_s`, rad², star-camera axes.
-    start : (K + 1,) array of int
-        Exposure k has the rows start[k]:start[k+1]; it may have none.
-
-    Returns
-    -------
-    ExposureAttitudes
-        An exposure whose kept stars do not fix its attitude has `usable` False; nothing is raised.
+    `u_s` (N, 3) are measured unit vectors, star-camera axes, with covariances `cov_s` (N, 3, 3), rad², `u_i`
+    (N, 3) apparent catalogue directions, GCRS axes; exposure k has the rows start[k]:start[k+1], perhaps
+    none. One whose kept stars do not fix its attitude has `usable` False; nothing is raised.
     """
     information = information_of_directions(u_s, cov_s)
     variance = 0.5 * np.trace(cov_s, axis1=1, axis2=2)

@@ -84,23 +84,12 @@ def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
 def ray_ellipsoid_intersection(
     origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> Array:
-    """First point of each ray at geodetic height `height_m`; rays that miss it, or start below, give NaN.
+    """First points (N, 3), frame e, m, of rays at geodetic height `height_m`, a number or (N,); rays that
+    miss it, or start below, give NaN. Origins, m, and directions of any length, (N, 3), are in frame e.
 
     Points of equal height do not form an ellipsoid, so the ray is first intersected with the ellipsoid of
     semi-axes a + h and b + h. That lies below height h by h (p - a cos^2 - b sin^2) / (p + h), with p^2 = a^2
     cos^2 + b^2 sin^2 of the latitude: 0.013 m at 9 km, corrected along the ray. Accurate to 1e-8 m.
-
-    Parameters
-    ----------
-    origin_e, direction_e : (N, 3) arrays
-        Rays in frame e, m; directions of any length.
-    height_m : number or (N,) array
-        Height above the ellipsoid, m.
-
-    Returns
-    -------
-    p_e : (N, 3) array
-        Points in frame e, m.
     """
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     return np.ascontiguousarray(columns_at_height(origin, direction, height_m, ellipsoid)[0].T)

@@ -228,26 +228,10 @@ class Pushbroom:
         return self._apparent_c(p_e, self._states(np.asarray(row, dtype=float)))[0]
 
     def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
-        """Ground points seen by pixels.
+        """Ground points (N, 3), frame e, m, of a `surface` seen by pixels of one CCD, image points (N,) in
+        its raw image, broadcast together; NaN where the line of sight does not intersect the surface.
 
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        sample, line : (N,) array
-            Image points in the raw image of that CCD; broadcast together.
-        surface : Surface
-            Ground surface.
-
-        Returns
-        -------
-        p_e : (N, 3) array
-            Points in frame e, m; NaN where the line of sight does not intersect the surface.
-
-        Raises
-        ------
-        ValueError
-            If orbit, attitude or Earth rotation do not cover a line.
+        Raises `ValueError` if orbit, attitude or Earth rotation do not cover a line.
         """
         sample, line = _pixels(sample, line)
         row = self.rows.rows_of_lines(ccd, line)
@@ -260,25 +244,11 @@ class Pushbroom:
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
-        """Pixels in which ground points appear, to 1e-6 px.
+        """Samples (N,) and lines (N,) at which ground points (N, 3), frame e, m, appear on a CCD, to 1e-6 px.
 
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        p_e : (N, 3) array
-            Ground points, frame e, m.
-
-        Returns
-        -------
-        sample, line : (N,) arrays
-            They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not
-            seen while orbit and attitude are known, or is beyond the horizon.
-
-        Raises
-        ------
-        ValueError
-            If `p_e` is not (N, 3), or orbit, attitude and Earth rotation have no interval in common.
+        They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not seen
+        while orbit and attitude are known, or is beyond the horizon. Raises `ValueError` if `p_e` is not (N,
+        3), or orbit, attitude and Earth rotation have no interval in common.
         """
         p = np.asarray(p_e, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3:

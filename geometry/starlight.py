@@ -91,21 +91,11 @@ class SurveyedStars:
 def apparent_star_directions(
     stars: StarPlaces, epoch: Epoch, t_s: float | Array, p_i: Array, v_i: Array
 ) -> Array:
-    """Apparent unit vectors towards stars from a moving satellite, GCRS axes.
+    """Apparent unit vectors (N, 3) towards N stars from a moving satellite, GCRS axes: with proper motion,
+    parallax, light deflection by the Sun and aberration.
 
-    Parameters
-    ----------
-    stars : StarPlaces
-        Catalogue positions of N stars.
-    epoch, t_s : Epoch, float or (N,) array
-        Instant of observation, or that of each star, TAI seconds since `epoch`.
-    p_i, v_i : (3,) or (N, 3) arrays
-        Geocentric position (m) and velocity (m/s) of the satellite, GCRS.
-
-    Returns
-    -------
-    u_i : (N, 3) array
-        With proper motion, parallax, light deflection by the Sun and aberration.
+    `t_s` is the instant of observation, or (N,) that of each star, TAI seconds since `epoch`; `p_i`, m, and
+    `v_i`, m/s, (3,) or (N, 3), are the satellite's geocentric position and velocity, GCRS.
     """
     years = epoch.julian_year(t_s) - stars.epoch_jyear
     return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, years)
