@@ -236,11 +236,7 @@ def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
 
 
 def _iterated(
-    problem: Problem,
-    R_cs: Rotation,
-    weight: Floats,
-    iterations: list[Iteration],
-    known: Step | None = None,
+    problem: Problem, R_cs: Rotation, weight: Floats, iterations: list[Iteration], known: Step | None = None
 ) -> Step:
     """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `known` where
     that is the same; the last step, about its matrix.

@@ -92,11 +92,7 @@ def with_attitudes(
 
 
 def fit_attitudes(
-    u_s: Floats,
-    u_i: Floats,
-    cov_s: Floats,
-    start: Ints,
-    settings: AttitudeSettings = AttitudeSettings(),
+    u_s: Floats, u_i: Floats, cov_s: Floats, start: Ints, settings: AttitudeSettings = AttitudeSettings()
 ) -> ExposureAttitudes:
     """Maximum-likelihood attitude of each exposure, outlying stars rejected.
 

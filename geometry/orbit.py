@@ -23,13 +23,7 @@ if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation
     from boresight.geometry.epoch import Epoch
 
-__all__ = [
-    "Orbit",
-    "OrbitGapError",
-    "argument_of_latitude",
-    "beta_angle",
-    "orbital_frame",
-]
+__all__ = ["Orbit", "OrbitGapError", "argument_of_latitude", "beta_angle", "orbital_frame"]
 
 Array = NDArray[np.float64]
 OrbitFrame = Literal["GCRF", "ITRF"]

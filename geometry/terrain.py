@@ -16,11 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import (
-    distances_to_shell,
-    geodetic_from_ecef,
-    ray_ellipsoid_intersection,
-)
+from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.local_map import LocalMap, fit_local_map
 from boresight.geometry.record import array, record, scalar
@@ -85,12 +81,7 @@ class TerrainGrid:
     local_map: LocalMap | None = scalar("latitude and longitude to column and row, 1e-7 px, if one exists")
 
     @staticmethod
-    def from_raster(
-        heights_m: ArrayLike,
-        transform: ArrayLike,
-        crs: str,
-        geoid: Geoid | None,
-    ) -> TerrainGrid:
+    def from_raster(heights_m: ArrayLike, transform: ArrayLike, crs: str, geoid: Geoid | None) -> TerrainGrid:
         """Surface from a raster of heights (rows, columns) at the centres of pixels, m; NaN marks pixels
         without data. Contiguous single precision above the ellipsoid is not copied.
 
