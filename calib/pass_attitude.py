@@ -79,18 +79,8 @@ def attitude_of(
     return _smoothed(strip, settings, motion)
 
 
-def _used(strip: StripSightings) -> tuple[Floats, Rotation, Rotation, Floats]:
-    """Instants, attitudes R_si and R_oi, and covariances of the usable exposures."""
-    attitudes = strip.attitudes
-    assert attitudes is not None
-    used = attitudes.usable
-    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
-    R_si = Rotation.from_matrix(attitudes.R_si[used]) if used.any() else Rotation.identity(0)
-    return times, R_si, strip.R_oi_exposures[used], attitudes.covariance_s[used]
-
-
 def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion) -> PassAttitude:
-    times, R_si, R_oi, own_s = _used(strip)
+    times, R_si, R_oi, own_s = strip.usable()
     nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
     t_s, K = strip.ground.t_s, len(nodes.t_s)
     inside = _covered(nodes.t_s, t_s)
@@ -160,7 +150,7 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     return PassAttitude(
         inside=inside,
         R_si=R_si,
-        rate_s=_rotation_rate(times, rows[0].R_so * _used(strip)[2]),
+        rate_s=_rotation_rate(times, rows[0].R_so * strip.usable()[2]),
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
         n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
@@ -182,7 +172,7 @@ def _here(t_s: Floats, times: Floats) -> Bools:
 
 def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> list[HeadRows]:
     """Rows of the head that carries a strip, and of all others that have some between them."""
-    times, R_si, R_oi, covariance_s = _used(strip)
+    times, R_si, R_oi, covariance_s = strip.usable()
     vibration = settings.sigma_vibration_exposure_rad**2 * np.eye(3)
     first = HeadRows(
         t_s=times, R_so=R_si * R_oi.inv(), covariance_s=covariance_s + vibration, noise=strip.noise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
@@ -78,27 +78,13 @@ class CalibrationSettings:
         )
 
     def __post_init__(self) -> None:
-        for name in (
-            "sigma_position_m",
-            "position_time_s",
-            "sigma_clock_s",
-            "clock_time_s",
-            "sigma_vibration_rad",
-            "sigma_vibration_exposure_rad",
-            "sigma_motion_rad",
-            "sigma_distortion_rad",
-            "sigma_mounting_rad",
-            "distortion_pixel_rad",
-            "sigma_ccd_shift_rad",
-            "sigma_ccd_slope_rad",
-            "sigma_ccd_bend_rad",
-        ):
+        sigmas = [field.name for field in fields(self) if field.name.startswith("sigma_")]
+        for name in (*sigmas, "position_time_s", "clock_time_s", "distortion_pixel_rad"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
-        if not self.motion_time_s > 0.0:
-            raise ValueError(f"motion_time_s must be positive, got {self.motion_time_s}")
-        if not self.distortion_length_px > 0.0:
-            raise ValueError(f"distortion_length_px must be positive, got {self.distortion_length_px}")
+        for name in ("motion_time_s", "distortion_length_px"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         if any(samples < 2 for samples in self.ccd_px):
             raise ValueError(f"ccd_px must be 2 or more for every CCD, got {self.ccd_px}")
         if not 0.0 < self.probability_false_alarm < 0.5:

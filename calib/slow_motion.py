@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
@@ -110,15 +109,9 @@ def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -
 
 def _nodes_of(strip: StripSightings) -> tuple[InterpolationNodes, Floats]:
     """Nodes of the strip's usable exposures, `MOST_EXPOSURES` at most, and their covariances."""
-    attitudes = strip.attitudes
-    assert attitudes is not None
-    used = np.flatnonzero(attitudes.usable)[:MOST_EXPOSURES]
-    nodes = InterpolationNodes.of_exposures(
-        np.array([strip.exposures[k].t_s for k in used]),
-        Rotation.from_matrix(attitudes.R_si[used]) if len(used) else Rotation.identity(0),
-        strip.R_oi_exposures[used],
-    )
-    return nodes, nodes.covariance(attitudes.covariance_s[used])
+    times, R_si, R_oi, covariance_s = (part[:MOST_EXPOSURES] for part in strip.usable())
+    nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
+    return nodes, nodes.covariance(covariance_s)
 
 
 def _log_likelihood(strip: StripSightings, amplitudes: Floats, times_s: Floats) -> Floats:

@@ -245,8 +245,7 @@ def prepare_strip(
     strip = with_attitudes([strip], settings.attitudes)[0]
     if motion is None:
         motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST
-    attitude, ground, attitudes = attitude_of(strip, settings, motion), strip.ground, strip.attitudes
-    assert attitudes is not None
+    attitude, ground = attitude_of(strip, settings, motion), strip.ground
     v_s = np.einsum("jab,jb->ja", attitude.R_si, ground.u_i)
     move_i = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
     by_rotation = -cross_matrices(v_s)
@@ -261,8 +260,8 @@ def prepare_strip(
     return PreparedStrip(
         strip_id=strip.strip_id,
         strip=strip.strip_of_target,
-        attitudes=attitudes,
-        used=attitudes.usable,
+        attitudes=strip.fitted,
+        used=strip.fitted.usable,
         camera=camera,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],

@@ -39,6 +39,10 @@ Array = NDArray[np.float64]
 class OrbitLike(Protocol):
     """An orbit: geocentric inertial positions (N, 3), m, and velocities (N, 3), m/s, at TAI seconds (N,)."""
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant at which it is known, TAI seconds since the epoch."""
+
     def states_i(self, t_s: Array) -> tuple[Array, Array]:
         """Positions, m, and velocities, m/s, each (N, 3)."""
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,7 +41,7 @@ from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
 
-__all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
+__all__ = ["Pushbroom", "RowClock"]
 
 Array = NDArray[np.float64]
 
@@ -66,14 +65,6 @@ _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height differ
 _CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
 _LATTICE = (65, 33)  # lines and samples at which the height of the ground is computed first
 _LATTICE_M = 20.0  # for less relief the mean height is used
-
-
-class OrbitOverTime(OrbitLike, Protocol):
-    """An orbit (see `OrbitLike`) with the interval in which it is known."""
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last instant, TAI seconds since the epoch."""
 
 
 @record
@@ -177,7 +168,7 @@ class Pushbroom:
 
     camera: LineSensor = scalar("directions of the samples in frame c")
     rows: RowClock = scalar("time labels of the rows, and the CCDs' lines")
-    orbit: OrbitOverTime = scalar("positions and velocities of the satellite")
+    orbit: OrbitLike = scalar("positions and velocities of the satellite")
     earth: EarthRotation = scalar("rotation between ITRS and GCRS")
     attitude: Attitude = scalar("GCRS to star camera against time")
     R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")

@@ -250,6 +250,23 @@ class StripSightings:
         _, cameras, counts = zip(*self.parts)
         return np.repeat(np.array(cameras, dtype=str), counts)
 
+    @property
+    def times_s(self) -> Floats:
+        """Instants (K,) of the exposures, TAI seconds since the dump's epoch."""
+        return np.array([exposure.t_s for exposure in self.exposures], dtype=np.float64)
+
+    @property
+    def fitted(self) -> ExposureAttitudes:
+        """`attitudes`, which are there."""
+        assert self.attitudes is not None
+        return self.attitudes
+
+    def usable(self) -> tuple[Floats, Rotation, Rotation, Floats]:
+        """Instants (U,), R_si and R_oi (U,), and covariances (U, 3, 3), rad², of the usable exposures."""
+        used = self.fitted.usable
+        R_si = Rotation.from_matrix(self.fitted.R_si[used]) if used.any() else Rotation.identity(0)
+        return self.times_s[used], R_si, self.R_oi_exposures[used], self.fitted.covariance_s[used]
+
     def later(self, seconds: float) -> StripSightings:
         """The strip with all its instants so much later."""
         return replace(

@@ -65,7 +65,7 @@ def _of_strip(
     motion: MeasuredStrip, R_cs: Rotation, settings: CalibrationSettings
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
     strip, ground = motion.strip, motion.strip.ground
-    times = np.array([exposure.t_s for exposure in strip.exposures])
+    times = strip.times_s
     if len(times) < 2 or not any(kept.any() for kept in motion.stars_kept):
         return
     track = AttitudeTrack(times, motion.R_si, motion.orbit)
