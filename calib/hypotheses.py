@@ -22,7 +22,16 @@ from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["USUAL", "Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
+__all__ = [
+    "POSITION",
+    "STABILITY",
+    "USUAL",
+    "Hypothesis",
+    "HypothesisInputs",
+    "HypothesisTable",
+    "hypotheses",
+    "vector_hypotheses",
+]
 
 MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not

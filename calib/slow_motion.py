@@ -7,15 +7,12 @@ motion, t_j the instant of a target and t_k those of the exposures, interpolatio
 
     e_j = x(t_j) - sum_k w_jk x(t_k),     cov e = K_tt - W K_nt - K_tn Wᵀ + W K_nn Wᵀ,
 
-nothing where exposures are dense, as large as the motion itself between two exposures that are several T
-apart. Errors of targets that are near in time are alike and do not average.
-
-The mission states the size of a and T (`CalibrationSettings`). Where a strip has three exposures or more,
-they show how the attitude leaves a straight line: a and T are then averaged over their posterior given the
-exposures of all strips, with a log-normal prior about the stated values. Attitudes that scatter more than
-stated, from one exposure to the next, are not motion: the grid has a factor of the stated noise as well, so
-that their residuals stay too large and are reported. Two exposures show no motion; then the stated values
-hold as they are.
+nothing where exposures are dense. The mission states the size of a and T (`CalibrationSettings`). Where a
+strip has three exposures or more, they show how the attitude leaves a straight line: a and T are then
+averaged over their posterior given the exposures of all strips, with a log-normal prior about the stated
+values. Attitudes that scatter more than stated, from one exposure to the next, are not motion: the grid has a
+factor of the stated noise as well, so that their residuals stay too large and are reported. Two exposures
+show no motion; then the stated values hold as they are.
 """
 
 from __future__ import annotations

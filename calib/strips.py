@@ -3,16 +3,15 @@
 Each target of a line scanner has its own instant t_j. The star camera's attitude there is interpolated
 between the exposures' attitudes (relative to the nominal motion, Lagrange weights w_jk), and the exposures'
 errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (notes/estimation.md; phi
-right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands
-beside the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion,
-coordinates of a target seen twice. A star in a strip that scans the sky is a target without position error,
-whose coordinates are its direction, in µrad. For all of them, with whitened residuals
-r = X_theta theta + X_q q + noise,
+right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands beside
+the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion, coordinates
+of a target seen twice. A star in a strip that scans the sky is a target, too. For all of them, with whitened
+residuals r = X_theta theta + X_q q + noise,
 
     F = X_thetaᵀ X_theta - X_thetaᵀ X_q (I + X_qᵀ X_q)⁻¹ X_qᵀ X_theta,    F theta likewise with r.
 
-A prior of zero makes a column of zeros: the error is off. Preparing does not need the installation matrix
-and is done once. Strips with equal numbers of exposures, targets and unknowns are reduced together.
+Preparing does not need the installation matrix and is done once. Strips with equal numbers of exposures,
+targets and unknowns are reduced together.
 """
 
 from __future__ import annotations
