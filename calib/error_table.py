@@ -147,7 +147,7 @@ def find_shared(
     """
     knots: set[Knot] = set()
     ccds: set[int] = set()
-    for strip in strips if settings.distortion_scope == "camera" else ():
+    for strip in strips:
         curved = strip.distortion_rad > 0.0
         knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
         ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
@@ -35,7 +34,6 @@ class CalibrationSettings:
     sigma_ccd_slope_rad: float = 0.0  # its linear part, rms over it: rotation (along x), scale (along y),
     sigma_ccd_bend_rad: float = 0.0  # and its quadratic part, rms over the CCD
     ccd_px: tuple[int, ...] = ()  # samples of each CCD; none: CCDs have no residual of their own
-    distortion_scope: Literal["camera", "strip"] = "camera"  # one curve for all strips, or each its own
     sigma_mounting_rad: float = (
         10.0 * ARCSEC
     )  # about each axis, between strips: weighs causes, moves no matrix

@@ -17,7 +17,7 @@ targets and unknowns are reduced together.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.distortion import (
     MODES,
     columns_of_ccds,
-    correlation,
     knot_weights,
     missed_between_knots,
     residual_distortion,
@@ -36,7 +35,6 @@ from boresight.calib.error_table import (
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
-    find_shared,
     of_pass,
 )
 from boresight.calib.heads import HeadTie, alignment_columns
@@ -130,7 +128,6 @@ class StripGroup:
     targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
     interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
     delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
-    own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
     by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
@@ -298,14 +295,12 @@ def group_strips(
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        own = _own(strip, settings)
-        n = 2 * len(own.knots) + 6 * len(own.ccds)
         h = sum(len(tie.r) for tie in strip.ties)
         again, white = _coordinates(strip, shared)
         columns[place] = np.concatenate([strip.attitude_s, of_pass(strip, settings), again], axis=2), white
         size = strip.n_phi, columns[place][0].shape[2]
-        shapes.setdefault((*size, *strip.camera.tolist(), n, h), []).append(place)
-    return [_group(strips, places, columns, shared, settings) for places in shapes.values()]
+        shapes.setdefault((*size, *strip.camera.tolist(), h), []).append(place)
+    return [_group(strips, places, columns, shared) for places in shapes.values()]
 
 
 def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) -> LinearStrips:
@@ -320,13 +315,12 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
     white = white + (settings.sigma_vibration_rad**2 + group.missed)[:, :, None, None] * np.eye(2)
     whitener = _inverse_cholesky_2x2(white)
     rows = whitener * group.inside[:, :, None, None]
-    own = _along_axes(tangent, group.own)
 
     def two_rows(part: Floats) -> Floats:
         return np.asarray(part.reshape(S, 2 * part.shape[1], part.shape[-1]))
 
     r = two_rows(rows @ (tangent @ difference[..., None]))
-    X_q = two_rows(rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3))
+    X_q = two_rows(rows @ (tangent_s @ group.shared_s))
     told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
     n_theta, curves = 3 * (1 if R_cs.single else len(R_cs)), group.n_curves
     n_looks = group.interior_c.shape[3]
@@ -389,7 +383,6 @@ def _group(
     places: list[int],
     columns: dict[int, tuple[Floats, Floats]],
     shared: SharedUnknowns,
-    settings: CalibrationSettings,
 ) -> StripGroup:
     """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
     members = [strips[n] for n in places]
@@ -399,8 +392,7 @@ def _group(
     n_phi = members[0].n_phi
     which = np.stack([strip.camera for strip in members])
     targets_s = np.stack([shared.columns_s(strip) for strip in members])
-    own, own_shares = zip(*(_own_curves(strip, settings) for strip in members))
-    missed, parts = np.stack([strip.distortion_rad**2 for strip in members]) * np.stack(own_shares), []
+    missed, parts = np.stack([strip.distortion_rad**2 for strip in members]), []
     for camera, at, others in _parts(which[0], targets_s, 3 * len(shared.heads)):
         numbers, unknowns = shared.distortion_of(camera)
         changes, shares = zip(*(_curves(strip, at, unknowns) for strip in members))
@@ -414,7 +406,6 @@ def _group(
         targets_s=targets_s,
         interior_c=np.stack(looks),
         delay_s=np.stack(delays),
-        own=np.stack(own),
         missed=missed,
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(places), shared_s.shape[3], 3 * len(shared.heads) + 1)),
@@ -486,22 +477,6 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
         left = strip.reference_s * field.sigma_m
         white = white + field.rest(strip)[:, None, None] * (left @ np.swapaxes(left, 1, 2))
     return own, white
-
-
-def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
-    """Unknowns of the distortion that the strip has for itself."""
-    if settings.distortion_scope == "camera":
-        return find_shared([], settings)
-    return find_shared([strip], replace(settings, distortion_scope="camera"))
-
-
-def _own_curves(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Floats, Floats]:
-    """What `_curves` gives of the strip's own unknowns, whitened."""
-    unknowns = _own(strip, settings)
-    columns, share = _curves(strip, slice(None), unknowns)
-    if K := len(unknowns.knots):
-        columns[:, :K] = columns[:, :K] @ np.linalg.cholesky(correlation(unknowns.knots))
-    return columns, share
 
 
 def _curves(strip: PreparedStrip, at: Ints | slice, unknowns: SharedUnknowns) -> tuple[Floats, Floats]:

@@ -53,7 +53,6 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
         sigma_ccd_slope_rad=slope,
         sigma_ccd_bend_rad=bend,
         ccd_px=(cameras.ccd_px,) * cameras.n_ccds if cameras else (),
-        distortion_scope="camera" if plan.distortion_scope == "camera" else "strip",
     )
 
 

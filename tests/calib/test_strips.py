@@ -201,16 +201,13 @@ def test_coordinates_of_targets_are_in_axes_that_rotate_with_the_earth():
     np.testing.assert_allclose(second.cov_coordinates[0], np.diag([4.0, 1.0, 9.0]), atol=1e-6)
 
 
-@pytest.mark.parametrize("scope", ["camera", "strip"])
-def test_distortion_has_the_stated_variance_between_knots_too(scope):
+def test_distortion_has_the_stated_variance_between_knots_too():
     sigma = 3e-7  # rad
-    settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0, distortion_scope=scope)
+    settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0)
     prepared = prepare_strip(strips_of(StripPlan(strips=1))[0], settings)
     knots = knots_touched(prepared.curve, prepared.place)
-    shared = replace(NOTHING, knots=knots if scope == "camera" else ())
-    group = group_strips([prepared], shared, settings)[0]
-    by_knots = group.parts[0].looks_rad[0]
-    weights = by_knots @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]
+    group = group_strips([prepared], replace(NOTHING, knots=knots), settings)[0]
+    weights = group.parts[0].looks_rad[0] @ np.linalg.cholesky(correlation(knots))
     from_knots = np.sum(weights**2, axis=1)
     np.testing.assert_allclose(from_knots + group.missed[0], sigma**2, rtol=1e-9)
     # Linear interpolation over half a correlation length leaves up to an eighth of the variance.
