@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.attitude import AttitudeTrack, NominalMotion, lagrange_weights
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion, interpolation_weights
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
@@ -72,7 +72,7 @@ def _of_strip(
     R_ci = R_cs * track.R_si(ground.t_s)
     own = _target_covariances(motion, R_ci.as_matrix(), settings)
     inside = (ground.t_s >= times[0]) & (ground.t_s <= times[-1])
-    C, weights = R_cs.as_matrix(), lagrange_weights(times, ground.t_s)
+    C, weights = R_cs.as_matrix(), interpolation_weights(times, ground.t_s)
     for j in np.flatnonzero(motion.targets_kept & inside):
         k = int(np.argmin(np.abs(times - ground.t_s[j])))
         stars, kept = strip.exposures[k], motion.stars_kept[k]

@@ -14,7 +14,7 @@ from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import group_strips, linearise, prepare_strip, tangent_axes
 from boresight.features.paper.frames import calibrate_frames
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -169,7 +169,7 @@ def test_vibration_seen_by_the_exposures_adds_to_the_covariance_of_their_attitud
     still, shaken = (
         prepare_strip(strip, replace(NONE, sigma_vibration_exposure_rad=size)) for size in (0.0, sigma)
     )
-    weights = lagrange_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
+    weights = interpolation_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
     phi = slice(0, 3 * len(strip.exposures))
     added = [
         np.einsum("jan,jbn->jab", p.attitude_s[:, :, phi], p.attitude_s[:, :, phi]) for p in (shaken, still)
