@@ -100,7 +100,8 @@ class InformationPairs:
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
         """The information about another reference, to first order in its distance from this one."""
-        if _same_reference(self.R_cs_ref, R_cs_ref):
+        # The last bit may be lost each time a quaternion is normalised.
+        if np.allclose(self.R_cs_ref.as_quat(), R_cs_ref.as_quat(), rtol=0.0, atol=5e-16):
             return self
         shift = np.zeros(self.F.shape[-1])
         shift[: self.n_theta] = theta_of(self.R_cs_ref, R_cs_ref)
@@ -289,8 +290,3 @@ def _number_names(unknowns: Sequence[str], cameras: Sequence[str]) -> list[str]:
 def _of(camera: str, part: str | int) -> str:
     """Name of an unknown, or a number, of one of several cameras; a single camera has no name."""
     return f"camera/{camera}/{part}" if camera else str(part)
-
-
-def _same_reference(a: Rotation, b: Rotation) -> bool:
-    """Equal but for the last bit, which a quaternion may lose each time it is normalised."""
-    return bool(np.allclose(a.as_quat(), b.as_quat(), rtol=0.0, atol=5e-16))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
@@ -55,16 +55,6 @@ class CalibrationSettings:
     def sigma_ccd_rad(self) -> tuple[float, float, float]:
         """1-sigma of shift, slope and bend of a CCD, rad."""
         return self.sigma_ccd_shift_rad, self.sigma_ccd_slope_rad, self.sigma_ccd_bend_rad
-
-    @property
-    def has_ccd_modes(self) -> bool:
-        """Whether the CCDs have residual distortions of their own."""
-        return bool(self.ccd_px) and any(self.sigma_ccd_rad)
-
-    @property
-    def without_distortion(self) -> CalibrationSettings:
-        """Settings for a camera that leaves no distortion."""
-        return replace(self, sigma_distortion_rad=0.0, ccd_px=(), of_cameras=())
 
     @property
     def attitudes(self) -> AttitudeSettings:

@@ -63,7 +63,11 @@ def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:
             if len(t_s) and first <= t_s.min() and t_s.max() <= last
         ]
         (by[0] if by else blind).append(strip)
-    return groups + _touching(blind, [_reach_s(_times_of_others(strip)) for strip in blind])
+    spans = []
+    for strip in blind:
+        times = np.unique(np.concatenate([np.zeros(0), *(other.t_s for other in strip.others)]))
+        spans.append(_reach_s(times if len(times) else np.unique(strip.ground.t_s)))
+    return groups + _touching(blind, spans)
 
 
 def moved_in_passes(
@@ -94,12 +98,6 @@ def _touching(strips: Sequence[StripSightings], spans: Sequence[Span]) -> list[l
         groups[-1].append(strips[n])
         end = max(end, spans[n][1])
     return groups
-
-
-def _times_of_others(strip: StripSightings) -> Floats:
-    """Instants of the other heads' attitudes; without any, those of the targets."""
-    times = np.unique(np.concatenate([np.zeros(0), *(other.t_s for other in strip.others)]))
-    return times if len(times) else np.unique(strip.ground.t_s)
 
 
 def _reach_s(times: Floats) -> Span:

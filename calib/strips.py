@@ -243,7 +243,8 @@ def prepare_strip(
         motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST
     attitude, ground = attitude_of(strip, settings, motion), strip.ground
     v_s = np.einsum("jab,jb->ja", attitude.R_si, ground.u_i)
-    move_i = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
+    move_i = attitude.R_si @ (-across / ground.range_m[:, None, None])
     by_rotation = -cross_matrices(v_s)
     late = move_i @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
     camera = np.array(
@@ -268,7 +269,7 @@ def prepare_strip(
         v_s=v_s,
         number=np.zeros(len(v_s), dtype=np.int64),
         attitude_s=by_rotation @ attitude.root_s,
-        coordinates_s=_by_coordinates(ground, attitude.R_si, move_i),
+        coordinates_s=_by_coordinates(ground, MICRORADIAN * attitude.R_si @ across, move_i),
         cov_coordinates=own,
         reference=references.name,
         reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
@@ -445,17 +446,12 @@ def _ground_axes(references: GroundReferences, R_oi: Rotation) -> Floats:
     return np.where((references.name != "")[:, None, None], references.axes_i, level)
 
 
-def _direction_by_position(ground: GroundSightings) -> Floats:
-    """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: direction by the satellite's position."""
-    u = ground.u_i
-    return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
-
-
-def _by_coordinates(ground: GroundSightings, R_si: Floats, move_i: Floats) -> Floats:
-    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units)."""
+def _by_coordinates(ground: GroundSightings, turn_i: Floats, move_i: Floats) -> Floats:
+    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units), from
+    those by directions and by positions, GCRS axes.
+    """
     change = -move_i @ earth_axes(ground.t_s)
-    across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
-    return np.asarray(np.where(ground.is_star[:, None, None], MICRORADIAN * R_si @ across, change))
+    return np.asarray(np.where(ground.is_star[:, None, None], turn_i, change))
 
 
 def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:

@@ -97,7 +97,7 @@ def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[Atti
     """Attitudes as they are if each mistake was made."""
     swapped = [
         (AttitudeFault.SCALAR_ORDER, back(Rotation.from_quat(np.roll(sense.as_quat(), shift, axis=1))))
-        for sense, back in ((R_si, _same), (R_si.inv(), Rotation.inv))
+        for sense, back in ((R_si, lambda R: R), (R_si.inv(), Rotation.inv))
         for shift in (1, -1)
     ]
     return [
@@ -106,7 +106,3 @@ def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[Atti
         (AttitudeFault.ORBITAL, R_si * R_oi),
         *swapped,
     ]
-
-
-def _same(R: Rotation) -> Rotation:
-    return R

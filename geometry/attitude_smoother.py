@@ -344,7 +344,9 @@ class SmoothedAttitude:
         cross = here @ both @ np.swapaxes(after, 1, 2)
         total = here @ self.full[k] @ np.swapaxes(here, 1, 2) + cross + np.swapaxes(cross, 1, 2)
         total += after @ self.full[k + 1] @ np.swapaxes(after, 1, 2)
-        return self._in_s(total + self._bridge(k, s, s)[:, None, None] * np.diag(self.q))
+        total += self._bridge(k, s, s)[:, None, None] * np.diag(self.q)
+        M = self.middle.as_matrix()
+        return np.asarray(M @ total @ M.T)
 
     def root_s(self, t_s: Floats) -> Floats:
         """Rotation (J, 3, n) about the axes of s, at instants (J,), by n independent errors of unit variance:
@@ -399,10 +401,6 @@ class SmoothedAttitude:
         k, here, after, _ = self._around(t_s)
         both = here[:, :, :MOTION] @ self.states[k] + after[:, :, :MOTION] @ self.states[k + 1]
         return np.asarray(self.middle.as_matrix() @ both)
-
-    def _in_s(self, covariance: Floats) -> Floats:
-        M = self.middle.as_matrix()
-        return np.asarray(M @ covariance @ M.T)
 
     def _around(self, t_s: Floats) -> tuple[Ints, Floats, Floats, Floats]:
         """Node (J,) before each instant, the shares (J, 3, D) of its state and of the next one in the

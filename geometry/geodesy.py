@@ -20,7 +20,6 @@ __all__ = [
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
-    "shell_depth_m",
     "vertical_at",
 ]
 
@@ -104,16 +103,11 @@ def columns_at_height(
     up = _vertical_columns(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
-        lower = shell_depth_m(up[2] ** 2, height, ellipsoid)
+        a, b, sin2_lat = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, up[2] ** 2
+        tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
+        lower = height * (tangent - a + (a - b) * sin2_lat) / (tangent + height)
         point += (lower / np.where(slope < 0.0, slope, np.nan)) * direction
     return point, up
-
-
-def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Array:
-    """Depth (elementwise) of the ellipsoid of semi-axes a + h, b + h below height h, m; >= 0 for h >= 0."""
-    a, b = ellipsoid.semi_major_m, ellipsoid.semi_minor_m
-    tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
-    return np.asarray(height_m * (tangent - a + (a - b) * sin2_lat) / (tangent + height_m))
 
 
 def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
