@@ -7,6 +7,7 @@ They take the place of the curve that otherwise stands for the residual distorti
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
