@@ -27,19 +27,8 @@ Array = NDArray[np.float64]
 
 
 def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Array, Array]:
-    """Geodetic coordinates of Earth-fixed points (Fukushima 2006, by ERFA).
-
-    Parameters
-    ----------
-    p_e : (..., 3) array
-        Points in frame e, m. NaN gives NaN.
-    ellipsoid : Ellipsoid
-        Reference ellipsoid, usually `WGS84`.
-
-    Returns
-    -------
-    lat_rad, lon_rad, height_m : (...) arrays
-        Geodetic latitude, longitude (-pi to pi), and height above the ellipsoid.
+    """Geodetic latitude, longitude (-pi to pi), rad, and height above the ellipsoid, m, (...) each, of points
+    (..., 3) in frame e, m (Fukushima 2006, by ERFA). NaN gives NaN.
 
     Examples
     --------

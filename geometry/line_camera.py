@@ -238,19 +238,8 @@ class LineCamera:
         return self.ccds[ccd].n_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
-        """Unit look vectors of samples of one CCD (paper, eq. 1, with lambda < 0).
-
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        sample : (N,) array
-            Fractional samples; they may lie beyond the ends of the detector.
-
-        Returns
-        -------
-        u_c : (N, 3) array
-            Unit vectors, frame c.
+        """Unit look vectors (N, 3), frame c, of samples (N,) of one CCD (paper, eq. 1, with lambda < 0);
+        fractional samples, which may lie beyond the ends of the detector. `ccd` is an index from 0.
         """
         x_f, y_f = self.ccds[ccd].focal_plane(sample).T
         u_c = np.empty((3, len(x_f)))  # components lie together in memory
