@@ -80,23 +80,13 @@ class InformationPairs:
         if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
             raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
         shared = tuple(sorted(set(self.shared) | set(other.shared)))
-        mine, theirs = self.widened(shared), other.about(self.R_cs_ref).widened(shared)
-        return InformationPairs(
-            np.concatenate([mine.names, theirs.names]),
-            np.concatenate([mine.F, theirs.F]),
-            np.concatenate([mine.F_theta, theirs.F_theta]),
-            self.R_cs_ref,
-            shared,
-            self.cameras,
-        )
+        return self.widened(shared).with_prior(other)
 
     def with_prior(self, prior: InformationPairs) -> InformationPairs:
-        """The pairs and those of `prior`, which holds none of the shared unknowns."""
-        other = prior.about(self.R_cs_ref).widened(self.shared)
-        columns = {
-            n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("names", "F", "F_theta")
-        }
-        return replace(self, **columns)
+        """The pairs and those of `prior`, which holds no other shared unknowns."""
+        both = self, prior.about(self.R_cs_ref).widened(self.shared)
+        columns = ("names", "F", "F_theta")
+        return replace(self, **{n: np.concatenate([getattr(one, n) for one in both]) for n in columns})
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
         """The information about another reference, to first order in its distance from this one."""
