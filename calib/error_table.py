@@ -28,7 +28,15 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import MODES, OF_CAMERA, Knot, knots_touched, prior_information, unknown_names
+from boresight.calib.distortion import (
+    Knot,
+    columns_of_ccds,
+    knot_weights,
+    knots_touched,
+    missed_between_knots,
+    prior_information,
+    unknown_names,
+)
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import head_names, of_heads
 from boresight.calib.interior_parameters import InteriorModel
@@ -63,20 +71,19 @@ NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedError:
-    """One row of the table: an error that moves the known directions of targets."""
+    """One row of the table: an error that moves looks and known directions of targets."""
 
     names: tuple[str, ...]  # of its n unknowns
-    columns: Callable[[PreparedStrip], Array]  # change (J, 3, n) of v_s by each
+    columns_s: Callable[[PreparedStrip], Array] | None = None  # change (J, 3, n) of v_s by each; None: none
+    columns_c: Callable[[PreparedStrip], Array] | None = None  # the same of u_c - w, frame c
 
 
 @record(kw_only=True)
 class SharedUnknowns:
     """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
 
-    knots: tuple[Knot, ...] = scalar("of the cameras' distortion: along x, then along y", default=())
-    ccds: tuple[int, ...] = scalar("CCDs with a residual distortion of their own, along x and y", default=())
-    interior: InteriorModel | None = scalar("interior orientation of the camera, if unknown", default=None)
-    errors: tuple[SharedError, ...] = scalar("all others; alignments of heads are the last", default=())
+    knots: tuple[Knot, ...] = scalar("of the cameras' distortion", default=())
+    errors: tuple[SharedError, ...] = scalar("rows of the table; alignments of heads are last", default=())
     targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
     prior_targets: Array = scalar("(3 T, 3 T) information on these", default_factory=lambda: np.zeros((0, 0)))
     references: tuple[ReferenceField, ...] = scalar("offsets of ground references", default=())
@@ -85,28 +92,26 @@ class SharedUnknowns:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in the order of the matrices."""
-        interior = self.interior.unknowns if self.interior else ()
-        of_camera = unknown_names(self.knots, self.ccds) + interior
-        return of_camera + tuple(name for error in self.errors for name in error.names)
+        return tuple(name for error in self.errors for name in error.names)
 
     def prior_information(self) -> Array:
         """Inverse prior covariance (n, n), each error in its unit."""
         return prior_of(self.names, self.prior_targets)
 
-    def distortion_of(self, camera: int) -> tuple[NDArray[np.int64], SharedUnknowns]:
-        """Numbers (m,) of the knots and CCD modes of one camera, among all of them, and these unknowns."""
-        knots = [n for n, (curve, _) in enumerate(self.knots) if curve // OF_CAMERA == camera]
-        ccds = [n for n, ccd in enumerate(self.ccds) if ccd // OF_CAMERA == camera]
-        modes = [len(self.knots) + k * len(self.ccds) + n for k in range(len(MODES)) for n in ccds]
-        own = SharedUnknowns(
-            knots=tuple(self.knots[n] for n in knots), ccds=tuple(self.ccds[n] for n in ccds)
-        )
-        return np.array([*knots, *modes], dtype=np.int64), own
-
-    def columns_s(self, strip: PreparedStrip) -> Array:
-        """Change (J, 3, T) of v_s by the unknowns of `errors`."""
+    def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
+        """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
         none = np.zeros((len(strip.ccd), 3, 0))
-        return np.concatenate([none, *(error.columns(strip) for error in self.errors)], axis=2)
+        in_c, in_s = [none], [none]
+        for error in self.errors:
+            zero = np.zeros((len(strip.ccd), 3, len(error.names)))
+            in_c.append(error.columns_c(strip) if error.columns_c else zero)
+            in_s.append(error.columns_s(strip) if error.columns_s else zero)
+        return np.concatenate(in_c, axis=2), np.concatenate(in_s, axis=2)
+
+    def missed(self, strip: PreparedStrip) -> Array:
+        """Variance (J,) of the cameras' distortion that straight lines between its knots miss, rad²."""
+        share = missed_between_knots(_weights(strip, self.knots)) if self.knots else 1.0
+        return np.asarray(strip.distortion_rad**2 * share)
 
 
 def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
@@ -166,9 +171,9 @@ def find_shared(
     fields = fields_of(strips)
     return SharedUnknowns(
         knots=tuple(sorted(knots)),
-        ccds=tuple(sorted(ccds)),
-        interior=interior,
         errors=(
+            _distortion(tuple(sorted(knots)), tuple(sorted(ccds))),
+            *([_interior(interior)] if interior else []),
             _coordinates(kept),
             *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
             _earth(earth),
@@ -247,6 +252,35 @@ def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> A
         own = np.unique(np.column_stack([strip.number, of]), axis=0, return_inverse=True)[1]
         root = np.eye(int(own.max(initial=-1)) + 1)[own]
     return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
+    def columns(strip: PreparedStrip) -> Array:
+        of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
+        along = np.column_stack([of_knots, columns_of_ccds(strip.modes_rad, strip.unit, ccds)])
+        none = np.zeros_like(along)
+        return np.stack([np.hstack([along, none]), np.hstack([none, along]), np.hstack([none, none])], axis=1)
+
+    return SharedError(unknown_names(knots, ccds), columns_c=columns)
+
+
+def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
+    """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
+    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ccd), len(knots)))
+    weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
+    return weights
+
+
+def _interior(model: InteriorModel) -> SharedError:
+    """Of the camera: looks, and delays of a CCD's rows."""
+
+    def delays(strip: PreparedStrip) -> Array:
+        return strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
+
+    def looks(strip: PreparedStrip) -> Array:
+        return -model.look_change(strip.ccd, strip.sample) @ model.basis
+
+    return SharedError(model.unknowns, delays, looks)
 
 
 def _coordinates(targets: tuple[str, ...]) -> SharedError:

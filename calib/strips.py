@@ -23,10 +23,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
-    MODES,
-    columns_of_ccds,
-    knot_weights,
-    missed_between_knots,
     residual_distortion,
     unit_numbers,
 )
@@ -125,14 +121,11 @@ class StripGroup:
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
     shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
-    targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
-    interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
-    delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
     by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
-    n_curves: int = scalar("knots and CCD modes of all cameras")
+    n_common: int = scalar("unknowns of the calibration beside theta")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
 
@@ -142,9 +135,9 @@ class GroupPart:
 
     camera: int  # number, of those that are calibrated
     targets: Ints | slice  # (I,) of J
-    curves: Ints  # (m,) knots and CCD modes of the camera, of those of all
-    looks_rad: Floats  # (S, I, m) change of the look direction by each of them
-    others: Ints  # columns of `StripGroup.targets_s`
+    columns: Ints  # (m,) of the unknowns
+    in_c: Floats  # (S, I, 3, m) change of u_c - w by each of them, frame c, rad
+    in_s: Floats  # (S, I, 3, m) change of v_s by each of them, rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,24 +316,14 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
     r = two_rows(rows @ (tangent @ difference[..., None]))
     X_q = two_rows(rows @ (tangent_s @ group.shared_s))
     told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
-    n_theta, curves = 3 * (1 if R_cs.single else len(R_cs)), group.n_curves
-    n_looks = group.interior_c.shape[3]
-    first = n_theta + 2 * curves  # of the interior's unknowns
-    n_common = first + n_looks + group.targets_s.shape[3]
-    common = []
+    n_theta, common = 3 * (1 if R_cs.single else len(R_cs)), []
+    n_common = n_theta + group.n_common
     for part in group.parts:
         at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
-        changes = [
-            near @ cross_matrices(w[:, at]),
-            _along_axes(near, part.looks_rad),
-            near @ group.interior_c[:, at] + near_s @ group.delay_s[:, at],
-            near_s @ group.targets_s[:, at][..., part.others],
-        ]
-        of_looks, of_others = first + np.arange(n_looks), first + n_looks + part.others
-        columns = [3 * part.camera + np.arange(3), n_theta + part.curves, n_theta + curves + part.curves]
+        changes = [near @ cross_matrices(w[:, at]), near @ part.in_c + near_s @ part.in_s]
         block = CommonColumns(
             targets=at,
-            columns=np.concatenate([*columns, of_looks, of_others]),
+            columns=np.concatenate([3 * part.camera + np.arange(3), n_theta + part.columns]),
             X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
         )
         if n_heads := group.by_ties.shape[2] - 1:  # the alignments of heads are the last common unknowns
@@ -370,15 +353,6 @@ def turned(C: Floats, v_s: Floats) -> Floats:
     return v_s @ C.T if C.ndim == 2 else (C @ v_s[..., None])[..., 0]
 
 
-def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
-    """Change (J, 3, I) of u_c - w by the unknowns of the interior orientation: looks, delays of rows."""
-    model = shared.interior
-    if model is None:
-        return np.zeros((len(strip.ccd), 3, 0)), np.zeros((len(strip.ccd), 3, 0))
-    looks = -model.look_change(strip.ccd, strip.sample) @ model.basis
-    return looks, strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
-
-
 def _group(
     strips: list[PreparedStrip],
     places: list[int],
@@ -387,47 +361,39 @@ def _group(
 ) -> StripGroup:
     """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
     members = [strips[n] for n in places]
-    looks, delays = zip(*(_interior(strip, shared) for strip in members))
     shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
     which = np.stack([strip.camera for strip in members])
-    targets_s = np.stack([shared.columns_s(strip) for strip in members])
-    missed, parts = np.stack([strip.distortion_rad**2 for strip in members]), []
-    for camera, at, others in _parts(which[0], targets_s, 3 * len(shared.heads)):
-        numbers, unknowns = shared.distortion_of(camera)
-        changes, shares = zip(*(_curves(strip, at, unknowns) for strip in members))
-        missed[:, at] *= np.stack(shares)
-        parts.append(GroupPart(camera, at, numbers, np.stack(changes), others))
+    in_c, in_s = (np.stack(part) for part in zip(*map(shared.columns, members)))
     return StripGroup(
         place=np.array(places),
         which=which,
         shared_s=shared_s,
         white_s=white,
-        targets_s=targets_s,
-        interior_c=np.stack(looks),
-        delay_s=np.stack(delays),
-        missed=missed,
+        missed=np.stack([shared.missed(strip) for strip in members]),
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
         by_ties=np.zeros((len(places), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
-        n_curves=len(shared.knots) + len(MODES) * len(shared.ccds),
-        parts=tuple(parts),
+        n_common=in_c.shape[3],
+        parts=tuple(_parts(which[0], in_c, in_s, 3 * len(shared.heads))),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
-def _parts(which: Ints, targets_s: Floats, n_heads: int) -> Iterator[tuple[int, Ints | slice, Ints]]:
-    """Each camera, its targets (I,) of J and the columns of `targets_s` that are not zero for all of them;
-    alignments of heads, the last, are always among them."""
-    cameras, n = np.unique(which).tolist(), targets_s.shape[3]
+def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[GroupPart]:
+    """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; alignments
+    of heads, the last, are always among them.
+    """
+    cameras, n = np.unique(which).tolist(), in_c.shape[3]
+    if len(cameras) == 1:
+        yield GroupPart(cameras[0], slice(None), np.arange(n), in_c, in_s)
+        return
     for camera in cameras:
-        if len(cameras) == 1:
-            yield camera, slice(None), np.arange(n)
-            return
         at = np.flatnonzero(which == camera)
-        moved = targets_s[:, at].any(axis=(0, 1, 2)) | (np.arange(n) >= n - n_heads)
-        yield camera, at, np.flatnonzero(moved)
+        moved = (in_c[:, at] != 0.0).any(axis=(0, 1, 2)) | (in_s[:, at] != 0.0).any(axis=(0, 1, 2))
+        columns = np.flatnonzero(moved | (np.arange(n) >= n - n_heads))
+        yield GroupPart(camera, at, columns, in_c[:, at][..., columns], in_s[:, at][..., columns])
 
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
@@ -473,27 +439,6 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
         left = strip.reference_s * field.sigma_m
         white = white + field.rest(strip)[:, None, None] * (left @ np.swapaxes(left, 1, 2))
     return own, white
-
-
-def _curves(strip: PreparedStrip, at: Ints | slice, unknowns: SharedUnknowns) -> tuple[Floats, Floats]:
-    """Change (I, m) of the look directions of some targets by each knot and CCD mode, rad, and the share (I,)
-    of the curves' variance that knots miss.
-    """
-    sigma = strip.distortion_rad[at, None]
-    curved, share = sigma[:, 0] > 0.0, np.ones_like(sigma[:, 0])
-    weights: Floats = np.zeros((len(sigma), len(unknowns.knots)))
-    if unknowns.knots:
-        places = strip.curve[at][curved], strip.place[at][curved]
-        weights[curved] = knot_weights(*places, unknowns.knots)
-        share = missed_between_knots(weights)
-    of_ccds = columns_of_ccds(strip.modes_rad[at], strip.unit[at], unknowns.ccds)
-    return np.column_stack([sigma * weights, of_ccds]), share
-
-
-def _along_axes(tangent: Floats, weights: Floats) -> Floats:
-    """Columns (S, J, 2, 2 K) of curves along x and along y of frame c."""
-    x, y = (tangent[:, :, :, axis, None] * weights[:, :, None, :] for axis in (0, 1))
-    return np.concatenate([x, y], axis=3)
 
 
 def tangent_axes(w: Floats) -> Floats:

@@ -88,7 +88,8 @@ def _rows(strip: StripSightings, probability: Floats, R_cs: Rotation, settings: 
     problem = Problem.of([prepare_strip(strip, settings)], settings)
     if not problem.groups:
         return _Rows(np.zeros((0, 3)), ())
-    linear, n = linearise(problem.groups[0], R_cs, settings), 2 * problem.groups[0].n_curves
+    linear = linearise(problem.groups[0], R_cs, settings)
+    n = sum(name.startswith("distortion/") for name in problem.shared.names)
     common = linear.along(np.eye(linear.n_common, 3 + n))[0]
     root = np.linalg.cholesky(np.linalg.inv(problem.prior_shared[:n, :n]))  # of the distortion's covariance
     weight = np.repeat(np.sqrt(probability), 2)[:, None]

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
-from boresight.calib.error_table import SharedUnknowns, of_pass
+from boresight.calib.error_table import SharedUnknowns, find_shared, of_pass
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
@@ -206,8 +206,8 @@ def test_distortion_has_the_stated_variance_between_knots_too():
     settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0)
     prepared = prepare_strip(strips_of(StripPlan(strips=1))[0], settings)
     knots = knots_touched(prepared.curve, prepared.place)
-    group = group_strips([prepared], replace(NOTHING, knots=knots), settings)[0]
-    weights = group.parts[0].looks_rad[0] @ np.linalg.cholesky(correlation(knots))
+    group = group_strips([prepared], find_shared([prepared], settings), settings)[0]
+    weights = group.parts[0].in_c[0, :, 0, : len(knots)] @ np.linalg.cholesky(correlation(knots))
     from_knots = np.sum(weights**2, axis=1)
     np.testing.assert_allclose(from_knots + group.missed[0], sigma**2, rtol=1e-9)
     # Linear interpolation over half a correlation length leaves up to an eighth of the variance.
