@@ -55,7 +55,7 @@ class Design:
     ) -> Design:
         strips = with_attitudes(strips, settings.attitudes)
         problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
-        lines = linearised(problem, estimate.R_cs, 1.0).strips
+        lines = linearised(problem, estimate.R_cs).strips
         own = block_diag(*(X @ X.T for line in lines for X in line.X_q))
         common = np.concatenate([one for line in lines for one in line.along(np.eye(line.n_common))])
         by_theta, shared = common[:, :3], common[:, 3:]

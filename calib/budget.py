@@ -80,12 +80,11 @@ def _larger(noise: Noise, names: Sequence[str]) -> Noise:
 
 def _attitudes(strip: StripSightings) -> StripSightings:
     """The strip with attitudes of larger variance, of all heads."""
-    assert strip.attitudes is not None
     others = tuple(
         replace(one, covariance_h=(1.0 + STEP) * one.covariance_h, noise=_noisier(one.noise))
         for one in strip.others
     )
-    fitted = replace(strip.attitudes, covariance_s=(1.0 + STEP) * strip.attitudes.covariance_s)
+    fitted = replace(strip.fitted, covariance_s=(1.0 + STEP) * strip.fitted.covariance_s)
     gyro = strip.gyro and replace(strip.gyro, noise=_larger(strip.gyro.noise, OF_GYRO))
     return replace(strip, attitudes=fitted, noise=_noisier(strip.noise), others=others, gyro=gyro)
 

@@ -22,7 +22,6 @@ from boresight.calib.estimate import (
     HeadInstallation,
     InstallationEstimate,
     Iteration,
-    NoiseScale,
     NotObservable,
     RejectionTest,
     TargetResiduals,
@@ -60,9 +59,9 @@ from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.calib.strips import PreparedStrip, prepare_strips
-from boresight.geometry.attitude_estimate import GROSS, trimmed_mean, with_attitudes
+from boresight.geometry.attitude_estimate import GROSS, with_attitudes
 from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import Bools, Floats, Ints
+from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import StripSightings
 
 __all__ = ["calibrate_strips", "strip_pairs"]
@@ -194,8 +193,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     R_cs = corrected(fit.step.about.R_cs, fit.step.solution.theta)
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
-    matrices, scale_s = (R_cs, R_cs0), _star_noise(strips)
-    estimate = _estimate(prepared, problem, fit, matrices, residuals, rejected, test, scale_s)
+    estimate = _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, test)
     return _with_heads(estimate, strips, problem, fit.step.solution)
 
 
@@ -210,7 +208,7 @@ def strip_pairs(
     problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, None, cameras)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
-    step = solve_weighted(problem, linearised(problem, about, 1.0), problem.inside.astype(float))
+    step = solve_weighted(problem, linearised(problem, about), problem.inside.astype(float))
     return step.pairs, problem.prior_shared
 
 
@@ -220,72 +218,37 @@ class _Fit:
     iterations: list[Iteration]
     weight: Floats  # (J,)
     rivals: dict[int, Ints]  # of targets that the search rejects or doubts
-    scale_c: tuple[float, float]  # factor of the image measurements' sigma, and its 1-sigma
-
-
-def _star_noise(strips: Sequence[StripSightings]) -> tuple[float, float]:
-    """Scale of the stars' sigma with its 1-sigma (1 and 0 unless estimated), the mean over separate fits."""
-    found = {(a.sigma_scale, a.sigma_scale_error) for a in (strip.attitudes for strip in strips) if a}
-    scale, sigma = np.array(sorted(found)).T if found else np.array([[1.0], [0.0]])
-    if len(scale) == 1 or not np.all(sigma > 0.0):
-        return float(scale[0]), float(sigma[0])
-    return float(np.average(scale, weights=sigma**-2)), float((sigma**-2).sum() ** -0.5)
 
 
 def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
     """Plain fit; then, if its residuals show gross errors, the search for them, and the fit to the rest."""
-    settings, kept, scale = problem.settings, problem.inside, (1.0, 0.0)
-    iterations: list[Iteration] = []
+    kept, iterations = problem.inside, list[Iteration]()
     weight, rivals = kept.astype(float), dict[int, Ints]()
-    step = _iterated(problem, R_cs0, weight, iterations, 1.0)
+    step = _iterated(problem, R_cs0, weight, iterations)
     R_cs = step.about.R_cs
-    if settings.robust and np.any(squared_mahalanobis(step)[kept] > GROSS):
-        R_cs, kept = refine_geman_mcclure(problem, l1_start(problem, R_cs0), iterations, 1.0)
-    for _ in range(5 if settings.estimate_noise else 1):
-        if settings.robust:
-            step = snoop(problem, linearised(problem, R_cs, scale[0], step), kept, test.limit, step)
-            kept = step.weight == 1.0
-            weight, rivals = weigh(problem, step, test.limit)
-        step = _iterated(problem, R_cs, weight, iterations, scale[0], step)
-        if settings.estimate_noise:
-            scale = _noise_scale(step, weight == 1.0, scale[0], settings)
-            step = _iterated(problem, step.about.R_cs, weight, iterations, scale[0])
-        R_cs = step.about.R_cs
-    return _Fit(step, iterations, weight, rivals, scale)
+    if problem.settings.robust:
+        if np.any(squared_mahalanobis(step)[kept] > GROSS):
+            R_cs, kept = refine_geman_mcclure(problem, l1_start(problem, R_cs0), iterations)
+        step = snoop(problem, linearised(problem, R_cs, step), kept, test.limit, step)
+        weight, rivals = weigh(problem, step, test.limit)
+    step = _iterated(problem, R_cs, weight, iterations, step)
+    return _Fit(step, iterations, weight, rivals)
 
 
 def _iterated(
-    problem: Problem,
-    R_cs: Rotation,
-    weight: Floats,
-    iterations: list[Iteration],
-    scale_c: float,
-    known: Step | None = None,
+    problem: Problem, R_cs: Rotation, weight: Floats, iterations: list[Iteration], known: Step | None = None
 ) -> Step:
     """Gauss-Newton on the weighted targets until the correction vanishes, the first step being `known` where
     that is the same; the last step, about its matrix.
     """
     settings = problem.settings
     for _ in range(settings.most_iterations):
-        step = solve_weighted(problem, linearised(problem, R_cs, scale_c, known), weight, known)
+        step = solve_weighted(problem, linearised(problem, R_cs, known), weight, known)
         iterations.append(iteration_record(step, weight))
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
         R_cs = corrected(R_cs, step.solution.theta)
     return step
-
-
-def _noise_scale(step: Step, kept: Bools, scale: float, settings: CalibrationSettings) -> tuple[float, float]:
-    """Factor of the image measurements' sigma by one step of restricted maximum likelihood; its 1-sigma."""
-    measured = scale**2 * step.measured[kept]
-    e = step.whitened[kept]
-    mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
-    found = np.einsum("na,nab,nb->", e, measured, e)
-    expected = np.einsum("nab,nba->", step.variance[kept], measured) * mean
-    product = step.variance[kept] @ measured
-    information = 0.5 * np.einsum("nab,nba->", product, product)
-    new = scale * float(np.sqrt(found / expected))
-    return new, new * 0.5 / float(np.sqrt(information))
 
 
 def _residuals(
@@ -362,7 +325,6 @@ def _estimate(
     residuals: TargetResiduals,
     rejected: tuple[Entry, ...],
     test: RejectionTest,
-    scale_s: tuple[float, float],
 ) -> InstallationEstimate:
     (R_cs, R_cs0), step, settings = matrices, fit.step, problem.settings
     carrying = [strip for strip in prepared if strip.inside.any()]
@@ -394,10 +356,8 @@ def _estimate(
         shared_values=step.solution.shared,
         shared_covariance=step.solution.covariance_all[n_theta:, n_theta:],
         theta_with_shared=step.solution.covariance_all[:n_theta, n_theta:],
-        n_targets_treated_independent=problem.shared.n_treated_independent,
         targets=residuals,
         rejection=test,
-        noise=NoiseScale(*scale_s, *fit.scale_c),
         agreement=problem.agreement,
         bias=common_bias(problem.shared.names, step.solution, settings),
         references=_offsets(problem, step.solution),

@@ -1,9 +1,7 @@
 """Errors of the satellite that last longer than a pass: position, clock and attitudes as processes in time.
 
-Where the mission states a correlation time T, the errors at two instants have the correlation
-exp(-|t - t'| / T), whatever pass the instants are of; those of the position are independent along the track,
-across it and in height, those of a head about its axes. Passes that are still correlated are eliminated
-together. Where it is not stated, an error is constant over a pass and independent from pass to pass.
+Passes within so many correlation times that an error of them is still correlated (`error_table`) are
+eliminated together; constant errors of heads, independent about their axes, are correlated from pass to pass.
 """
 
 from __future__ import annotations
@@ -17,13 +15,12 @@ from scipy import sparse
 from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip
-from boresight.geometry.record import Floats, Ints, shape_of
+from boresight.geometry.record import Floats, shape_of
 from boresight.geometry.sightings import ExposureAttitudes
 
 __all__ = ["correlated_passes"]
 
 REACH = 4.6  # correlation times between two passes from which on their correlation is below a hundredth
-NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
 
 
 def correlated_passes(
@@ -41,7 +38,7 @@ def correlated_passes(
         groups[-1].append(n)
         before = *one, max(last, before[2]) if one == before[:2] else last
     groups = sorted(sorted(group) for group in groups)
-    return [(_together([prepared[n] for n in group], settings), group) for group in groups]
+    return [(_together([prepared[n] for n in group]), group) for group in groups]
 
 
 def _shared(one: PreparedStrip) -> tuple[str, str]:
@@ -53,31 +50,20 @@ def _span_s(one: PreparedStrip) -> tuple[float, float]:
     return float(min(one.t_s, default=np.inf)), float(max(one.t_s, default=np.inf))
 
 
-def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> PreparedStrip:
+def _together(passes: list[PreparedStrip]) -> PreparedStrip:
     """Passes as one, each with attitudes of its own."""
-    if len(passes) == 1 and not (settings.position_time_s or settings.clock_time_s):
+    if len(passes) == 1:
         return passes[0]
-    number = np.repeat(np.arange(len(passes)), [len(one.t_s) for one in passes])
     columns = (f.name for f in fields(PreparedStrip) if (shape_of(f) or ("",))[0] == "J")
     joined = {
         name: np.concatenate([getattr(one, name) for one in passes])
         for name in columns
-        if name not in ("weights", "shared_s", "by_alignments_s")
+        if name not in ("number", "weights", "attitude_s", "by_alignments_s")
     }
-    t_s = joined["t_s"]
-    position = _process(settings.sigma_position_m * joined["move_s"], t_s, settings.position_time_s, number)
-    late, camera = settings.sigma_clock_s * joined["late_s"][:, :, None], joined["camera"]
-    clock = _process(late, t_s, settings.clock_time_s, number, camera)
     phi, ties = _with_lasting(
-        passes, _blocks([one.shared_s[:, :, : one.n_phi] for one in passes]), _ties(passes)
+        passes, _blocks([one.attitude_s[:, :, : one.n_phi] for one in passes]), _ties(passes)
     )
-    last = [one.unknowns.index("position/x") for one in passes]
-    motion = _blocks([one.shared_s[:, :, one.n_phi : n] for one, n in zip(passes, last)])
-    names = [name for one in passes for name in one.unknowns[: one.n_phi]]
-    names += [name for one, n in zip(passes, last) for name in one.unknowns[one.n_phi : n]]
-    names += [f"position/{n}" for n in range(position.shape[2])] + [
-        f"clock/{n}" for n in range(clock.shape[2])
-    ]
+    motion = _blocks([one.attitude_s[:, :, one.n_phi :] for one in passes])
     heads = tuple(sorted({head for one in passes for head in one.heads}))
     return replace(
         passes[0],
@@ -85,31 +71,14 @@ def _together(passes: list[PreparedStrip], settings: CalibrationSettings) -> Pre
         attitudes=ExposureAttitudes.together([one.attitudes for one in passes]),
         used=np.concatenate([one.used for one in passes]),
         weights=sparse.block_diag([one.weights for one in passes], format="csr"),
-        shared_s=np.concatenate([phi, motion, position, clock], axis=2),
-        unknowns=tuple(names),
+        number=np.repeat(np.arange(len(passes)), [len(one.t_s) for one in passes]),
+        attitude_s=np.concatenate([phi, motion], axis=2),
         ties=ties,
         lasting=(),
         heads=heads,
         by_alignments_s=np.concatenate([of_heads(p.heads, p.by_alignments_s, heads) for p in passes]),
         n_phi=phi.shape[2],
     )
-
-
-def _process(columns: Floats, t_s: Floats, time_s: float, number: Ints, of: Ints | None = None) -> Floats:
-    """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
-    instant, (J, 3, A): its M independent parts of unit variance. `number` is that of each target's pass;
-    processes of different cameras `of` are independent.
-    """
-    of = np.zeros_like(number) if of is None else of
-    if time_s:
-        alike = of[:, None] == of
-        values, vectors = np.linalg.eigh(alike * np.exp(-np.abs(t_s[:, None] - t_s) / time_s))
-        large = values > NO_EFFECT * values[-1:]
-        root = vectors[:, large] * np.sqrt(values[large])
-    else:
-        own = np.unique(np.column_stack([number, of]), axis=0, return_inverse=True)[1]
-        root = np.eye(int(own.max(initial=-1)) + 1)[own]
-    return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
 
 
 def _with_lasting(

@@ -72,7 +72,7 @@ def residual_distortion(
         curve[here] = unit_numbers(curves, camera[here])
         place[here] = places_px / model.distortion_length_px
         sigma_rad[here] = model.sigma_distortion_rad
-        if model.has_ccd_modes:
+        if model.ccd_px and any(model.sigma_ccd_rad):
             modes_rad[here] = ccd_modes(ccd, x, model.ccd_px) * model.sigma_ccd_rad
     return curve, place, sigma_rad, modes_rad
 

@@ -21,7 +21,6 @@ __all__ = [
     "HeadInstallation",
     "InstallationEstimate",
     "Iteration",
-    "NoiseScale",
     "NotObservable",
     "RejectionTest",
     "TargetResiduals",
@@ -95,16 +94,6 @@ class RejectionTest:
     probability_any: float = scalar("probability that any of all good sightings is rejected, at most")
     power: float = scalar("probability with which a bias of the stated minimal size is found")
     noncentrality: float = scalar("of the chi-square distribution that has this power")
-
-
-@record
-class NoiseScale:
-    """Factors by which residuals exceed the stated standard deviations (1, with 1-sigma 0: not asked for)."""
-
-    stars: float = scalar("factor of the stars' standard deviations")
-    stars_sigma: float = scalar("1-sigma of `stars`")
-    targets: float = scalar("factor of the image measurements' standard deviations")
-    targets_sigma: float = scalar("1-sigma of `targets`")
 
 
 @record(kw_only=True)
@@ -184,12 +173,8 @@ class InstallationEstimate:
     shared_values: Floats = array("G", "the shared unknowns as estimated")
     shared_covariance: Floats = array("G, G", "their covariance")
     theta_with_shared: Floats = array("T, G", "covariance of theta with them")
-    n_targets_treated_independent: int = scalar(
-        "targets seen in several strips whose coordinate errors were taken as independent in each"
-    )
     targets: TargetResiduals = scalar("residuals of all targets")
     rejection: RejectionTest = scalar("how targets were tested")
-    noise: NoiseScale = scalar("noise as the residuals show it")
     agreement: HeadAgreement = scalar("of the heads with one another")
     bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
     references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")

@@ -12,10 +12,6 @@ __all__ = ["MOST_WORDS", "Finding"]
 MOST_WORDS = 30  # of cause, item and text together
 
 
-def _unknown() -> Floats:
-    return np.full(3, np.nan)
-
-
 @record(kw_only=True)
 class Finding:
     """One cause, told once, however many observations it explains."""
@@ -31,7 +27,7 @@ class Finding:
     refutes: bool = scalar("the matrix is not to be used", default=False)
     is_fault: bool = scalar("an input is probably wrong; otherwise the data are only weak", default=True)
     effect_rad: Floats = array(
-        "T", "by how much it moves theta, axes of c; NaN: unknown", default_factory=_unknown
+        "T", "by how much it moves theta, axes of c; NaN: unknown", default_factory=lambda: np.full(3, np.nan)
     )
     effect_sigma: float = scalar("the same in 1-sigma of theta; NaN: unknown", default=np.nan)
     p_value: float = scalar("probability of as much where nothing is wrong; NaN: not a test", default=np.nan)

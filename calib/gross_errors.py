@@ -1,26 +1,19 @@
 """Search for gross errors among the targets: a robust start, data snooping, and its separability.
 
-Data snooping (Baarda 1968; Teunissen, Testing Theory, 2006) tests one target at a time. For target j, with
-residual e_j and covariance Q_j of that residual,
-
-    T_j = e_jᵀ Q_j⁻¹ e_j,    chi-square of 2 degrees of freedom if its measurement is good,
-
-is the decrease of chi2 when the target is rejected and, computed without it, the increase when it is
-re-admitted. Rejecting where T_j exceeds the limit k and re-admitting where it does not therefore minimises
+Data snooping (Baarda 1968; Teunissen, Testing Theory, 2006) tests one target at a time. With its residual e_j
+of covariance Q_j, T_j = e_jᵀ Q_j⁻¹ e_j is chi-square of 2 degrees of freedom if target j is good: the
+decrease of chi2 when it is rejected and, computed without it, the increase when it is re-admitted. The search
+minimises
 
     chi2(kept targets) + k * (number of rejected targets)                                           (1)
 
-one step at a time; a rejected target may also be exchanged for another. Only steps that decrease (1) are
-taken, so no set of targets occurs twice and the search ends, whatever the order of the targets and the
-iteration limits of the estimate.
+by steps that decrease it, k being the limit of T_j, and so ends, whatever the order of the targets.
 
-Residuals of targets that rest on the same star exposures are correlated, and an error of one may look like an
-error of the other (Foerstner 1983: separability). With a rejected target re-admitted, T_j - T_i is twice the
-logarithm of the likelihood ratio of "j is wrong" to "i is wrong", each with the error that fits best; targets
-i that it does not rule out are j's rivals. Of a poorly controlled target, larger and more errors fit. So the
-likelihood is integrated over the error: with its information N_i (rad⁻²), one density of errors for all
-targets, as of wrong matches in a search window (Torr & Zisserman 2000), and equal chances beforehand, target
-i is the wrong one with probability
+An error of one target may look like one of another (Foerstner 1983: separability). With a rejected target
+re-admitted, T_j - T_i is twice the logarithm of the likelihood ratio of "j is wrong" to "i is wrong", each
+with the error that fits best; targets i that it does not rule out are j's rivals. With the likelihood
+integrated over the error, of information N_i (rad⁻²) and one density for all targets (Torr & Zisserman 2000),
+target i is the wrong one with probability
 
     p_i = z_i / sum_k z_k,    z_i = exp(T_i / 2) / sqrt(det N_i),    k over j and its rivals.           (2)
 
@@ -207,18 +200,18 @@ def _l1(u_c: Floats, v_s: Floats, R_cs: Rotation) -> Rotation:
 
 
 def refine_geman_mcclure(
-    problem: Problem, R_cs: Rotation, iterations: list[Iteration], scale_c: float
+    problem: Problem, R_cs: Rotation, iterations: list[Iteration]
 ) -> tuple[Rotation, Bools]:
     """Matrix by Geman and McClure's weights, and the targets (J,) of more than a quarter of full weight.
 
     The weights' scale halves until it is three sigma, so that the minimum found is that near `R_cs`.
     """
-    about = linearised(problem, R_cs, scale_c)
+    about = linearised(problem, R_cs)
     at_start = np.linalg.norm(np.concatenate([line.r.reshape(-1, 2) for line in about.strips]), axis=1)
     scale = max(3.0, 3.0 * float(np.median(at_start[problem.inside])))
     weight = problem.inside * (1.0 + (at_start / scale) ** 2) ** -2.0
     for _ in range(40):
-        step = solve_weighted(problem, linearised(problem, R_cs, scale_c), weight)
+        step = solve_weighted(problem, linearised(problem, R_cs), weight)
         iterations.append(iteration_record(step, weight))
         R_cs = corrected(R_cs, step.solution.theta)
         scale, before = max(3.0, 0.5 * scale), weight

@@ -80,12 +80,10 @@ def measured_alignment(strips: Sequence[StripSightings], head: str) -> Rotation:
 
 def _differences(strip: StripSightings, other: HeadAttitudes, R_sh: Rotation) -> Floats:
     """Rotations (L, 3) from the reference head's attitudes to those of another head between them."""
-    assert strip.attitudes is not None
-    used = strip.attitudes.usable
-    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
+    times, R_si, R_oi, _ = strip.usable()
     if len(times) < 2 or not ((rows := (other.t_s >= times[0]) & (other.t_s <= times[-1])).any()):
         return np.zeros((0, 3))
-    D = Rotation.from_matrix(strip.attitudes.R_si[used]) * strip.R_oi_exposures[used].inv()
+    D = R_si * R_oi.inv()
     middle = D[len(D) // 2]
     turns = linear_weights(times, other.t_s[rows]) @ (D * middle.inv()).as_rotvec()
     here = Rotation.from_rotvec(turns) * middle * other.R_oi[rows]

@@ -22,7 +22,16 @@ from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
-__all__ = ["USUAL", "Hypothesis", "HypothesisInputs", "HypothesisTable", "hypotheses", "vector_hypotheses"]
+__all__ = [
+    "POSITION",
+    "STABILITY",
+    "USUAL",
+    "Hypothesis",
+    "HypothesisInputs",
+    "HypothesisTable",
+    "hypotheses",
+    "vector_hypotheses",
+]
 
 MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
@@ -74,6 +83,11 @@ ERRORS: dict[str, ErrorKind] = {
     "origin of the look vectors": ("″", 1.0, 1.0, "w_c", "", SIZES),
 }
 ABOUT_AXES = ("about x of c", "about y of c", "about z of c")
+ABOUT_TRACK = (
+    "across the track",
+    "along the track",
+    "about the line of sight",
+)  # the same; y is a clock, too
 # Lines from which on lines may be missing: of all strips together, of a strip, of one CCD in a strip.
 MOST_BREAKS, OF_STRIP, OF_CCD = 300, 33, 3
 MOST_JUMPS = 12  # passes from which on the mounting may have moved
@@ -188,7 +202,10 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
     found += _of_datum(of)
     if len(of.prepared) > 1:
-        found += [*_of_attitude(of), *_of_season(of), *_of_mounting(of), *_of_images(of)]
+        found += _in_each(_passes(of), _turns(of, "attitude or mounting", ABOUT_TRACK))
+        found += _of_season(of)
+        found += _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
+        found += _of_images(of)
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
@@ -366,17 +383,6 @@ def _breaks(line: Floats, most: int) -> list[float]:
 
 
 # --- Attitudes and mounting
-
-
-def _of_attitude(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Attitude of a pass about the axes of c; about y it is its clock, too."""
-    axes = ("across the track", "along the track", "about the line of sight")
-    yield from _in_each(_passes(of), _turns(of, "attitude or mounting", axes))
-
-
-def _of_mounting(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """A jump of the mounting from one pass to the next, which stays."""
-    yield from _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
 
 
 def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:

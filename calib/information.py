@@ -80,27 +80,18 @@ class InformationPairs:
         if twice := sorted(set(self.names.tolist()) & set(other.names.tolist())):
             raise ValueError(f"{len(twice)} names are in both sets of pairs, first {twice[0]!r}")
         shared = tuple(sorted(set(self.shared) | set(other.shared)))
-        mine, theirs = self.widened(shared), other.about(self.R_cs_ref).widened(shared)
-        return InformationPairs(
-            np.concatenate([mine.names, theirs.names]),
-            np.concatenate([mine.F, theirs.F]),
-            np.concatenate([mine.F_theta, theirs.F_theta]),
-            self.R_cs_ref,
-            shared,
-            self.cameras,
-        )
+        return self.widened(shared).with_prior(other)
 
     def with_prior(self, prior: InformationPairs) -> InformationPairs:
-        """The pairs and those of `prior`, which holds none of the shared unknowns."""
-        other = prior.about(self.R_cs_ref).widened(self.shared)
-        columns = {
-            n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("names", "F", "F_theta")
-        }
-        return replace(self, **columns)
+        """The pairs and those of `prior`, which holds no other shared unknowns."""
+        both = self, prior.about(self.R_cs_ref).widened(self.shared)
+        columns = ("names", "F", "F_theta")
+        return replace(self, **{n: np.concatenate([getattr(one, n) for one in both]) for n in columns})
 
     def about(self, R_cs_ref: Rotation) -> InformationPairs:
         """The information about another reference, to first order in its distance from this one."""
-        if _same_reference(self.R_cs_ref, R_cs_ref):
+        # The last bit may be lost each time a quaternion is normalised.
+        if np.allclose(self.R_cs_ref.as_quat(), R_cs_ref.as_quat(), rtol=0.0, atol=5e-16):
             return self
         shift = np.zeros(self.F.shape[-1])
         shift[: self.n_theta] = theta_of(self.R_cs_ref, R_cs_ref)
@@ -289,8 +280,3 @@ def _number_names(unknowns: Sequence[str], cameras: Sequence[str]) -> list[str]:
 def _of(camera: str, part: str | int) -> str:
     """Name of an unknown, or a number, of one of several cameras; a single camera has no name."""
     return f"camera/{camera}/{part}" if camera else str(part)
-
-
-def _same_reference(a: Rotation, b: Rotation) -> bool:
-    """Equal but for the last bit, which a quaternion may lose each time it is normalised."""
-    return bool(np.allclose(a.as_quat(), b.as_quat(), rtol=0.0, atol=5e-16))

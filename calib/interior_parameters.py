@@ -27,7 +27,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag
 
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
 
 __all__ = ["Gauge", "InteriorModel", "InteriorPriors"]
 
@@ -50,11 +50,7 @@ class InteriorPriors:
     stagger_s: float = 0.0  # delay of a CCD's rows against their time
 
     def __post_init__(self) -> None:
-        for name in ("focal", "shift_px", "rotation_rad", "scale", "curve_px", "curve_length_px"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        if not self.stagger_s >= 0.0:
-            raise ValueError(f"stagger_s must be zero or positive, got {self.stagger_s}")
+        check_numbers(self, zero=("stagger_s",))
 
 
 @record

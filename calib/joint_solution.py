@@ -15,13 +15,13 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
+from boresight.calib.error_table import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import alignment_columns
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 
@@ -130,7 +130,6 @@ class Linearised:
 
     R_cs: Rotation
     strips: list[LinearStrips]  # one a group
-    scale_c: float = 1.0  # factor of the image measurements' standard deviations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,11 +156,6 @@ class Step:
         return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.about.strips])
 
     @property
-    def measured(self) -> Floats:
-        """Part (J, 2, 2) of the whitened noise that the image measurement makes."""
-        return np.concatenate([line.measured.reshape(-1, 2, 2) for line in self.about.strips])
-
-    @property
     def residual_c(self) -> Floats:
         """Residuals (J, 2) along x and y of frame c, rad."""
         return np.asarray(np.linalg.solve(self.whitener, self.whitened[:, :, None])[:, :, 0])
@@ -177,14 +171,11 @@ class Step:
         return np.sqrt(np.diag(self.solution.covariance))
 
 
-def linearised(problem: Problem, R_cs: Rotation, scale_c: float, known: Step | None = None) -> Linearised:
-    """The problem about `R_cs`, that of the solution `known` where it is the same; `scale_c` is a factor of
-    the image measurements' standard deviations.
-    """
-    if known and known.about.R_cs is R_cs and known.about.scale_c == scale_c:
+def linearised(problem: Problem, R_cs: Rotation, known: Step | None = None) -> Linearised:
+    """The problem about `R_cs`, that of the solution `known` where it is the same."""
+    if known and known.about.R_cs is R_cs:
         return known.about
-    strips = [linearise(group, R_cs, problem.settings, scale_c) for group in problem.groups]
-    return Linearised(R_cs, strips, scale_c)
+    return Linearised(R_cs, [linearise(group, R_cs, problem.settings) for group in problem.groups])
 
 
 def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: Step | None = None) -> Step:

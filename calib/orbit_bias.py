@@ -9,13 +9,16 @@ right of it, upwards, m; and of the instants of the rows, s.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import Solution
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.record import Floats, array, record
+
+if TYPE_CHECKING:
+    from boresight.calib.strips import PreparedStrip
 
 __all__ = ["BIASES", "CommonBias", "bias_columns", "bias_prior", "common_bias"]
 
@@ -51,15 +54,10 @@ class CommonBias:
         return [f"{name} {scale * b:+.3g} ± {scale * s:.2g} {of}" for name, b, s, (of, scale) in rows]
 
 
-def bias_columns(move_s: Floats, R_oi: Rotation, clock: Floats, sigma_m: float) -> Floats:
-    """Change (J, 3, 4) of targets' directions, frame s, by each of `BIASES` in units of the stated errors.
-
-    `move_s` (J, 3, 3) is their change by the satellite's true position, GCRS axes, 1/m, `clock` (J, 3) that
-    by the rows' true instant in units of its stated error, `R_oi` the orbital frame of each target.
-    """
-    along, right, down = np.moveaxis(R_oi.inv().as_matrix(), 2, 0)
-    by_position = -sigma_m * (move_s @ np.stack([along, right, -down], axis=2))
-    return np.concatenate([by_position, -clock[:, :, None]], axis=2)
+def bias_columns(strip: PreparedStrip, settings: CalibrationSettings) -> Floats:
+    """Change (J, 3, 4) of v_s by each of `BIASES` in units of the stated errors."""
+    by_position = -settings.sigma_position_m * (strip.move_s * [1.0, 1.0, -1.0])
+    return np.concatenate([by_position, -settings.sigma_clock_s * strip.late_s[:, :, None]], axis=2)
 
 
 def bias_prior(names: Sequence[str]) -> Floats:

@@ -47,8 +47,7 @@ class PassAttitude:
     R_si: Floats = array("J, 3, 3", "GCRS to frame s; the identity where they do not")
     rate_s: Floats = array("3", "mean rotation rate of the sky in frame s, rad/s")
     root_s: Floats = array("J, 3, P", "rotation about the axes of s by unknowns of unit variance, rad")
-    names: tuple[str, ...] = array("P", "of these unknowns")
-    n_phi: int = scalar("of them, the first, that the rows of heads tell of")
+    n_phi: int = scalar("how many of them, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
     weights: Floats = array("J, U", "by which a rotation of the exposures rotates it; dense or sparse")
     heads: tuple[str, ...] = scalar("heads whose alignments change it")
@@ -80,18 +79,8 @@ def attitude_of(
     return _smoothed(strip, settings, motion)
 
 
-def _used(strip: StripSightings) -> tuple[Floats, Rotation, Rotation, Floats]:
-    """Instants, attitudes R_si and R_oi, and covariances of the usable exposures."""
-    attitudes = strip.attitudes
-    assert attitudes is not None
-    used = attitudes.usable
-    times = np.array([exposure.t_s for exposure in strip.exposures])[used]
-    R_si = Rotation.from_matrix(attitudes.R_si[used]) if used.any() else Rotation.identity(0)
-    return times, R_si, strip.R_oi_exposures[used], attitudes.covariance_s[used]
-
-
 def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion) -> PassAttitude:
-    times, R_si, R_oi, own_s = _used(strip)
+    times, R_si, R_oi, own_s = strip.usable()
     nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
     t_s, K = strip.ground.t_s, len(nodes.t_s)
     inside = _covered(nodes.t_s, t_s)
@@ -110,8 +99,6 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
     root = np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K)
     between = _by_motion(motion, nodes.t_s, t_s, weights, inside)
     moved = (np.eye(3)[:, None, :] * between[:, None, :, None]).reshape(len(t_s), 3, -1)
-    names = [f"phi/{k}/{axis}" for k in range(K) for axis in "xyz"] + [one.name for one in lasting]
-    motions = [f"motion/{m}/{axis}" for m in range(between.shape[1]) for axis in "xyz"]
     return PassAttitude(
         inside=inside,
         R_si=R_si_targets,
@@ -119,8 +106,7 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
         root_s=np.concatenate(
             [np.tensordot(weights, root, axes=1), inside[:, None, None] * constant, moved], axis=2
         ),
-        names=(*names, *motions),
-        n_phi=len(names),
+        n_phi=3 * K + len(lasting),
         lasting=lasting,
         weights=weights @ nodes.share,
         heads=(),
@@ -154,21 +140,19 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     constant = block_diag(*(columns for _, columns, _ in parts))
     lasting = tuple(one for *_, errors in parts for one in errors)
     is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
-    n, m = root.shape[2], constant.shape[1]
     tie = HeadTie(
         heads=tuple(filter(None, heads)),
         r=r,
-        by_phi=np.column_stack([np.zeros((len(r), n)), T @ constant]),
+        by_phi=np.column_stack([np.zeros((len(r), root.shape[2])), T @ constant]),
         by_alpha=-T[:, is_known],
         dof=dof,
     )
     return PassAttitude(
         inside=inside,
         R_si=R_si,
-        rate_s=_rotation_rate(times, rows[0].R_so * _used(strip)[2]),
+        rate_s=_rotation_rate(times, rows[0].R_so * strip.usable()[2]),
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
-        names=(*(f"attitude/{k}" for k in range(n)), *(f"{one.head}/{one.name}" for one in lasting)),
-        n_phi=n + m,
+        n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
         weights=linear_weights(times, t_s, inside),
         heads=tie.heads,
@@ -188,7 +172,7 @@ def _here(t_s: Floats, times: Floats) -> Bools:
 
 def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> list[HeadRows]:
     """Rows of the head that carries a strip, and of all others that have some between them."""
-    times, R_si, R_oi, covariance_s = _used(strip)
+    times, R_si, R_oi, covariance_s = strip.usable()
     vibration = settings.sigma_vibration_exposure_rad**2 * np.eye(3)
     first = HeadRows(
         t_s=times, R_so=R_si * R_oi.inv(), covariance_s=covariance_s + vibration, noise=strip.noise

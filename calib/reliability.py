@@ -36,7 +36,15 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.gross_errors import noncentrality_of
 from boresight.calib.heads import aligned, carried
-from boresight.calib.hypotheses import USUAL, Hypothesis, HypothesisInputs, HypothesisTable, hypotheses
+from boresight.calib.hypotheses import (
+    POSITION,
+    STABILITY,
+    USUAL,
+    Hypothesis,
+    HypothesisInputs,
+    HypothesisTable,
+    hypotheses,
+)
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,
@@ -261,19 +269,18 @@ def examine(
     passes = passes_of(with_attitudes(strips, settings.attitudes))
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
     names = estimate.cameras
-    pixels = [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names]
-    usual = {
-        "mounting_arcsec": settings.sigma_mounting_rad / ARCSEC,
-        "position_m": max(USUAL["position_m"], settings.sigma_position_m),
-    }
     stated = {
+        "pixel_rad": [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
         "inputs": moved,
         "pivots": pivots,
         "target_files": target_files,
         "cameras": names,
-        "usual": usual,
+        "usual": {
+            STABILITY: settings.sigma_mounting_rad / ARCSEC,
+            POSITION: max(USUAL[POSITION], settings.sigma_position_m),
+        },
     }
-    one = _adjustment(estimate, passes, settings, star_camera, table_of, pixel_rad=pixels, **stated)
+    one = _adjustment(estimate, passes, settings, star_camera, table_of, **stated)
     tests = _tests(one, limits)
     findings, chosen, last, noise = _causes(one, tests, limits)
     suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
@@ -297,7 +304,7 @@ def _adjustment(
     prepared = prepare_strips(strips, settings, estimate.cameras)
     problem = Problem.of(prepared, settings, None, estimate.cameras, estimate.prior)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
-    about = linearised(problem, estimate.R_cs, 1.0)
+    about = linearised(problem, estimate.R_cs)
     found = estimate.targets
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))

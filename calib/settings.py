@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, fields
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
@@ -35,16 +34,13 @@ class CalibrationSettings:
     sigma_ccd_slope_rad: float = 0.0  # its linear part, rms over it: rotation (along x), scale (along y),
     sigma_ccd_bend_rad: float = 0.0  # and its quadratic part, rms over the CCD
     ccd_px: tuple[int, ...] = ()  # samples of each CCD; none: CCDs have no residual of their own
-    distortion_scope: Literal["camera", "strip"] = "camera"  # one curve for all strips, or each its own
     sigma_mounting_rad: float = (
         10.0 * ARCSEC
     )  # about each axis, between strips: weighs causes, moves no matrix
-    use_target_sigma: bool = True  # the targets' own coordinate errors (cov_target_i)
     most_shared_targets: int = 100  # seen in several strips as one point each; the rest as many points
     probability_false_alarm: float = 1e-3  # of rejecting a good star or target
     robust: bool = True  # look for gross errors at all
     fewest_stars: int = 3  # an exposure with fewer is not used: nothing checks its attitude
-    estimate_noise: bool = False  # scale the sigmas of star and target positions by what the residuals show
     sigma_observable_rad: float = 1e-3  # a ground measurement is better; a weaker direction gets no number
     of_cameras: tuple[tuple[str, CalibrationSettings], ...] = ()  # by name, of those with other distortions
     tolerance_rad: float = 1e-11  # M -> I: 2e-6 arcsec
@@ -61,47 +57,22 @@ class CalibrationSettings:
         return self.sigma_ccd_shift_rad, self.sigma_ccd_slope_rad, self.sigma_ccd_bend_rad
 
     @property
-    def has_ccd_modes(self) -> bool:
-        """Whether the CCDs have residual distortions of their own."""
-        return bool(self.ccd_px) and any(self.sigma_ccd_rad)
-
-    @property
-    def without_distortion(self) -> CalibrationSettings:
-        """Settings for a camera that leaves no distortion."""
-        return replace(self, sigma_distortion_rad=0.0, ccd_px=(), of_cameras=())
-
-    @property
     def attitudes(self) -> AttitudeSettings:
         """How the attitudes of the star exposures are fitted."""
         return AttitudeSettings(
             robust=self.robust,
             probability_false_alarm=self.probability_false_alarm,
             fewest_stars=self.fewest_stars,
-            estimate_noise=self.estimate_noise,
         )
 
     def __post_init__(self) -> None:
-        for name in (
-            "sigma_position_m",
-            "position_time_s",
-            "sigma_clock_s",
-            "clock_time_s",
-            "sigma_vibration_rad",
-            "sigma_vibration_exposure_rad",
-            "sigma_motion_rad",
-            "sigma_distortion_rad",
-            "sigma_mounting_rad",
-            "distortion_pixel_rad",
-            "sigma_ccd_shift_rad",
-            "sigma_ccd_slope_rad",
-            "sigma_ccd_bend_rad",
-        ):
+        sigmas = [field.name for field in fields(self) if field.name.startswith("sigma_")]
+        for name in (*sigmas, "position_time_s", "clock_time_s", "distortion_pixel_rad"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
-        if not self.motion_time_s > 0.0:
-            raise ValueError(f"motion_time_s must be positive, got {self.motion_time_s}")
-        if not self.distortion_length_px > 0.0:
-            raise ValueError(f"distortion_length_px must be positive, got {self.distortion_length_px}")
+        for name in ("motion_time_s", "distortion_length_px"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
         if any(samples < 2 for samples in self.ccd_px):
             raise ValueError(f"ccd_px must be 2 or more for every CCD, got {self.ccd_px}")
         if not 0.0 < self.probability_false_alarm < 0.5:

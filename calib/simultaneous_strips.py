@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.calib.moved_input import MovedInput
 from boresight.geometry.attitude import ConstantRate
@@ -51,8 +50,8 @@ def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:
     groups: list[list[StripSightings]] = []
     for carrier in sorted({strip.carrier for strip in strips}):
         seen = [strip for strip in strips if strip.exposures and strip.carrier == carrier]
-        groups += _touching(seen, [_reach_s(_times(strip)) for strip in seen])
-    covered = [_reach_s(np.unique(np.concatenate([_times(one) for one in group]))) for group in groups]
+        groups += _touching(seen, [_reach_s(strip.times_s) for strip in seen])
+    covered = [_reach_s(np.unique(np.concatenate([one.times_s for one in group]))) for group in groups]
     blind: list[StripSightings] = []
     for strip in strips:
         if strip.exposures:
@@ -64,7 +63,11 @@ def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:
             if len(t_s) and first <= t_s.min() and t_s.max() <= last
         ]
         (by[0] if by else blind).append(strip)
-    return groups + _touching(blind, [_reach_s(_times_of_others(strip)) for strip in blind])
+    spans = []
+    for strip in blind:
+        times = np.unique(np.concatenate([np.zeros(0), *(other.t_s for other in strip.others)]))
+        spans.append(_reach_s(times if len(times) else np.unique(strip.ground.t_s)))
+    return groups + _touching(blind, spans)
 
 
 def moved_in_passes(
@@ -80,7 +83,7 @@ def moved_in_passes(
             directions[one.strip_id] = np.concatenate(own)
         if any(strip.strip_id in turns for strip in members):
             own = [turns.get(s.strip_id, np.zeros((len(s.exposures), 3))) for s in members]
-            rows = _first_of_each(np.concatenate([_times(strip) for strip in members]))
+            rows = _first_of_each(np.concatenate([strip.times_s for strip in members]))
             turns[one.strip_id] = np.concatenate(own)[rows]
     return replace(moved, directions_i=directions, turns_s=turns)
 
@@ -95,16 +98,6 @@ def _touching(strips: Sequence[StripSightings], spans: Sequence[Span]) -> list[l
         groups[-1].append(strips[n])
         end = max(end, spans[n][1])
     return groups
-
-
-def _times(strip: StripSightings) -> Floats:
-    return np.array([exposure.t_s for exposure in strip.exposures])
-
-
-def _times_of_others(strip: StripSightings) -> Floats:
-    """Instants of the other heads' attitudes; without any, those of the targets."""
-    times = np.unique(np.concatenate([np.zeros(0), *(other.t_s for other in strip.others)]))
-    return times if len(times) else np.unique(strip.ground.t_s)
 
 
 def _reach_s(times: Floats) -> Span:
@@ -130,34 +123,28 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         ground=GroundSightings.together([strip.ground for strip in strips]),
         R_oi_exposures=rotations_together([strip.R_oi_exposures for strip in strips])[rows],
         R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
-        attitudes=ExposureAttitudes.together([_attitudes(strip) for strip in strips]).take(rows),
+        attitudes=ExposureAttitudes.together([strip.fitted for strip in strips]).take(rows),
         others=tuple(_record_of(head, strips) for head in heads),
         gyro=_gyro_of(strips),
         joined=tuple(part for strip in strips for part in strip.parts),
     )
-    same = all(np.array_equal(_times(strip), _times(strips[0])) for strip in strips)
+    same = all(np.array_equal(strip.times_s, strips[0].times_s) for strip in strips)
     return found if same or not found.ground.is_star.all() else _about_one_motion(found)
 
 
 def _about_one_motion(scan: StripSightings) -> StripSightings:
     """A scan of the sky, whose nominal motion was that of each piece, about one motion."""
-    times, attitudes = _times(scan), _attitudes(scan)
-    rows = np.flatnonzero(attitudes.usable)
-    if len(rows) < 2:
+    times, R_si, _, _ = scan.usable()
+    if len(times) < 2:
         return scan
-    motion = ConstantRate.fitted(times[rows], Rotation.from_matrix(attitudes.R_si[rows]))
+    motion = ConstantRate.fitted(times, R_si)
     return replace(
         scan,
-        R_oi_exposures=motion.R_oi(times),
+        R_oi_exposures=motion.R_oi(scan.times_s),
         R_oi_targets=motion.R_oi(scan.ground.t_s),
         others=tuple(replace(one, R_oi=motion.R_oi(one.t_s)) for one in scan.others),
         gyro=scan.gyro and replace(scan.gyro, R_oi=motion.R_oi(scan.gyro.t_s)),
     )
-
-
-def _attitudes(strip: StripSightings) -> ExposureAttitudes:
-    assert strip.attitudes is not None
-    return strip.attitudes
 
 
 def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:

@@ -7,15 +7,12 @@ motion, t_j the instant of a target and t_k those of the exposures, interpolatio
 
     e_j = x(t_j) - sum_k w_jk x(t_k),     cov e = K_tt - W K_nt - K_tn Wᵀ + W K_nn Wᵀ,
 
-nothing where exposures are dense, as large as the motion itself between two exposures that are several T
-apart. Errors of targets that are near in time are alike and do not average.
-
-The mission states the size of a and T (`CalibrationSettings`). Where a strip has three exposures or more,
-they show how the attitude leaves a straight line: a and T are then averaged over their posterior given the
-exposures of all strips, with a log-normal prior about the stated values. Attitudes that scatter more than
-stated, from one exposure to the next, are not motion: the grid has a factor of the stated noise as well, so
-that their residuals stay too large and are reported. Two exposures show no motion; then the stated values
-hold as they are.
+nothing where exposures are dense. The mission states the size of a and T (`CalibrationSettings`). Where a
+strip has three exposures or more, they show how the attitude leaves a straight line: a and T are then
+averaged over their posterior given the exposures of all strips, with a log-normal prior about the stated
+values. Attitudes that scatter more than stated, from one exposure to the next, are not motion: the grid has a
+factor of the stated noise as well, so that their residuals stay too large and are reported. Two exposures
+show no motion; then the stated values hold as they are.
 """
 
 from __future__ import annotations
@@ -23,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
@@ -110,15 +106,9 @@ def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -
 
 def _nodes_of(strip: StripSightings) -> tuple[InterpolationNodes, Floats]:
     """Nodes of the strip's usable exposures, `MOST_EXPOSURES` at most, and their covariances."""
-    attitudes = strip.attitudes
-    assert attitudes is not None
-    used = np.flatnonzero(attitudes.usable)[:MOST_EXPOSURES]
-    nodes = InterpolationNodes.of_exposures(
-        np.array([strip.exposures[k].t_s for k in used]),
-        Rotation.from_matrix(attitudes.R_si[used]) if len(used) else Rotation.identity(0),
-        strip.R_oi_exposures[used],
-    )
-    return nodes, nodes.covariance(attitudes.covariance_s[used])
+    times, R_si, R_oi, covariance_s = (part[:MOST_EXPOSURES] for part in strip.usable())
+    nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
+    return nodes, nodes.covariance(covariance_s)
 
 
 def _log_likelihood(strip: StripSightings, amplitudes: Floats, times_s: Floats) -> Floats:

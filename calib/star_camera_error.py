@@ -93,8 +93,7 @@ class _Stars:
 
 
 def _stars(strip: StripSightings, camera: StarCamera) -> _Stars:
-    attitudes, exposures = strip.attitudes, strip.exposures
-    assert attitudes is not None
+    attitudes, exposures = strip.fitted, strip.exposures
     counts = np.diff(attitudes.start)
     u = np.concatenate([np.zeros((0, 3)), *(one.u_s for one in exposures)])
     u_i = np.concatenate([np.zeros((0, 3)), *(one.u_i for one in exposures)])

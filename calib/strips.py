@@ -3,46 +3,39 @@
 Each target of a line scanner has its own instant t_j. The star camera's attitude there is interpolated
 between the exposures' attitudes (relative to the nominal motion, Lagrange weights w_jk), and the exposures'
 errors phi_k stay unknowns: the residual of a target sees theta - sum w_jk phi_k (notes/estimation.md; phi
-right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands
-beside the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion,
-coordinates of a target seen twice. A star in a strip that scans the sky is a target without position error,
-whose coordinates are its direction, in µrad. For all of them, with whitened residuals
-r = X_theta theta + X_q q + noise,
+right-handed, theta with the paper's sign, hence the minus). What else targets of a strip share stands beside
+the phi_k, every unknown scaled to unit prior variance: position error, clock offset, distortion, coordinates
+of a target seen twice. A star in a strip that scans the sky is a target, too. For all of them, with whitened
+residuals r = X_theta theta + X_q q + noise,
 
     F = X_thetaᵀ X_theta - X_thetaᵀ X_q (I + X_qᵀ X_q)⁻¹ X_qᵀ X_theta,    F theta likewise with r.
 
-A prior of zero makes a column of zeros: the error is off. Preparing does not need the installation matrix
-and is done once. Strips with equal numbers of exposures, targets and unknowns are reduced together.
+Preparing does not need the installation matrix and is done once. Strips with equal numbers of exposures,
+targets and unknowns are reduced together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
-    MODES,
-    columns_of_ccds,
-    correlation,
-    knot_weights,
-    missed_between_knots,
     residual_distortion,
     unit_numbers,
 )
-from boresight.calib.heads import HeadTie, alignment_columns
-from boresight.calib.orbit_bias import bias_columns
-from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
-from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import (
+from boresight.calib.error_table import (
     MICRORADIAN,
     SharedUnknowns,
     coordinate_covariance,
     earth_axes,
-    find_shared,
+    of_pass,
 )
+from boresight.calib.heads import HeadTie, alignment_columns
+from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
+from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
@@ -87,13 +80,12 @@ class PreparedStrip:
     cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by that attitude")
-    shared_s: Floats = array("J, 3, N", "change of v_s by each unknown in units of its prior sigma, rad")
-    unknowns: tuple[str, ...] = array("N", "names of the columns of shared_s")
+    number: Ints = array("J", "which pass of those that are eliminated together")
+    attitude_s: Floats = array("J, 3, N", "change of v_s by unknowns of the attitude, 1-sigma each, rad")
     coordinates_s: Floats = array(
         "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
-    bias_s: Floats = array("J, 3, 4", "change of v_s by `orbit_bias.BIASES`, zero of stars by the orbit's")
     reference: Texts = array("J", "ground reference of each target; empty: none")
     reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
     reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
@@ -101,15 +93,14 @@ class PreparedStrip:
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
-    move_s: Floats = array(
-        "J, 3, 3", "change of v_s by the satellite's true position along the track, to the right, down, 1/m"
-    )
+    move_i: Floats = array("J, 3, 3", "change of v_s by the satellite's true position, GCRS axes, 1/m")
+    move_s: Floats = array("J, 3, 3", "the same by its true position along the track, to the right, down")
     ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their alignments")
     heads: tuple[str, ...] = scalar("heads whose alignments change the attitude at the targets")
     by_alignments_s: Floats = array("J, 3, A", "change of v_s by these alignments, three each")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
-    n_phi: int = scalar("attitude unknowns, the first of `unknowns`")
+    n_phi: int = scalar("how many of these, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
 
     @property
@@ -128,17 +119,13 @@ class StripGroup:
     u_c: Floats = array("S, J, 3", "as in `PreparedStrip`")
     cov_c: Floats = array("S, J, 3, 3", "as in `PreparedStrip`")
     v_s: Floats = array("S, J, 3", "as in `PreparedStrip`")
-    shared_s: Floats = array("S, J, 3, N", "... and the coordinates of targets seen twice in the strip")
+    shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
-    targets_s: Floats = array("S, J, 3, T", "change of v_s by coordinates and biases that other strips share")
-    interior_c: Floats = array("S, J, 3, I", "change of u_c - w by the interior orientation, frame c, rad")
-    delay_s: Floats = array("S, J, 3, I", "the same by the delay of a CCD's rows, frame s, rad")
-    own: Floats = array("S, J, M", "the same for the strip's own distortion, whitened")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
     ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
     by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
-    n_curves: int = scalar("knots and CCD modes of all cameras")
+    n_common: int = scalar("unknowns of the calibration beside theta")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
 
@@ -148,9 +135,9 @@ class GroupPart:
 
     camera: int  # number, of those that are calibrated
     targets: Ints | slice  # (I,) of J
-    curves: Ints  # (m,) knots and CCD modes of the camera, of those of all
-    looks_rad: Floats  # (S, I, m) change of the look direction by each of them
-    others: Ints  # columns of `StripGroup.targets_s`
+    columns: Ints  # (m,) of the unknowns
+    in_c: Floats  # (S, I, 3, m) change of u_c - w by each of them, frame c, rad
+    in_s: Floats  # (S, I, 3, m) change of v_s by each of them, rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +171,6 @@ class LinearStrips:
     n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
-    measured: Floats  # (S, J, 2, 2) part of the whitened noise that the image measurement makes
     tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
     tie_common: Floats  # (S, h, 3 C + g)
     tie_q: Floats  # (S, h, n)
@@ -248,18 +234,15 @@ def prepare_strip(
     strip = with_attitudes([strip], settings.attitudes)[0]
     if motion is None:
         motion = smoothed_motion([strip], settings) if is_smoothed(strip) else AT_REST
-    attitude, ground, attitudes = attitude_of(strip, settings, motion), strip.ground, strip.attitudes
-    assert attitudes is not None
+    attitude, ground = attitude_of(strip, settings, motion), strip.ground
     v_s = np.einsum("jab,jb->ja", attitude.R_si, ground.u_i)
-    move_s = attitude.R_si @ _direction_by_position(ground)  # (J, 3, 3) per metre
+    across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
+    move_i = attitude.R_si @ (-across / ground.range_m[:, None, None])
     by_rotation = -cross_matrices(v_s)
-    position = move_s * settings.sigma_position_m
-    late = move_s @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
+    late = move_i @ ground.v_rel_i[:, :, None] + np.cross(attitude.rate_s, v_s)[:, :, None]
     camera = np.array(
         [cameras.index(name) if cameras[1:] else 0 for name in strip.camera_of_target.tolist()], int
     )
-    clock = late * settings.sigma_clock_s
-    clocks = clock * (camera[:, None] == np.unique(camera))[:, None, :]
     own = coordinate_covariance(ground.cov_target_i, ground.t_s, ground.u_i, ground.is_star)
     references = ground.referenced()
     models = [settings.of(name) for name in cameras]
@@ -267,8 +250,8 @@ def prepare_strip(
     return PreparedStrip(
         strip_id=strip.strip_id,
         strip=strip.strip_of_target,
-        attitudes=attitudes,
-        used=attitudes.usable,
+        attitudes=strip.fitted,
+        used=strip.fitted.usable,
         camera=camera,
         sample=ground.xy_px[:, 0],
         line=ground.xy_px[:, 1],
@@ -277,19 +260,19 @@ def prepare_strip(
         distortion_rad=distortion_rad,
         modes_rad=modes_rad,
         v_s=v_s,
-        shared_s=np.concatenate([by_rotation @ attitude.root_s, position, clocks], axis=2),
-        unknowns=(*attitude.names, *(f"position/{axis}" for axis in "xyz"), *["clock"] * clocks.shape[2]),
-        coordinates_s=_by_coordinates(ground, attitude.R_si, move_s),
-        cov_coordinates=own * settings.use_target_sigma,
-        bias_s=bias_columns(move_s, strip.R_oi_targets, clock[:, :, 0], settings.sigma_position_m),
+        number=np.zeros(len(v_s), dtype=np.int64),
+        attitude_s=by_rotation @ attitude.root_s,
+        coordinates_s=_by_coordinates(ground, MICRORADIAN * attitude.R_si @ across, move_i),
+        cov_coordinates=own,
         reference=references.name,
-        reference_s=-move_s @ _ground_axes(references, strip.R_oi_targets),
+        reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
         reference_sigma_m=references.sigma_m,
         reference_place=references.place,
         earth_s=attitude.R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
-        move_s=move_s @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
+        move_i=move_i,
+        move_s=move_i @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         by_alignments_s=by_rotation @ attitude.by_alignments,
         carrier=strip.carrier,
         **{name: getattr(ground, name) for name in OF_GROUND},
@@ -302,60 +285,45 @@ def group_strips(
 ) -> list[StripGroup]:
     """Groups of strips of equal shape, in order of first occurrence, without strips of no covered target."""
     shapes: dict[tuple[int, ...], list[int]] = {}
+    columns: dict[int, tuple[Floats, Floats]] = {}
     for place, strip in enumerate(strips):
         if not strip.inside.any():
             continue
-        own = _own(strip, settings)
-        n = 2 * len(own.knots) + 6 * len(own.ccds) + 3 * len(_seen_again(strip, shared))
         h = sum(len(tie.r) for tie in strip.ties)
-        size = strip.n_phi, strip.shared_s.shape[2]
-        shapes.setdefault((*size, *strip.camera.tolist(), n, h), []).append(place)
-    return [_group(strips, np.array(places), shared, settings) for places in shapes.values()]
+        again, white = _coordinates(strip, shared)
+        columns[place] = np.concatenate([strip.attitude_s, of_pass(strip, settings), again], axis=2), white
+        size = strip.n_phi, columns[place][0].shape[2]
+        shapes.setdefault((*size, *strip.camera.tolist(), h), []).append(place)
+    return [_group(strips, places, columns, shared) for places in shapes.values()]
 
 
-def linearise(
-    group: StripGroup, R_cs: Rotation, settings: CalibrationSettings, scale_c: float = 1.0
-) -> LinearStrips:
-    """Whitened residuals and their derivatives about `R_cs`; rows of zeros for targets not covered.
-
-    `scale_c` is a factor of the image measurements' standard deviations.
-    """
+def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) -> LinearStrips:
+    """Whitened residuals and their derivatives about `R_cs`; rows of zeros for targets not covered."""
     C, S = matrix_of_each(R_cs, group.which), len(group.place)
     w = turned(C, group.v_s)  # (S, J, 3)
     tangent = tangent_axes(w)  # (S, J, 2, 3)
     difference = group.u_c - w
-    measurement = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
     tangent_s = tangent @ C
-    white = scale_c**2 * measurement + tangent_s @ group.white_s @ np.swapaxes(tangent_s, 2, 3)
+    white = tangent @ group.cov_c @ np.swapaxes(tangent, 2, 3)
+    white = white + tangent_s @ group.white_s @ np.swapaxes(tangent_s, 2, 3)
     white = white + (settings.sigma_vibration_rad**2 + group.missed)[:, :, None, None] * np.eye(2)
     whitener = _inverse_cholesky_2x2(white)
     rows = whitener * group.inside[:, :, None, None]
-    own = _along_axes(tangent, group.own)
 
     def two_rows(part: Floats) -> Floats:
         return np.asarray(part.reshape(S, 2 * part.shape[1], part.shape[-1]))
 
     r = two_rows(rows @ (tangent @ difference[..., None]))
-    X_q = two_rows(rows @ np.concatenate([tangent_s @ group.shared_s, own], axis=3))
+    X_q = two_rows(rows @ (tangent_s @ group.shared_s))
     told = X_q[:, :, : group.by_ties.shape[1]] @ group.by_ties
-    n_theta, curves = 3 * (1 if R_cs.single else len(R_cs)), group.n_curves
-    n_looks = group.interior_c.shape[3]
-    first = n_theta + 2 * curves  # of the interior's unknowns
-    n_common = first + n_looks + group.targets_s.shape[3]
-    common = []
+    n_theta, common = 3 * (1 if R_cs.single else len(R_cs)), []
+    n_common = n_theta + group.n_common
     for part in group.parts:
         at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
-        changes = [
-            near @ cross_matrices(w[:, at]),
-            _along_axes(near, part.looks_rad),
-            near @ group.interior_c[:, at] + near_s @ group.delay_s[:, at],
-            near_s @ group.targets_s[:, at][..., part.others],
-        ]
-        of_looks, of_others = first + np.arange(n_looks), first + n_looks + part.others
-        columns = [3 * part.camera + np.arange(3), n_theta + part.curves, n_theta + curves + part.curves]
+        changes = [near @ cross_matrices(w[:, at]), near @ part.in_c + near_s @ part.in_s]
         block = CommonColumns(
             targets=at,
-            columns=np.concatenate([*columns, of_looks, of_others]),
+            columns=np.concatenate([3 * part.camera + np.arange(3), n_theta + part.columns]),
             X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
         )
         if n_heads := group.by_ties.shape[2] - 1:  # the alignments of heads are the last common unknowns
@@ -369,7 +337,6 @@ def linearise(
         n_common=n_common,
         X_q=X_q,
         whitener=whitener,
-        measured=whitener @ measurement @ np.swapaxes(whitener, 2, 3),
         tie_r=group.ties[:, :, -1],
         tie_common=np.concatenate([np.zeros((S, h, unseen)), by_heads], axis=2),
         tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
@@ -386,63 +353,47 @@ def turned(C: Floats, v_s: Floats) -> Floats:
     return v_s @ C.T if C.ndim == 2 else (C @ v_s[..., None])[..., 0]
 
 
-def _interior(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
-    """Change (J, 3, I) of u_c - w by the unknowns of the interior orientation: looks, delays of rows."""
-    model = shared.interior
-    if model is None:
-        return np.zeros((len(strip.ccd), 3, 0)), np.zeros((len(strip.ccd), 3, 0))
-    looks = -model.look_change(strip.ccd, strip.sample) @ model.basis
-    return looks, strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
-
-
 def _group(
-    strips: list[PreparedStrip], place: Ints, shared: SharedUnknowns, settings: CalibrationSettings
+    strips: list[PreparedStrip],
+    places: list[int],
+    columns: dict[int, tuple[Floats, Floats]],
+    shared: SharedUnknowns,
 ) -> StripGroup:
-    members = [strips[n] for n in place]
-    looks, delays = zip(*(_interior(strip, shared) for strip in members))
-    again, white = zip(*(_coordinates(strip, shared) for strip in members))
+    """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
+    members = [strips[n] for n in places]
+    shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
     names = ("inside", "u_c", "cov_c", "v_s")
     n_phi = members[0].n_phi
-    shared_s = np.stack([np.concatenate([strip.shared_s, two], axis=2) for strip, two in zip(members, again)])
     which = np.stack([strip.camera for strip in members])
-    targets_s = np.stack([shared.columns_s(strip) for strip in members])
-    own, own_shares = zip(*(_own_curves(strip, settings) for strip in members))
-    missed, parts = np.stack([strip.distortion_rad**2 for strip in members]) * np.stack(own_shares), []
-    for camera, at, others in _parts(which[0], targets_s, 3 * len(shared.heads)):
-        numbers, unknowns = shared.distortion_of(camera)
-        changes, shares = zip(*(_curves(strip, at, unknowns) for strip in members))
-        missed[:, at] *= np.stack(shares)
-        parts.append(GroupPart(camera, at, numbers, np.stack(changes), others))
+    in_c, in_s = (np.stack(part) for part in zip(*map(shared.columns, members)))
     return StripGroup(
-        place=place,
+        place=np.array(places),
         which=which,
         shared_s=shared_s,
-        white_s=np.stack(white),
-        targets_s=targets_s,
-        interior_c=np.stack(looks),
-        delay_s=np.stack(delays),
-        own=np.stack(own),
-        missed=missed,
+        white_s=white,
+        missed=np.stack([shared.missed(strip) for strip in members]),
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
-        by_ties=np.zeros((len(place), shared_s.shape[3], 3 * len(shared.heads) + 1)),
+        by_ties=np.zeros((len(places), shared_s.shape[3], 3 * len(shared.heads) + 1)),
         n_phi=n_phi,
-        n_curves=len(shared.knots) + len(MODES) * len(shared.ccds),
-        parts=tuple(parts),
+        n_common=in_c.shape[3],
+        parts=tuple(_parts(which[0], in_c, in_s, 3 * len(shared.heads))),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
-def _parts(which: Ints, targets_s: Floats, n_heads: int) -> Iterator[tuple[int, Ints | slice, Ints]]:
-    """Each camera, its targets (I,) of J and the columns of `targets_s` that are not zero for all of them;
-    alignments of heads, the last, are always among them."""
-    cameras, n = np.unique(which).tolist(), targets_s.shape[3]
+def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[GroupPart]:
+    """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; alignments
+    of heads, the last, are always among them.
+    """
+    cameras, n = np.unique(which).tolist(), in_c.shape[3]
+    if len(cameras) == 1:
+        yield GroupPart(cameras[0], slice(None), np.arange(n), in_c, in_s)
+        return
     for camera in cameras:
-        if len(cameras) == 1:
-            yield camera, slice(None), np.arange(n)
-            return
         at = np.flatnonzero(which == camera)
-        moved = targets_s[:, at].any(axis=(0, 1, 2)) | (np.arange(n) >= n - n_heads)
-        yield camera, at, np.flatnonzero(moved)
+        moved = (in_c[:, at] != 0.0).any(axis=(0, 1, 2)) | (in_s[:, at] != 0.0).any(axis=(0, 1, 2))
+        columns = np.flatnonzero(moved | (np.arange(n) >= n - n_heads))
+        yield GroupPart(camera, at, columns, in_c[:, at][..., columns], in_s[:, at][..., columns])
 
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
@@ -461,23 +412,12 @@ def _ground_axes(references: GroundReferences, R_oi: Rotation) -> Floats:
     return np.where((references.name != "")[:, None, None], references.axes_i, level)
 
 
-def _direction_by_position(ground: GroundSightings) -> Floats:
-    """d u_i / d p_i = -(I - u uᵀ) / range, (J, 3, 3) 1/m: direction by the satellite's position."""
-    u = ground.u_i
-    return -(np.eye(3) - u[:, :, None] * u[:, None, :]) / ground.range_m[:, None, None]
-
-
-def _by_coordinates(ground: GroundSightings, R_si: Floats, move_s: Floats) -> Floats:
-    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units)."""
-    change = -move_s @ earth_axes(ground.t_s)
-    across = np.eye(3) - ground.u_i[:, :, None] * ground.u_i[:, None, :]
-    return np.asarray(np.where(ground.is_star[:, None, None], MICRORADIAN * R_si @ across, change))
-
-
-def _seen_again(strip: PreparedStrip, shared: SharedUnknowns) -> list[str]:
-    """Targets that this strip alone sees, more than once: of the same points, on two CCDs."""
-    ids, count = np.unique(strip.target_id, return_counts=True)
-    return [str(name) for name in ids[count > 1] if str(name) not in shared.targets]
+def _by_coordinates(ground: GroundSightings, turn_i: Floats, move_i: Floats) -> Floats:
+    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units), from
+    those by directions and by positions, GCRS axes.
+    """
+    change = -move_i @ earth_axes(ground.t_s)
+    return np.asarray(np.where(ground.is_star[:, None, None], turn_i, change))
 
 
 def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:
@@ -486,7 +426,8 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
-    again = _seen_again(strip, shared)
+    ids, count = np.unique(strip.target_id, return_counts=True)
+    again = [name for name in ids[count > 1].tolist() if name not in shared.targets]
     own = np.zeros((len(move), 3, 3 * len(again)))
     white[np.isin(strip.target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):
@@ -498,43 +439,6 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
         left = strip.reference_s * field.sigma_m
         white = white + field.rest(strip)[:, None, None] * (left @ np.swapaxes(left, 1, 2))
     return own, white
-
-
-def _own(strip: PreparedStrip, settings: CalibrationSettings) -> SharedUnknowns:
-    """Unknowns of the distortion that the strip has for itself."""
-    if settings.distortion_scope == "camera":
-        return find_shared([], settings)
-    return find_shared([strip], replace(settings, distortion_scope="camera"))
-
-
-def _own_curves(strip: PreparedStrip, settings: CalibrationSettings) -> tuple[Floats, Floats]:
-    """What `_curves` gives of the strip's own unknowns, whitened."""
-    unknowns = _own(strip, settings)
-    columns, share = _curves(strip, slice(None), unknowns)
-    if K := len(unknowns.knots):
-        columns[:, :K] = columns[:, :K] @ np.linalg.cholesky(correlation(unknowns.knots))
-    return columns, share
-
-
-def _curves(strip: PreparedStrip, at: Ints | slice, unknowns: SharedUnknowns) -> tuple[Floats, Floats]:
-    """Change (I, m) of the look directions of some targets by each knot and CCD mode, rad, and the share (I,)
-    of the curves' variance that knots miss.
-    """
-    sigma = strip.distortion_rad[at, None]
-    curved, share = sigma[:, 0] > 0.0, np.ones_like(sigma[:, 0])
-    weights: Floats = np.zeros((len(sigma), len(unknowns.knots)))
-    if unknowns.knots:
-        places = strip.curve[at][curved], strip.place[at][curved]
-        weights[curved] = knot_weights(*places, unknowns.knots)
-        share = missed_between_knots(weights)
-    of_ccds = columns_of_ccds(strip.modes_rad[at], strip.unit[at], unknowns.ccds)
-    return np.column_stack([sigma * weights, of_ccds]), share
-
-
-def _along_axes(tangent: Floats, weights: Floats) -> Floats:
-    """Columns (S, J, 2, 2 K) of curves along x and along y of frame c."""
-    x, y = (tangent[:, :, :, axis, None] * weights[:, :, None, :] for axis in (0, 1))
-    return np.concatenate([x, y], axis=3)
 
 
 def tangent_axes(w: Floats) -> Floats:

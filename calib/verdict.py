@@ -249,12 +249,11 @@ def assess(
     checks. `target_files` are those with the coordinates of the targets, as findings name them.
     """
     settings = settings or VerdictSettings()
-    residuals = (
-        (CheckKind.STAR_RESIDUALS, estimate.chi2_stars, estimate.dof_stars),
-        (CheckKind.TARGET_RESIDUALS, estimate.chi2, estimate.dof),
-    )
-    found = [_residuals(*one, settings) for one in residuals]
-    found += _shares(estimate, settings)
+    found = [
+        _residuals(CheckKind.STAR_RESIDUALS, estimate.chi2_stars, estimate.dof_stars, settings),
+        _residuals(CheckKind.TARGET_RESIDUALS, estimate.chi2, estimate.dof, settings),
+        *_shares(estimate, settings),
+    ]
     heads, between = _between_heads(estimate.agreement, settings), _between_strips(estimate, settings)
     causes, of_bias = (reliability.findings, reliability.of_bias) if reliability else ((), ())
     # A head that moves, and a cause that refutes, set the strips against one another.
@@ -368,21 +367,17 @@ def _too_large(
 
 def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
     """Counts of rejected stars and targets against the tolerated shares."""
-    checks = []
-    for kind, reason, kept, share in (
-        (CheckKind.STARS_REJECTED, Reason.STAR_RESIDUAL, estimate.n_stars, settings.share_stars_rejected),
-        (
-            CheckKind.TARGETS_REJECTED,
-            Reason.TARGET_RESIDUAL,
-            estimate.n_targets,
-            settings.share_targets_rejected,
-        ),
-    ):
+
+    def of(kind: CheckKind, reason: Reason, kept: int, share: float) -> Check:
         rejected = sum(entry.reason is reason for entry in estimate.rejected)
         n = kept + rejected
-        p_value = float(bdtrc(rejected - 1, n, share))
-        checks.append(_check(kind, rejected, share * n, n, p_value, settings))
-    return checks
+        return _check(kind, rejected, share * n, n, float(bdtrc(rejected - 1, n, share)), settings)
+
+    of_stars, of_targets = settings.share_stars_rejected, settings.share_targets_rejected
+    return [
+        of(CheckKind.STARS_REJECTED, Reason.STAR_RESIDUAL, estimate.n_stars, of_stars),
+        of(CheckKind.TARGETS_REJECTED, Reason.TARGET_RESIDUAL, estimate.n_targets, of_targets),
+    ]
 
 
 def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:

@@ -31,7 +31,6 @@ __all__ = [
     "InterpolationNodes",
     "NominalMotion",
     "interpolation_weights",
-    "lagrange_weights",
     "linear_weights",
 ]
 
@@ -87,20 +86,13 @@ class ConstantRate:
         return Rotation.from_rotvec(-self.omega_o * (t - self.t_s)[:, None]) * self.R_oi_reference
 
 
-def lagrange_weights(t_nodes: ArrayLike, t: ArrayLike, points: int = 4) -> Array:
+def interpolation_weights(
+    t_nodes: ArrayLike, t: ArrayLike, interpolation: Interpolation = "lagrange", points: int = 4
+) -> Array:
     """Weights (J, K) by which values at nodes (K,) give values at instants (J,); each row sums to 1.
 
-    Lagrange polynomials through the `points` nodes around each instant (all nodes if fewer), at the ends
+    "lagrange": polynomials through the `points` nodes around each instant (all nodes if fewer), at the ends
     through the outermost ones. Raises `ValueError` for an instant more than half a step outside the nodes.
-    """
-    return interpolation_weights(t_nodes, t, "lagrange", points)
-
-
-def interpolation_weights(
-    t_nodes: ArrayLike, t: ArrayLike, interpolation: Interpolation, points: int = 4
-) -> Array:
-    """Weights (J, K) as those of `lagrange_weights`, for a named way of interpolation.
-
     "taylor" is that of the reference software of Sentinel-2: value, rate and acceleration, at the nearest
     node k, of the polynomial of degree 7 through the nodes k - 4 ... k + 3, expanded to second order. The
     result jumps halfway between nodes. With fewer than 8 nodes it is "lagrange" of `points`.

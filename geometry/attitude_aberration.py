@@ -36,18 +36,10 @@ def with_all_aberration(
 ) -> Rotation:
     """Attitudes (N,) as if the head had used apparent directions with annual and orbital aberration.
 
-    Parameters
-    ----------
-    R_si : Rotation
-        (N,) GCRS to star camera as the head reports it.
-    removed : "none", "annual" or "annual and orbital"
-        Aberration that the head has allowed for.
-    epoch, t_s : Epoch, (N,) array
-        Instants, TAI seconds since `epoch`.
-    v_i : (N, 3) array
-        Geocentric velocity of the satellite, GCRS, m/s.
-    line_of_sight_s : (3,) array
-        Unit vector along the middle of the head's field of view, axes of the head's attitudes.
+    `R_si` (N,), GCRS to star camera, is what the head reports at instants `t_s` (N,), TAI seconds since
+    `epoch`, having allowed for the aberration `removed`; `v_i` (N, 3) is the geocentric velocity of the
+    satellite, GCRS, m/s, and `line_of_sight_s` (3,) the unit vector along the middle of the head's field of
+    view, axes of its attitudes.
     """
     if removed == "annual and orbital":
         return R_si

@@ -55,16 +55,9 @@ class AttitudeFinding:
 def find_attitude_fault(t_s: Floats, R_si: Rotation, R_cs: Rotation, orbit: Orbit) -> AttitudeFinding | None:
     """The mistake that attitudes during strips show, or None.
 
-    Parameters
-    ----------
-    t_s : (K,) array
-        Instants within strips, TAI seconds since the orbit's epoch, in order.
-    R_si : Rotation
-        (K,) GCRS to star camera, as the file is understood.
-    R_cs : Rotation
-        Installation matrix as measured before launch; milliradians do not matter.
-    orbit : Orbit
-        Trajectory that covers the instants.
+    `R_si` (K,) are GCRS to star camera, as the file is understood, at instants `t_s` (K,) within strips, TAI
+    seconds since the orbit's epoch, in order; `R_cs` is the installation matrix as measured before launch:
+    milliradians do not matter. `orbit` covers the instants.
     """
     later = np.searchsorted(t_s, t_s + BASELINE_S[0])
     first = np.flatnonzero(later < len(t_s))
@@ -104,7 +97,7 @@ def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[Atti
     """Attitudes as they are if each mistake was made."""
     swapped = [
         (AttitudeFault.SCALAR_ORDER, back(Rotation.from_quat(np.roll(sense.as_quat(), shift, axis=1))))
-        for sense, back in ((R_si, _same), (R_si.inv(), Rotation.inv))
+        for sense, back in ((R_si, lambda R: R), (R_si.inv(), Rotation.inv))
         for shift in (1, -1)
     ]
     return [
@@ -113,7 +106,3 @@ def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[Atti
         (AttitudeFault.ORBITAL, R_si * R_oi),
         *swapped,
     ]
-
-
-def _same(R: Rotation) -> Rotation:
-    return R

@@ -36,7 +36,6 @@ __all__ = [
     "fit_attitudes",
     "fit_exposures",
     "sums_over",
-    "trimmed_mean",
     "wahba_matrices",
     "wahba_rotation",
     "with_attitudes",
@@ -56,43 +55,21 @@ class AttitudeSettings:
     robust: bool = True  # reject outliers at all
     probability_false_alarm: float = 1e-3  # of rejecting a star whose stated covariance holds
     fewest_stars: int = 3  # an exposure with fewer kept stars is not usable: nothing checks its attitude
-    estimate_noise: bool = False  # scale the stars' sigmas by what the residuals of all exposures show
 
 
 def fit_exposures(
     exposures: Sequence[StarSightings], settings: AttitudeSettings = AttitudeSettings()
 ) -> ExposureAttitudes:
-    """Attitudes of K exposures from their stars; with `estimate_noise` also the scale of the stars' sigmas.
+    """Attitudes of K exposures from their stars, `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
 
-    Parameters
-    ----------
-    exposures : sequence of StarSightings
-        K exposures; `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
-    settings : AttitudeSettings
-        Rejection of outlying stars.
-
-    Returns
-    -------
-    ExposureAttitudes
-        R_si (K, 3, 3), covariances (K, 3, 3) in rad² about the axes of s, and the stars that were kept. An
-        exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
+    An exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
     """
     start = np.cumsum([0, *(len(exposure.hip) for exposure in exposures)])
     none = np.zeros((0, 3))
     u_s = np.concatenate([none, *(exposure.u_s for exposure in exposures)])
     u_i = np.concatenate([none, *(exposure.u_i for exposure in exposures)])
     cov_s = np.concatenate([np.zeros((0, 3, 3)), *(exposure.cov_s for exposure in exposures)])
-    fit = fit_attitudes(u_s, u_i, cov_s, start, settings)
-    if not settings.estimate_noise or not len(u_s):
-        return fit
-    scale = float(np.sqrt(np.median(fit.squared_mahalanobis) / chdtri(2, 0.5)))  # robust start
-    mean = trimmed_mean(settings.probability_false_alarm) if settings.robust else 1.0
-    for _ in range(4):
-        fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
-        dof = int(fit.dof[fit.usable].sum())
-        scale *= float(np.sqrt(fit.chi2[fit.usable].sum() / (dof * mean)))
-    fit = fit_attitudes(u_s, u_i, scale**2 * cov_s, start, settings)
-    return replace(fit, sigma_scale=scale, sigma_scale_error=scale / np.sqrt(2.0 * dof))
+    return fit_attitudes(u_s, u_i, cov_s, start, settings)
 
 
 def with_attitudes(
@@ -115,11 +92,7 @@ def with_attitudes(
 
 
 def fit_attitudes(
-    u_s: Floats,
-    u_i: Floats,
-    cov_s: Floats,
-    start: Ints,
-    settings: AttitudeSettings = AttitudeSettings(),
+    u_s: Floats, u_i: Floats, cov_s: Floats, start: Ints, settings: AttitudeSettings = AttitudeSettings()
 ) -> ExposureAttitudes:
     """Maximum-likelihood attitude of each exposure, outlying stars rejected.
 
@@ -127,19 +100,9 @@ def fit_attitudes(
     beyond the chi-square limit are rejected, and the others are fitted with their full weight until the set
     of kept stars no longer changes, so that the covariance is that of least squares.
 
-    Parameters
-    ----------
-    u_s, u_i : (N, 3) array
-        Measured unit vectors, star-camera axes, and apparent catalogue directions, GCRS axes.
-    cov_s : (N, 3, 3) array
-        Covariance of `u_s`, rad², star-camera axes.
-    start : (K + 1,) array of int
-        Exposure k has the rows start[k]:start[k+1]; it may have none.
-
-    Returns
-    -------
-    ExposureAttitudes
-        An exposure whose kept stars do not fix its attitude has `usable` False; nothing is raised.
+    `u_s` (N, 3) are measured unit vectors, star-camera axes, with covariances `cov_s` (N, 3, 3), rad², `u_i`
+    (N, 3) apparent catalogue directions, GCRS axes; exposure k has the rows start[k]:start[k+1], perhaps
+    none. One whose kept stars do not fix its attitude has `usable` False; nothing is raised.
     """
     information = information_of_directions(u_s, cov_s)
     variance = 0.5 * np.trace(cov_s, axis1=1, axis2=2)
@@ -223,11 +186,6 @@ def sums_over(start: Ints, values: NDArray[Any]) -> NDArray[Any]:
     if len(full):
         out[full] = np.add.reduceat(values, start[full], axis=0)
     return out
-
-
-def trimmed_mean(probability: float) -> float:
-    """Mean of a chi-square of two degrees of freedom, over 2, without its upper tail of this probability."""
-    return float(1.0 + probability * np.log(probability) / (1.0 - probability))
 
 
 def _robust_start(u_s: Floats, u_i: Floats, variance: Floats, start: Ints) -> Floats:

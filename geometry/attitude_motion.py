@@ -73,23 +73,20 @@ class Stretch:
 
     def log_likelihoods(self) -> Floats:
         """(3, F) about each axis with errors larger by each of the `FACTORS`, the motion as fits best."""
-        every = []
+        return np.array([fit.max(axis=(1, 2)) for fit in self._fits(self.sizes)])
+
+    def _fits(self, sizes: Floats) -> Iterator[Floats]:
+        """Of each axis the logarithm of the likelihood (F, A, S) by factors, sizes (A,) and shapes."""
         for (variance, modes), y in zip(self._modes(), self.turns.T):
-            of_mode = FACTORS[:, None, None, None] ** 2 + self.sizes[:, None, None] ** 2 * variance
-            fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
-            every.append(fit.max(axis=(1, 2)))
-        return np.array(every)
+            of_mode = FACTORS[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
+            yield -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
 
     def smooth_fit(self) -> tuple[float, float]:
         """Logarithm of the likelihood with a motion as fits best, and without any; errors about each axis are
         as stated or larger.
         """
-        best, none, sizes = 0.0, 0.0, np.concatenate([[0.0], SIZES])
-        for (variance, modes), y in zip(self._modes(), self.turns.T):
-            of_mode = FACTORS[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
-            fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
-            best, none = best + float(fit.max()), none + float(fit[:, 0].max())
-        return best, none
+        fits = list(self._fits(np.concatenate([[0.0], SIZES])))
+        return sum(float(fit.max()) for fit in fits), sum(float(fit[:, 0].max()) for fit in fits)
 
     def gains_without(self) -> Floats:
         """(K,) by how much the attitudes are likelier, as a logarithm, if one row says nothing."""

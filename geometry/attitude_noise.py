@@ -105,8 +105,5 @@ class AttitudeNoise:
 
 # Attitudes without any noise: white, correlated or constant.
 NO_NOISE = AttitudeNoise(
-    white_rad=np.zeros(3),
-    correlated_rad=np.zeros(3),
-    correlation_time_s=np.ones(3),
-    constant_rad=np.zeros(3),
+    white_rad=np.zeros(3), correlated_rad=np.zeros(3), correlation_time_s=np.ones(3), constant_rad=np.zeros(3)
 )

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import factorial
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
@@ -191,17 +190,16 @@ def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
 
 
 # Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
-_RISES = np.array([factorial(ORDER - 1 - n) for n in range(ORDER)], dtype=float)
-_POWER = 2 * ORDER - 1 - np.add.outer(np.arange(ORDER), np.arange(ORDER))
-COVARIANCE = 1.0 / (_POWER * np.outer(_RISES, _RISES))
+_POWER = np.array([[3, 2], [2, 1]])
+COVARIANCE = 1.0 / _POWER
 INVERSE = np.linalg.inv(COVARIANCE)
 
 
 def _step(dt: Floats) -> Floats:
     """(N, ORDER, ORDER) by which x and v become those `dt` (N,) later."""
-    ahead = np.arange(ORDER) - np.arange(ORDER)[:, None]
-    shares = np.array([[1.0 / factorial(n) if n >= 0 else 0.0 for n in row] for row in ahead.tolist()])
-    return np.asarray(shares * dt[:, None, None] ** np.maximum(ahead, 0))
+    step = np.tile(np.eye(ORDER), (len(dt), 1, 1))
+    step[:, 0, 1] = dt
+    return step
 
 
 def _spread(dt: Floats, of_second: Floats, sign: float = 1.0) -> Floats:
@@ -346,7 +344,9 @@ class SmoothedAttitude:
         cross = here @ both @ np.swapaxes(after, 1, 2)
         total = here @ self.full[k] @ np.swapaxes(here, 1, 2) + cross + np.swapaxes(cross, 1, 2)
         total += after @ self.full[k + 1] @ np.swapaxes(after, 1, 2)
-        return self._in_s(total + self._bridge(k, s, s)[:, None, None] * np.diag(self.q))
+        total += self._bridge(k, s, s)[:, None, None] * np.diag(self.q)
+        M = self.middle.as_matrix()
+        return np.asarray(M @ total @ M.T)
 
     def root_s(self, t_s: Floats) -> Floats:
         """Rotation (J, 3, n) about the axes of s, at instants (J,), by n independent errors of unit variance:
@@ -401,10 +401,6 @@ class SmoothedAttitude:
         k, here, after, _ = self._around(t_s)
         both = here[:, :, :MOTION] @ self.states[k] + after[:, :, :MOTION] @ self.states[k + 1]
         return np.asarray(self.middle.as_matrix() @ both)
-
-    def _in_s(self, covariance: Floats) -> Floats:
-        M = self.middle.as_matrix()
-        return np.asarray(M @ covariance @ M.T)
 
     def _around(self, t_s: Floats) -> tuple[Ints, Floats, Floats, Floats]:
         """Node (J,) before each instant, the shares (J, 3, D) of its state and of the next one in the

@@ -22,8 +22,7 @@ __all__ = [
     "EarthOrientationTable",
     "EarthOrientationWarning",
     "bundled_earth_orientation",
-    "expected_extrapolation_error_m",
-    "expected_prediction_error_m",
+    "expected_error_m",
     "expected_rotation_error_rad",
 ]
 
@@ -96,22 +95,11 @@ def bundled_earth_orientation() -> EarthOrientationTable:
     )
 
 
-def expected_prediction_error_m(days_ahead: float) -> float:
-    """1-sigma displacement on the equator, m, of a prediction so many days past the last measurement.
-
-    IERS Bulletin A states 0.00025 s D^0.75 for UT1 and 0.00068" D^0.80 for each pole coordinate.
+def expected_error_m(days_ahead: float, days_past: float) -> float:
+    """1-sigma displacement on the equator, m, of values predicted `days_ahead` past the last measurement,
+    then extrapolated `days_past` the table.
     """
-    return float(np.hypot(*_prediction_m(days_ahead)))
-
-
-def expected_extrapolation_error_m(days_past: float) -> float:
-    """1-sigma displacement on the equator, m, `days_past` the end of a table: UT1 goes on at its mean
-    rate of a year, the pole stays.
-
-    Rms over the tables since 1990, D days after the end: UT1 0.25 m D^0.9 (10 m after 60 days), pole 0.05 m
-    D, at most 6 m.
-    """
-    return float(np.hypot(*_extrapolation_m(days_past)))
+    return float(np.hypot(np.hypot(*_prediction_m(days_ahead)), np.hypot(*_extrapolation_m(days_past))))
 
 
 def expected_rotation_error_rad(days_ahead: float, days_past: float) -> Floats:
@@ -125,13 +113,17 @@ def expected_rotation_error_rad(days_ahead: float, days_past: float) -> Floats:
 
 
 def _prediction_m(days_ahead: float) -> tuple[float, float]:
-    """1-sigma on the ground of predicted UT1 and of each predicted pole coordinate."""
+    """1-sigma on the ground of predicted UT1 and of each predicted pole coordinate: IERS Bulletin A states
+    0.00025 s D^0.75 and 0.00068" D^0.80.
+    """
     days = max(days_ahead, 0.0)
     return 0.00025 * days**0.75 * _EQUATOR_SPEED, 0.00068 * days**0.80 * _METRES_PER_ARCSEC
 
 
 def _extrapolation_m(days_past: float) -> tuple[float, float]:
-    """The same of extrapolated values."""
+    """The same where UT1 goes on at its mean rate of a year and the pole stays: rms over the tables since
+    1990, UT1 10 m after 60 days.
+    """
     days = max(days_past, 0.0)
     return 0.25 * days**0.9, min(0.05 * days, 6.0)
 

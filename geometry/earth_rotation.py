@@ -19,8 +19,7 @@ from boresight.geometry.earth_orientation import (
     EarthOrientationError,
     EarthOrientationTable,
     EarthOrientationWarning,
-    expected_extrapolation_error_m,
-    expected_prediction_error_m,
+    expected_error_m,
     expected_rotation_error_rad,
 )
 from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
@@ -138,7 +137,7 @@ def _check_dates(
     if start < first:
         raise EarthOrientationError(f"{epoch.utc_from_seconds(t_start_s)[0]} is before the table: {span}")
     ahead, past = min(stop, last) - table.mjd_last_measured, stop - last
-    error_m = float(np.hypot(expected_prediction_error_m(ahead), expected_extrapolation_error_m(past)))
+    error_m = expected_error_m(ahead, past)
     if stop > last and not allow_stale:
         raise EarthOrientationError(
             f"{epoch.utc_from_seconds(t_stop_s)[0]} is past the table: {span}; "

@@ -20,7 +20,6 @@ __all__ = [
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
-    "shell_depth_m",
     "vertical_at",
 ]
 
@@ -28,19 +27,8 @@ Array = NDArray[np.float64]
 
 
 def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Array, Array]:
-    """Geodetic coordinates of Earth-fixed points (Fukushima 2006, by ERFA).
-
-    Parameters
-    ----------
-    p_e : (..., 3) array
-        Points in frame e, m. NaN gives NaN.
-    ellipsoid : Ellipsoid
-        Reference ellipsoid, usually `WGS84`.
-
-    Returns
-    -------
-    lat_rad, lon_rad, height_m : (...) arrays
-        Geodetic latitude, longitude (-pi to pi), and height above the ellipsoid.
+    """Geodetic latitude, longitude (-pi to pi), rad, and height above the ellipsoid, m, (...) each, of points
+    (..., 3) in frame e, m (Fukushima 2006, by ERFA). NaN gives NaN.
 
     Examples
     --------
@@ -84,23 +72,12 @@ def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
 def ray_ellipsoid_intersection(
     origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
 ) -> Array:
-    """First point of each ray at geodetic height `height_m`; rays that miss it, or start below, give NaN.
+    """First points (N, 3), frame e, m, of rays at geodetic height `height_m`, a number or (N,); rays that
+    miss it, or start below, give NaN. Origins, m, and directions of any length, (N, 3), are in frame e.
 
     Points of equal height do not form an ellipsoid, so the ray is first intersected with the ellipsoid of
     semi-axes a + h and b + h. That lies below height h by h (p - a cos^2 - b sin^2) / (p + h), with p^2 = a^2
     cos^2 + b^2 sin^2 of the latitude: 0.013 m at 9 km, corrected along the ray. Accurate to 1e-8 m.
-
-    Parameters
-    ----------
-    origin_e, direction_e : (N, 3) arrays
-        Rays in frame e, m; directions of any length.
-    height_m : number or (N,) array
-        Height above the ellipsoid, m.
-
-    Returns
-    -------
-    p_e : (N, 3) array
-        Points in frame e, m.
     """
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     return np.ascontiguousarray(columns_at_height(origin, direction, height_m, ellipsoid)[0].T)
@@ -115,16 +92,11 @@ def columns_at_height(
     up = _vertical_columns(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
-        lower = shell_depth_m(up[2] ** 2, height, ellipsoid)
+        a, b, sin2_lat = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, up[2] ** 2
+        tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
+        lower = height * (tangent - a + (a - b) * sin2_lat) / (tangent + height)
         point += (lower / np.where(slope < 0.0, slope, np.nan)) * direction
     return point, up
-
-
-def shell_depth_m(sin2_lat: Array, height_m: Array, ellipsoid: Ellipsoid) -> Array:
-    """Depth (elementwise) of the ellipsoid of semi-axes a + h, b + h below height h, m; >= 0 for h >= 0."""
-    a, b = ellipsoid.semi_major_m, ellipsoid.semi_minor_m
-    tangent = np.sqrt(a * a - (a * a - b * b) * sin2_lat)
-    return np.asarray(height_m * (tangent - a + (a - b) * sin2_lat) / (tangent + height_m))
 
 
 def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:

@@ -39,6 +39,10 @@ Array = NDArray[np.float64]
 class OrbitLike(Protocol):
     """An orbit: geocentric inertial positions (N, 3), m, and velocities (N, 3), m/s, at TAI seconds (N,)."""
 
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last instant at which it is known, TAI seconds since the epoch."""
+
     def states_i(self, t_s: Array) -> tuple[Array, Array]:
         """Positions, m, and velocities, m/s, each (N, 3)."""
 
@@ -68,30 +72,11 @@ def aberrate(u: Array, velocity: Array) -> Array:
 def apparent_ground_directions(
     p_e: Array, t_s: Array, orbit: OrbitLike, earth: EarthRotation, effects: LightEffects
 ) -> tuple[Array, Array]:
-    """Apparent directions of ground points from a moving satellite.
+    """Apparent directions (N, 3), unit vectors in GCRS axes, of ground points `p_e` (N, 3), frame e, m, from
+    a moving satellite at instants of reception `t_s` (N,), TAI seconds since the epoch; and distances (N,),
+    m, from satellite at reception to ground point at emission.
 
-    Parameters
-    ----------
-    p_e : (N, 3) array
-        Ground points, frame e, m.
-    t_s : (N,) array
-        Instants of reception, TAI seconds since the epoch.
-    orbit, earth : OrbitLike, EarthRotation
-        Motion of the satellite; rotation between frames e and i.
-    effects : LightEffects
-        Effects that are modelled.
-
-    Returns
-    -------
-    u_i : (N, 3) array
-        Unit vectors, GCRS axes.
-    range_m : (N,) array
-        Geometric distance from satellite at reception to ground point at emission.
-
-    Raises
-    ------
-    OrbitGapError, ValueError
-        If orbit or Earth rotation do not cover `t_s`.
+    Raises `OrbitGapError` or `ValueError` if orbit or Earth rotation do not cover `t_s`.
     """
     states = _states_e(t_s, orbit, earth)
     u_e, range_m = apparent_directions_e(p_e, states.p_e, states.v_e, earth.omega_e, effects)
@@ -101,23 +86,10 @@ def apparent_ground_directions(
 def apparent_directions_e(
     ground_e: Array, p_e: Array, v_e: Array, omega_e: Array, effects: LightEffects
 ) -> tuple[Array, Array]:
-    """Apparent directions of ground points as `apparent_ground_directions`, from states in axes e at
-    reception.
-
-    Parameters
-    ----------
-    ground_e : (N, 3) array
-        Ground points.
-    p_e, v_e : (N, 3) arrays
-        Satellite's position and its velocity **in the inertial frame**, both in axes e: `R_ei v_i`, m, m/s.
-    omega_e : (3,) array
-        `EarthRotation.omega_e`.
-
-    Returns
-    -------
-    u_e : (N, 3) array
-        Apparent unit vectors, axes e of reception.
-    range_m : (N,) array
+    """Apparent unit vectors (N, 3), axes e of reception, and ranges (N,), m, of ground points (N, 3) as
+    `apparent_ground_directions`, from states in axes e at reception: `p_e`, m, and `v_e`, m/s, (N, 3), are
+    the satellite's position and its velocity **in the inertial frame**, both in axes e, `R_ei v_i`; `omega_e`
+    (3,) is `EarthRotation.omega_e`.
     """
     satellite, ground = _rows(p_e), _rows(ground_e)
     # Light time: in axes e of reception the ground point at emission is rotated back by omega tau.
@@ -144,27 +116,14 @@ def lines_of_sight_e(
     effects: LightEffects,
     height_m: ArrayLike = 0.0,
 ) -> tuple[Array, Array]:
-    """Straight rays in frame e to the ground points seen in the apparent directions `u_i`.
+    """Straight rays in frame e to the ground points seen in the apparent directions `u_i` (N, 3), unit
+    vectors in GCRS axes, at instants of reception `t_s` (N,): the inverse of `apparent_ground_directions`.
 
-    Inverse of `apparent_ground_directions`. In the rotating frame e the path of light is slightly curved
-    (light time, refraction); the ray is its tangent at `height_m` above the ellipsoid, so it is exact for
-    ground at that height. For ground d metres higher or lower its error is 2e-13 d^2 (light time) plus 1e-8
-    tan z d^2 (refraction) metres.
-
-    Parameters
-    ----------
-    u_i : (N, 3) array
-        Apparent unit vectors, GCRS axes, as `apparent_ground_directions` returns them.
-    t_s : (N,) array
-        Instants of reception.
-    height_m : number or (N,) array
-        Height above the ellipsoid at which the ray is exact: the expected height of the ground, m.
-
-    Returns
-    -------
-    origin_e, direction_e : (N, 3) arrays
-        A point at the satellite's distance (not exactly the satellite), m, and unit direction downwards. NaN
-        for a line of sight that does not intersect the Earth.
+    In the rotating frame e the path of light is slightly curved (light time, refraction); the ray is its
+    tangent at `height_m` above the ellipsoid, a number or (N,), so it is exact for ground at that height, the
+    expected one. For ground d metres higher or lower its error is 2e-13 d^2 (light time) plus 1e-8 tan z d^2
+    (refraction) metres. Returned are a point (N, 3) at the satellite's distance (not exactly the satellite),
+    m, and the unit direction (N, 3) downwards; NaN for a line of sight that does not intersect the Earth.
     """
     states = _states_e(t_s, orbit, earth)
     u_e = np.einsum("nji,nj->ni", states.R_ie, u_i)
@@ -174,22 +133,8 @@ def lines_of_sight_e(
 def emission_rays_e(
     u_e: Array, p_e: Array, v_e: Array, omega_e: Array, effects: LightEffects, height_m: ArrayLike = 0.0
 ) -> tuple[Array, Array]:
-    """Rays to the ground as `lines_of_sight_e`, from states in axes e at reception.
-
-    Parameters
-    ----------
-    u_e : (N, 3) array
-        Apparent unit vectors.
-    p_e, v_e : (N, 3) arrays
-        Satellite's position and its velocity **in the inertial frame**, both in axes e: `R_ei v_i`, m and
-        m/s.
-    omega_e : (3,) array
-        `EarthRotation.omega_e`.
-
-    Returns
-    -------
-    origin_e, direction_e : (N, 3) arrays
-        As of `lines_of_sight_e`.
+    """Rays to the ground as `lines_of_sight_e`, from states in axes e at reception as `apparent_directions_e`
+    takes them; `u_e` (N, 3) are apparent unit vectors.
     """
     if not (effects.light_time or effects.refraction):
         return p_e, (_aberrated(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)).T

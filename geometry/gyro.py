@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
 
 __all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up"]
 
@@ -34,9 +34,7 @@ class GyroNoise:
     white_rad: float = scalar("w: 1-sigma of an angle by itself, its resolution")
 
     def __post_init__(self) -> None:
-        for name in ("random_walk_rad", "bias_walk_rad_s", "bias_rad_s", "white_rad"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        check_numbers(self)
 
     def spread(self, dt: Floats) -> Floats:
         """(N, 2, 2) covariance of e and b after `dt` (N,), both known before."""
@@ -128,9 +126,8 @@ class GyroRecord:
         before = np.searchsorted(self.t_s, t_s[0], side="right") - 1
         rows = slice(max(int(before), 0), int(np.searchsorted(self.t_s, t_s[-1])) + 1)
         at = self.t_s[rows]
-        if len(at) < 2 or at[0] > t_s[0] or at[-1] < t_s[-1] or len(longest_without_gap(at)) < len(at):
-            return None
-        if len(at) < len(t_s):
+        covered = len(at) > 1 and at[0] <= t_s[0] and at[-1] >= t_s[-1]
+        if not covered or len(longest_without_gap(at)) < len(at) or len(at) < len(t_s):
             return None
         return RotationSpline(at, self.R_sz[rows])(t_s)
 

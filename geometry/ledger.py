@@ -135,11 +135,7 @@ class Reason(StrEnum):
         State.OUT_OF_VIEW,
         "outside the strip for every installation matrix within the stated uncertainty",
     )
-    OUTSIDE_CCDS = (
-        "outside ccds",
-        State.OUT_OF_VIEW,
-        "outside every CCD's image at the common rotation",
-    )
+    OUTSIDE_CCDS = ("outside ccds", State.OUT_OF_VIEW, "outside every CCD's image at the common rotation")
     OUTSIDE_CHIP = (
         "outside chip",
         State.UNMATCHED,

@@ -238,19 +238,8 @@ class LineCamera:
         return self.ccds[ccd].n_px
 
     def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
-        """Unit look vectors of samples of one CCD (paper, eq. 1, with lambda < 0).
-
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        sample : (N,) array
-            Fractional samples; they may lie beyond the ends of the detector.
-
-        Returns
-        -------
-        u_c : (N, 3) array
-            Unit vectors, frame c.
+        """Unit look vectors (N, 3), frame c, of samples (N,) of one CCD (paper, eq. 1, with lambda < 0);
+        fractional samples, which may lie beyond the ends of the detector. `ccd` is an index from 0.
         """
         x_f, y_f = self.ccds[ccd].focal_plane(sample).T
         u_c = np.empty((3, len(x_f)))  # components lie together in memory
@@ -262,7 +251,8 @@ class LineCamera:
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
         """Derivative d u_c / d sample (N, 3), rad/px, at samples (N,)."""
-        v_c = self._rays(ccd, sample)
+        xy_f = self.ccds[ccd].focal_plane(sample)
+        v_c = np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
         slope = np.zeros_like(v_c)
         slope[:, :2] = -self.ccds[ccd].focal_plane_slope(sample)
         norm = np.linalg.norm(v_c, axis=1, keepdims=True)
@@ -287,10 +277,6 @@ class LineCamera:
         """Seconds from a row's time label to the middle of its exposure, all TDI stages included."""
         half = 0.5 * self.tdi_stages * row_period_s
         return {"start": half, "middle": 0.0, "end": -half}[self.time_of_row]
-
-    def _rays(self, ccd: int, sample: ArrayLike) -> Array:
-        xy_f = self.ccds[ccd].focal_plane(sample)
-        return np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
 
 
 @record

@@ -23,13 +23,7 @@ if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation
     from boresight.geometry.epoch import Epoch
 
-__all__ = [
-    "Orbit",
-    "OrbitGapError",
-    "argument_of_latitude",
-    "beta_angle",
-    "orbital_frame",
-]
+__all__ = ["Orbit", "OrbitGapError", "argument_of_latitude", "beta_angle", "orbital_frame"]
 
 Array = NDArray[np.float64]
 OrbitFrame = Literal["GCRF", "ITRF"]
@@ -112,12 +106,8 @@ class Orbit:
         position, _ = self._state(t)
         return position if self.frame == "GCRF" else _to_i(self.earth.matrices_ie(t), position)
 
-    def velocities_i(self, t_s: ArrayLike) -> Array:
-        """Velocities (N, 3) relative to the inertial axes of GCRS, m/s."""
-        return self.states_i(t_s)[1]
-
     def states_i(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Positions and velocities in GCRS, each (N, 3), from one interpolation."""
+        """Positions, m, and velocities relative to the inertial axes, m/s, in GCRS, each (N, 3)."""
         t = _instants(t_s)
         position, velocity = self._state(t)
         if self.frame == "GCRF":

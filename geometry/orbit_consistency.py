@@ -85,20 +85,10 @@ def find_orbit_fault(
 ) -> OrbitFinding | None:
     """The first inconsistency of an ephemeris, or None.
 
-    Parameters
-    ----------
-    t_s : (K,) array
-        Instants, s.
-    positions_m, velocities_m_s : (K, 3) arrays
-        States in the axes of `frame`; in ITRF the velocity is the rate of change of the ITRF coordinates.
-    frame : "GCRF" or "ITRF"
-        Inertial or Earth-fixed axes.
-
-    Returns
-    -------
-    OrbitFinding or None
-        None also for fewer than two states without a gap between them. Errors of the velocities below 2 m/s,
-        jumps of the positions below 20 m or within their scatter, and gaps are no inconsistencies.
+    Instants `t_s` (K,), s; states (K, 3) in the axes of `frame`, m and m/s: in ITRF the velocity is the rate
+    of change of the coordinates. None also for fewer than two states without a gap between them. Errors of
+    the velocities below 2 m/s, jumps of the positions below 20 m or within their scatter, and gaps are no
+    inconsistencies.
     """
     step = np.diff(t_s)
     if np.any(step <= 0.0):

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,7 +41,7 @@ from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
 
-__all__ = ["OrbitOverTime", "Pushbroom", "RowClock"]
+__all__ = ["Pushbroom", "RowClock"]
 
 Array = NDArray[np.float64]
 
@@ -66,14 +65,6 @@ _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height differ
 _CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
 _LATTICE = (65, 33)  # lines and samples at which the height of the ground is computed first
 _LATTICE_M = 20.0  # for less relief the mean height is used
-
-
-class OrbitOverTime(OrbitLike, Protocol):
-    """An orbit (see `OrbitLike`) with the interval in which it is known."""
-
-    @property
-    def span_s(self) -> tuple[float, float]:
-        """First and last instant, TAI seconds since the epoch."""
 
 
 @record
@@ -177,7 +168,7 @@ class Pushbroom:
 
     camera: LineSensor = scalar("directions of the samples in frame c")
     rows: RowClock = scalar("time labels of the rows, and the CCDs' lines")
-    orbit: OrbitOverTime = scalar("positions and velocities of the satellite")
+    orbit: OrbitLike = scalar("positions and velocities of the satellite")
     earth: EarthRotation = scalar("rotation between ITRS and GCRS")
     attitude: Attitude = scalar("GCRS to star camera against time")
     R_cs: Rotation = scalar("installation matrix, star camera to remote-sensing camera")
@@ -228,26 +219,10 @@ class Pushbroom:
         return self._apparent_c(p_e, self._states(np.asarray(row, dtype=float)))[0]
 
     def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
-        """Ground points seen by pixels.
+        """Ground points (N, 3), frame e, m, of a `surface` seen by pixels of one CCD, image points (N,) in
+        its raw image, broadcast together; NaN where the line of sight does not intersect the surface.
 
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        sample, line : (N,) array
-            Image points in the raw image of that CCD; broadcast together.
-        surface : Surface
-            Ground surface.
-
-        Returns
-        -------
-        p_e : (N, 3) array
-            Points in frame e, m; NaN where the line of sight does not intersect the surface.
-
-        Raises
-        ------
-        ValueError
-            If orbit, attitude or Earth rotation do not cover a line.
+        Raises `ValueError` if orbit, attitude or Earth rotation do not cover a line.
         """
         sample, line = _pixels(sample, line)
         row = self.rows.rows_of_lines(ccd, line)
@@ -260,25 +235,11 @@ class Pushbroom:
         return p_e
 
     def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
-        """Pixels in which ground points appear, to 1e-6 px.
+        """Samples (N,) and lines (N,) at which ground points (N, 3), frame e, m, appear on a CCD, to 1e-6 px.
 
-        Parameters
-        ----------
-        ccd : int
-            Index of the CCD, from 0.
-        p_e : (N, 3) array
-            Ground points, frame e, m.
-
-        Returns
-        -------
-        sample, line : (N,) arrays
-            They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not
-            seen while orbit and attitude are known, or is beyond the horizon.
-
-        Raises
-        ------
-        ValueError
-            If `p_e` is not (N, 3), or orbit, attitude and Earth rotation have no interval in common.
+        They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not seen
+        while orbit and attitude are known, or is beyond the horizon. Raises `ValueError` if `p_e` is not (N,
+        3), or orbit, attitude and Earth rotation have no interval in common.
         """
         p = np.asarray(p_e, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3:

@@ -177,9 +177,7 @@ def _dimension(text: str) -> Dimension:
 
 
 def _post_init(
-    name: str,
-    checked: tuple[tuple[str, tuple[Dimension, ...], bool], ...],
-    own: Callable[[Any], None] | None,
+    name: str, checked: tuple[tuple[str, tuple[Dimension, ...], bool], ...], own: Callable[[Any], None] | None
 ) -> Callable[[Any], None]:
     def __post_init__(self: Any) -> None:
         lengths = {"": 0}

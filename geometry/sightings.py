@@ -64,8 +64,6 @@ class ExposureAttitudes:
     squared_mahalanobis: Floats = array("N", "squared residual over its variance, two degrees of freedom")
     chi2: Floats = array("K", "sum of `squared_mahalanobis` over kept stars")
     dof: Ints = array("K", "2 kept stars - 3")
-    sigma_scale: float = scalar("factor by which the stated sigmas of all stars were multiplied", default=1.0)
-    sigma_scale_error: float = scalar("1-sigma of that factor; 0 where it was not estimated", default=0.0)
 
     def stars(self, k: int) -> slice:
         """Rows of the stars of exposure k."""
@@ -85,7 +83,7 @@ class ExposureAttitudes:
 
     @classmethod
     def together(cls, parts: Sequence[ExposureAttitudes]) -> ExposureAttitudes:
-        """The exposures of several, part after part; scale and its error are those of the first."""
+        """The exposures of several, part after part."""
         counts = np.concatenate([np.diff(part.start) for part in parts])
         names = ("R_si", "covariance_s", "usable", "kept", "squared_mahalanobis", "chi2", "dof")
         return replace(
@@ -251,6 +249,23 @@ class StripSightings:
         """Camera (J,) of each target."""
         _, cameras, counts = zip(*self.parts)
         return np.repeat(np.array(cameras, dtype=str), counts)
+
+    @property
+    def times_s(self) -> Floats:
+        """Instants (K,) of the exposures, TAI seconds since the dump's epoch."""
+        return np.array([exposure.t_s for exposure in self.exposures], dtype=np.float64)
+
+    @property
+    def fitted(self) -> ExposureAttitudes:
+        """`attitudes`, which are there."""
+        assert self.attitudes is not None
+        return self.attitudes
+
+    def usable(self) -> tuple[Floats, Rotation, Rotation, Floats]:
+        """Instants (U,), R_si and R_oi (U,), and covariances (U, 3, 3), rad², of the usable exposures."""
+        used = self.fitted.usable
+        R_si = Rotation.from_matrix(self.fitted.R_si[used]) if used.any() else Rotation.identity(0)
+        return self.times_s[used], R_si, self.R_oi_exposures[used], self.fitted.covariance_s[used]
 
     def later(self, seconds: float) -> StripSightings:
         """The strip with all its instants so much later."""

@@ -118,23 +118,12 @@ class StarCamera:
         return np.asarray(((xy >= -0.5) & (xy <= upper)).all(axis=1))
 
     def directions_from_pixels(self, xy_px: ArrayLike) -> Array:
-        """Unit vectors in frame s towards points of the detector (paper, eqs. 3-6).
+        """Unit vectors (N, 3) in frame s towards points (column, row) (N, 2) of the detector, px, as
+        measured, distortion not removed (paper, eqs. 3-6): `[-x, -y, f]` normalised, x and y the ideal image
+        coordinates.
 
-        Parameters
-        ----------
-        xy_px : (N, 2)
-            Points (column, row) as measured, distortion not removed.
-
-        Returns
-        -------
-        u_s : (N, 3)
-            `[-x, -y, f]` normalised, x and y the ideal image coordinates; NaN for NaN, and for a point so far
-            outside the detector that it is the image of no direction.
-
-        Raises
-        ------
-        ValueError
-            If `xy_px` is not (N, 2).
+        NaN for NaN, and for a point so far outside the detector that it is the image of no direction. Raises
+        `ValueError` if `xy_px` is not (N, 2).
 
         Examples
         --------
@@ -142,7 +131,7 @@ class StarCamera:
         ...     focal_m=0.1, pixel_m=1e-5, width_px=1001, height_px=1001, principal_px=(500.0, 500.0)
         ... )
         >>> camera.directions_from_pixels([[500.0, 500.0]])
-        array([[0., 0., 1.]])
+        array([[-0.,  0.,  1.]])
         """
         return _normalised(self.tangents_from_pixels(xy_px))
 
@@ -155,23 +144,12 @@ class StarCamera:
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Array:
-        """Image points of directions, distortion included.
+        """Image points (column, row) (N, 2), px, of directions (N, 3) of any length, frame s, distortion
+        included.
 
-        Parameters
-        ----------
-        u_s : (N, 3)
-            Directions of any length, frame s.
-
-        Returns
-        -------
-        xy_px : (N, 2)
-            Points (column, row); they may lie outside the detector (see `contains`). NaN behind the camera
-            and beyond the turning point of the distortion polynomial, where the projection is undefined.
-
-        Raises
-        ------
-        ValueError
-            If `u_s` is not (N, 3).
+        They may lie outside the detector (see `contains`). NaN behind the camera and beyond the turning point
+        of the distortion polynomial, where the projection is undefined. Raises `ValueError` if `u_s` is not
+        (N, 3).
         """
         u = np.asarray(u_s, dtype=float)
         if u.ndim != 2 or u.shape[1] != 3:

@@ -8,14 +8,14 @@ and by the Earth (0.0006" at its limb).
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar, shape_of
 
 __all__ = ["StarPlaces", "SurveyedStars", "apparent_star_directions", "catalogue_directions"]
 
@@ -56,8 +56,7 @@ class StarPlaces:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
         """The stars selected by indices (M,) or a mask (N,)."""
-        arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name != "epoch_jyear"}
-        return StarPlaces(**arrays, epoch_jyear=self.epoch_jyear)
+        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if shape_of(f)})
 
     def motions(self) -> Floats:
         """Proper motions (N, 3), rad/yr, GCRS axes."""
@@ -80,8 +79,8 @@ class SurveyedStars:
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> SurveyedStars:
         """The stars selected by indices (M,) or a mask (N,)."""
-        arrays = {key: getattr(self, key)[index] for key in ("sigma_rad", "sigma_pm_rad_yr", "single")}
-        return SurveyedStars(name=self.name, places=self.places.take(index), **arrays)
+        arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if shape_of(f)}
+        return replace(self, places=self.places.take(index), **arrays)
 
     def sigma_at_rad(self, jyear: float) -> Floats:
         """1-sigma (N,) of the directions at a Julian epoch, per axis, rad."""
@@ -91,21 +90,11 @@ class SurveyedStars:
 def apparent_star_directions(
     stars: StarPlaces, epoch: Epoch, t_s: float | Array, p_i: Array, v_i: Array
 ) -> Array:
-    """Apparent unit vectors towards stars from a moving satellite, GCRS axes.
+    """Apparent unit vectors (N, 3) towards N stars from a moving satellite, GCRS axes: with proper motion,
+    parallax, light deflection by the Sun and aberration.
 
-    Parameters
-    ----------
-    stars : StarPlaces
-        Catalogue positions of N stars.
-    epoch, t_s : Epoch, float or (N,) array
-        Instant of observation, or that of each star, TAI seconds since `epoch`.
-    p_i, v_i : (3,) or (N, 3) arrays
-        Geocentric position (m) and velocity (m/s) of the satellite, GCRS.
-
-    Returns
-    -------
-    u_i : (N, 3) array
-        With proper motion, parallax, light deflection by the Sun and aberration.
+    `t_s` is the instant of observation, or (N,) that of each star, TAI seconds since `epoch`; `p_i`, m, and
+    `v_i`, m/s, (3,) or (N, 3), are the satellite's geocentric position and velocity, GCRS.
     """
     years = epoch.julian_year(t_s) - stars.epoch_jyear
     return _seen_by(_observer(epoch, t_s, p_i, v_i), stars, years)

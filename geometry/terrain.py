@@ -16,11 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import (
-    distances_to_shell,
-    geodetic_from_ecef,
-    ray_ellipsoid_intersection,
-)
+from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.local_map import LocalMap, fit_local_map
 from boresight.geometry.record import array, record, scalar
@@ -85,31 +81,15 @@ class TerrainGrid:
     local_map: LocalMap | None = scalar("latitude and longitude to column and row, 1e-7 px, if one exists")
 
     @staticmethod
-    def from_raster(
-        heights_m: ArrayLike,
-        transform: ArrayLike,
-        crs: str,
-        geoid: Geoid | None,
-    ) -> TerrainGrid:
-        """Surface from a raster of heights.
+    def from_raster(heights_m: ArrayLike, transform: ArrayLike, crs: str, geoid: Geoid | None) -> TerrainGrid:
+        """Surface from a raster of heights (rows, columns) at the centres of pixels, m; NaN marks pixels
+        without data. Contiguous single precision above the ellipsoid is not copied.
 
-        Parameters
-        ----------
-        heights_m : (rows, columns) array
-            Heights at the centres of pixels, m; NaN marks pixels without data. Contiguous single precision
-            above the ellipsoid is not copied.
-        transform : six numbers
-            (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column, row) is at x = a column + b
-            row + c, y = d column + e row + f, in the CRS (x east, y north; degrees if geographic).
-        crs : str
-            Any horizontal CRS that PROJ understands, as WKT or "EPSG:32650".
-        geoid : Geoid or None
-            Geoid that the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid.
-
-        Raises
-        ------
-        ValueError
-            For less than 2 x 2 heights, no height at all, or a transform that cannot be inverted.
+        `transform` are the six numbers (a, b, c, d, e, f) of rasterio's Affine: the corner of pixel (column,
+        row) is at x = a column + b row + c, y = d column + e row + f, in the horizontal CRS `crs` that PROJ
+        understands, as WKT or "EPSG:32650" (x east, y north; degrees if geographic). `geoid` is that which
+        the heights refer to (`egm96()` for SRTM); None if they are above the ellipsoid. Raises `ValueError`
+        for less than 2 x 2 heights, no height at all, or a transform that cannot be inverted.
         """
         heights = np.ascontiguousarray(heights_m, dtype=np.float32)
         if heights.ndim != 2 or min(heights.shape) < 2:
@@ -149,15 +129,9 @@ class TerrainGrid:
     def pixels_along_tracks(self, tracks: Array) -> Array:
         """Short paths in the raster as polynomials of a parameter from -1 to 1.
 
-        Parameters
-        ----------
-        tracks : (K, 3, N) array
-            Latitude and longitude, rad, and height, m, at K evenly spaced parameters; overwritten.
-
-        Returns
-        -------
-        coefficients : (K, 3, N) array
-            Of the powers of the parameter, from 0 on, in column, row, px, and height, m.
+        `tracks` (K, 3, N) are latitude and longitude, rad, and height, m, at K evenly spaced parameters, and
+        are overwritten. Returned are coefficients (K, 3, N) of the powers of the parameter, from 0 on, in
+        column, row, px, and height, m.
         """
         for track in tracks:
             track[:2] = self.pixels_from_geodetic(track[0], track[1])
@@ -188,21 +162,12 @@ class TerrainTiles:
 
 
 def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
-    """First intersection of each ray, from above all ground downwards, with the surface.
+    """First intersections (N, 3), frame e, m, of rays from above all ground downwards with the surface;
+    origins, m, and directions of any length, (N, 3), are in frame e.
 
     Accurate to 1e-6 m in height. On a grid the ray is sampled once per pixel, so a crest that it crosses over
     less than a pixel may be missed. NaN for a ray without intersection, and where the first one may lie
     outside the surface or in pixels without data.
-
-    Parameters
-    ----------
-    origin_e, direction_e : (N, 3) arrays
-        Rays in frame e, m; directions of any length.
-
-    Returns
-    -------
-    p_e : (N, 3) array
-        Points in frame e, m.
     """
     if isinstance(surface, TerrainTiles):
         return _on_tiles(origin_e, direction_e, surface)

@@ -165,13 +165,8 @@ def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -
 def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coefficients: Array) -> Array:
     """Parameters (N,) of the first intersections of rays with the ground; NaN without one or without data.
 
-    Parameters
-    ----------
-    heights : (rows, columns) array
-    bounds : HeightBounds
-        Bounds of these heights.
-    coefficients : (K, 3, N) array
-        Of the powers 0 to K - 1 of the parameter, -1 to 1, in column, row and height.
+    `heights` (rows, columns) have these `bounds`; `coefficients` (K, 3, N) are those of the powers 0 to K - 1
+    of the parameter, -1 to 1, in column, row and height.
     """
     curve = _Polynomials(heights, coefficients)
     pixels, fall = curve.pixels(), -np.sum(coefficients[1::2, 2], axis=0)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.record import array, record, scalar
 from boresight.simulator.landscape import STRENGTH_UNIT, Landscape
 from boresight.simulator.lattice_noise import BAND, fractal, smooth_noise
@@ -224,8 +224,8 @@ class ImageGround:
 def _between(values: Array, step: int, width: int, height: int) -> Patch:
     """A window (height, width) from values at every `step`-th point, by straight lines."""
     rows, columns = (np.arange(n, dtype=float) * step for n in values.shape)
-    down = lagrange_weights(rows, np.arange(height, dtype=float), points=2)
-    across = lagrange_weights(columns, np.arange(width, dtype=float), points=2)
+    down = interpolation_weights(rows, np.arange(height, dtype=float), points=2)
+    across = interpolation_weights(columns, np.arange(width, dtype=float), points=2)
     return (down @ values @ across.T).astype(np.float32)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
@@ -218,7 +218,7 @@ class LineNodes:
 
     def at(self, first: int, lines: int) -> tuple[Array, Array]:
         """Columns and rows, (lines, n) each, for each line from `first` on."""
-        down = lagrange_weights(self.lines, np.arange(first, first + lines, dtype=float))
+        down = interpolation_weights(self.lines, np.arange(first, first + lines, dtype=float))
         near = np.flatnonzero(down.any(axis=0))
         few = slice(int(near[0]), int(near[-1]) + 1)
         return down[:, few] @ self.columns[few], down[:, few] @ self.rows[few]
@@ -258,7 +258,7 @@ class _StripGeometry:
     def _weights(self, panel: slice) -> tuple[slice, Grey]:
         """The few nodes that carry weight in a panel, and their weights (nodes, samples)."""
         if panel.start not in self._across:
-            across = lagrange_weights(self._nodes, np.arange(panel.start, panel.stop, dtype=float)).T
+            across = interpolation_weights(self._nodes, np.arange(panel.start, panel.stop, dtype=float)).T
             near = np.flatnonzero(across.any(axis=1))
             few = slice(int(near[0]), int(near[-1]) + 1)
             self._across[panel.start] = few, across[few].astype(np.float32)

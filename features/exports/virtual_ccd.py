@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import Attitude, lagrange_weights
+from boresight.geometry.attitude import Attitude, interpolation_weights
 from boresight.geometry.groundlight import OrbitLike
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import orbital_frame
@@ -183,8 +183,8 @@ class VirtualStrip:
         grid = np.meshgrid(node_lines, node_samples, indexing="ij")
         source = self.source_pixels(ccd, grid[1].ravel(), grid[0].ravel())
         to_lines, to_samples = (
-            lagrange_weights(node_lines, at_line),
-            lagrange_weights(node_samples, at_sample),
+            interpolation_weights(node_lines, at_line),
+            interpolation_weights(node_samples, at_sample),
         )
         unseen = np.isnan(source[0]).reshape(grid[0].shape).astype(float)
         doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9

@@ -7,6 +7,7 @@ They take the place of the curve that otherwise stands for the residual distorti
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -85,7 +86,8 @@ def calibrate_interior(
     model = InteriorModel.of(
         camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)
     )
-    found = calibrate_strips(strips, R_cs0, settings.without_distortion, interior=model)
+    plain = replace(settings, sigma_distortion_rad=0.0, ccd_px=(), of_cameras=())
+    found = calibrate_strips(strips, R_cs0, plain, interior=model)
     if isinstance(found, NotObservable):
         return found
     columns = [n for n, name in enumerate(found.pairs.shared) if name.startswith("interior/")]

@@ -43,7 +43,7 @@ class GroundErrors:
 def smoothed_attitude(strip: StripSightings, prior: MotionPrior) -> Rotation:
     """R_si (J,) at the targets' instants, smoothed from all exposures of the strip."""
     R_si, covariance = attitudes_of(strip)
-    times = np.array([exposure.t_s for exposure in strip.exposures])
+    times = strip.times_s
     D = R_si * strip.R_oi_exposures.inv()
     middle = D.mean()
     angles = (D * middle.inv()).as_rotvec()  # (K, 3)

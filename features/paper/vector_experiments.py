@@ -303,8 +303,7 @@ def _one_matrix_per_image(
 def _nearest(strip: StripSightings) -> Rotation:
     """R_si (J,) at the targets' instants from the nearest exposure and the nominal motion."""
     R_si, _ = attitudes_of(strip)
-    times = np.array([exposure.t_s for exposure in strip.exposures])
-    k = np.abs(strip.ground.t_s[:, None] - times).argmin(axis=1)
+    k = np.abs(strip.ground.t_s[:, None] - strip.times_s).argmin(axis=1)
     return (R_si * strip.R_oi_exposures.inv())[k] * strip.R_oi_targets
 
 
@@ -465,12 +464,11 @@ def _true_looks(truth: StripTruth, place: int) -> Floats:
 def _central_exposures(strip: StripSightings, n: int) -> StripSightings:
     first = (len(strip.exposures) - n) // 2
     keep = slice(first, first + n)
-    assert strip.attitudes is not None
     return replace(
         strip,
         exposures=strip.exposures[keep],
         R_oi_exposures=strip.R_oi_exposures[keep],
-        attitudes=strip.attitudes.take(np.arange(first, first + n)),
+        attitudes=strip.fitted.take(np.arange(first, first + n)),
     )
 
 

@@ -71,7 +71,7 @@ def polynomial_residuals(t_s: Floats, angles: Floats, order: int) -> Floats:
 
 def _strip_matrix(strip: StripSightings, R_cs0: Rotation, order: int) -> Rotation:
     R_si, _ = attitudes_of(strip)
-    times = np.array([exposure.t_s for exposure in strip.exposures])
+    times = strip.times_s
     first, last = times[0], times[-1]
     R_co = (R_cs0 * R_si * strip.R_oi_exposures.inv())[len(times) // 2]
     powers = _powers(strip.ground.t_s, first, last, order)  # (J, order + 1)

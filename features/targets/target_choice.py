@@ -8,7 +8,6 @@ one that makes the trace of the covariance of theta smallest (A-optimal, greedy)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,7 +31,7 @@ class TargetChoice:
 
 @record
 class _Rows:
-    """Whitened rows of one strip: derivatives by theta and by the strip's own unknowns."""
+    """Whitened rows of one strip: derivatives by theta, distortion and the strip's own unknowns."""
 
     X: Floats = array("R, M", "two rows a candidate; theta first")
     candidate: tuple[str, ...] = scalar("id of each pair of rows")
@@ -67,8 +66,7 @@ def choose_targets(
     -------
     TargetChoice
     """
-    of_strips = replace(settings, distortion_scope="strip")
-    rows = [_rows(one, p, R_cs, of_strips) for one, p in zip(strips, probability)]
+    rows = [_rows(one, p, R_cs, settings) for one, p in zip(strips, probability)]
     left = sorted({name for one in rows for name in one.candidate})
     normal = [np.diag([0.0] * 3 + [1.0] * (one.X.shape[1] - 3)) for one in rows]
     own = [_theta_information(N) for N in normal]
@@ -91,8 +89,11 @@ def _rows(strip: StripSightings, probability: Floats, R_cs: Rotation, settings: 
     if not problem.groups:
         return _Rows(np.zeros((0, 3)), ())
     linear = linearise(problem.groups[0], R_cs, settings)
+    n = sum(name.startswith("distortion/") for name in problem.shared.names)
+    common = linear.along(np.eye(linear.n_common, 3 + n))[0]
+    root = np.linalg.cholesky(np.linalg.inv(problem.prior_shared[:n, :n]))  # of the distortion's covariance
     weight = np.repeat(np.sqrt(probability), 2)[:, None]
-    X = weight * np.concatenate([linear.along(np.eye(linear.n_common, 3))[0], linear.X_q[0]], axis=1)
+    X = weight * np.concatenate([common[:, :3], common[:, 3:] @ root, linear.X_q[0]], axis=1)
     return _Rows(X, tuple(strip.ground.target_id.tolist()))
 
 

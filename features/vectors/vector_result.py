@@ -135,8 +135,7 @@ def _target_table(vectors: VectorSets, found: VectorCalibration) -> pd.DataFrame
 def _star_table(vectors: VectorSets, found: VectorCalibration) -> pd.DataFrame:
     parts = []
     for strip in {one.exposures[0].exposure_id: one for one in found.strips}.values():
-        attitudes, stars = strip.attitudes, strip.exposures[0]
-        assert attitudes is not None
+        attitudes, stars = strip.fitted, strip.exposures[0]
         residual = (stars.u_s - stars.u_i @ attitudes.R_si[0].T) / ARCSEC
         frame, number = _in_frame(stars.hip, vectors.star_start)
         columns = {"residual_x_arcsec": residual[:, 0], "residual_y_arcsec": residual[:, 1]}

@@ -18,7 +18,7 @@ from pyproj import CRS, Transformer
 from boresight.gct_match.imaging.resample import sample
 from boresight.gct_match.records import Chip, Image
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.optical_blur import gaussian_sigma_px
@@ -77,8 +77,8 @@ def predict_template(
     """
     h, w = shape
     rows, columns = _nodes(h), _nodes(w)
-    by_row = lagrange_weights(rows, np.arange(h), points=2)
-    by_column = lagrange_weights(columns, np.arange(w), points=2)
+    by_row = interpolation_weights(rows, np.arange(h), points=2)
+    by_column = interpolation_weights(columns, np.arange(w), points=2)
     first = np.array(origin_px) + 0.5 * (stride - 1)
     line, sample_px = np.meshgrid(first[1] + stride * rows, first[0] + stride * columns, indexing="ij")
     xy = chip_points(chip, pushbroom.ground_points(ccd, sample_px.ravel(), line.ravel(), surface))

@@ -59,17 +59,8 @@ def moved_inputs(
     return tuple(found)
 
 
-def _times(strip: StripSightings) -> Floats:
-    return np.array([exposure.t_s for exposure in strip.exposures])
-
-
 def _middle_s(strips: Sequence[StripSightings]) -> Floats:
     return np.array([float(strips[0].ground.t_s[0])])
-
-
-def _attitudes(strip: StripSightings) -> Floats:
-    assert strip.attitudes is not None
-    return strip.attitudes.R_si
 
 
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
@@ -83,8 +74,8 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterato
     for strip in strips:
         seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
         if seen.sum() > 1:
-            motion = ConstantRate.fitted(_times(strip)[seen], Rotation.from_matrix(_attitudes(strip)[seen]))
-            by_strip[strip.strip_id] = _times(strip) - _times(strip)[0], motion.omega_o
+            motion = ConstantRate.fitted(strip.times_s[seen], Rotation.from_matrix(strip.fitted.R_si[seen]))
+            by_strip[strip.strip_id] = strip.times_s - strip.times_s[0], motion.omega_o
     for cause, unit, usual, late in (
         ("clock of the exposures", "ms", 10.0, lambda t_s: np.full(len(t_s), MILLI)),
         ("clock of the exposures, rate", "%", 0.05, lambda t_s: PERCENT * t_s),
@@ -115,7 +106,7 @@ def _turns(
 ) -> dict[str, Floats]:
     """The same strip by strip, by a velocity at each instant."""
     return {
-        strip.strip_id: _turned_by_velocity(_attitudes(strip), velocity(_times(strip)), line_of_sight_s)
+        strip.strip_id: _turned_by_velocity(strip.fitted.R_si, velocity(strip.times_s), line_of_sight_s)
         for strip in strips
         if strip.exposures
     }

@@ -140,10 +140,6 @@ def _context(dump: Dump, calibration: DumpCalibration) -> dict[str, Any]:
         "strips": int(estimate.n_strips),
         "chi2_stars": float(estimate.chi2_stars),
         "dof_stars": int(estimate.dof_stars),
-        "noise": {
-            name: float(getattr(estimate.noise, name))
-            for name in ("stars", "stars_sigma", "targets", "targets_sigma")
-        },
         "iterations": [
             {"theta_step_rad": step.theta_step.tolist(), "sigma_rad": step.sigma.tolist()}
             | {"chi2": float(step.chi2), "targets": float(step.targets)}

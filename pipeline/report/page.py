@@ -146,10 +146,6 @@ def _summary(saved: Saved) -> dict[str, Any]:
         "dof": number("dof", ".0f"),
         "chi2_stars": context("chi2_stars", ".1f"),
         "dof_stars": context("dof_stars", ".0f"),
-        "noise": {
-            name: (context(f"noise.{name}", ".3f"), context(f"noise.{name}_sigma", ".3f"))
-            for name in ("stars", "targets")
-        },
     }
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.attitude import AttitudeTrack, NominalMotion, lagrange_weights
+from boresight.geometry.attitude import AttitudeTrack, NominalMotion, interpolation_weights
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
@@ -65,14 +65,14 @@ def _of_strip(
     motion: MeasuredStrip, R_cs: Rotation, settings: CalibrationSettings
 ) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
     strip, ground = motion.strip, motion.strip.ground
-    times = np.array([exposure.t_s for exposure in strip.exposures])
+    times = strip.times_s
     if len(times) < 2 or not any(kept.any() for kept in motion.stars_kept):
         return
     track = AttitudeTrack(times, motion.R_si, motion.orbit)
     R_ci = R_cs * track.R_si(ground.t_s)
     own = _target_covariances(motion, R_ci.as_matrix(), settings)
     inside = (ground.t_s >= times[0]) & (ground.t_s <= times[-1])
-    C, weights = R_cs.as_matrix(), lagrange_weights(times, ground.t_s)
+    C, weights = R_cs.as_matrix(), interpolation_weights(times, ground.t_s)
     for j in np.flatnonzero(motion.targets_kept & inside):
         k = int(np.argmin(np.abs(times - ground.t_s[j])))
         stars, kept = strip.exposures[k], motion.stars_kept[k]
@@ -104,8 +104,7 @@ def _target_covariances(motion: MeasuredStrip, R_ci: Array, settings: Calibratio
     covariance = covariance * across
     v = np.einsum("jab,jbc,jc->ja", across, R_ci, ground.v_rel_i) * settings.sigma_clock_s
     covariance = covariance + v[:, :, None] * v[:, None, :] / distance**2
-    if settings.use_target_sigma:
-        own = R_ci @ ground.cov_target_i @ np.swapaxes(R_ci, 1, 2)
-        reach = np.where(ground.is_star[:, None, None], 1.0, distance)  # a star's is an angle already
-        covariance = covariance + across @ own @ across / reach**2
+    own = R_ci @ ground.cov_target_i @ np.swapaxes(R_ci, 1, 2)
+    reach = np.where(ground.is_star[:, None, None], 1.0, distance)  # a star's is an angle already
+    covariance = covariance + across @ own @ across / reach**2
     return np.asarray(covariance + ground.cov_c)

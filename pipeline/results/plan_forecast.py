@@ -53,7 +53,6 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
         sigma_ccd_slope_rad=slope,
         sigma_ccd_bend_rad=bend,
         ccd_px=(cameras.ccd_px,) * cameras.n_ccds if cameras else (),
-        distortion_scope="camera" if plan.distortion_scope == "camera" else "strip",
     )
 
 
@@ -177,8 +176,7 @@ def _with_targets_twice(strip: StripSightings) -> StripSightings:
 
 def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSensor) -> StripSightings:
     """The strip with its targets moved, at their instants, to the two ends of the swath in turn."""
-    ground, attitudes = strip.ground, strip.attitudes
-    assert attitudes is not None
+    ground = strip.ground
     pixels = [camera.n_px(k) for k in range(camera.n_ccds)]
     middle = [camera.directions_from_pixels(k, np.array([0.5 * n]))[0, 1] for k, n in enumerate(pixels)]
     left, right = int(np.argmin(middle)), int(np.argmax(middle))
@@ -193,9 +191,8 @@ def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSen
         from_end = share[here] * min(width, n_px - 1.0)
         sample[here] = from_end if sign * ends[0] > sign * ends[1] else n_px - 1.0 - from_end
         u_c[here] = camera.directions_from_pixels(k, sample[here])
-    times = np.array([exposure.t_s for exposure in strip.exposures])
-    nearest = np.argmin(np.abs(times[:, None] - ground.t_s), axis=0)
-    R_ci = R_cs * Rotation.from_matrix(attitudes.R_si[nearest])
+    nearest = np.argmin(np.abs(strip.times_s[:, None] - ground.t_s), axis=0)
+    R_ci = R_cs * Rotation.from_matrix(strip.fitted.R_si[nearest])
     turn = Rotation.concatenate(
         [Rotation.align_vectors([b], [a])[0] for a, b in zip(ground.u_c, u_c)]
     ).as_matrix()

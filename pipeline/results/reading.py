@@ -14,14 +14,10 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import MODES
+from boresight.calib.error_table import by_kind, coordinate_covariance, coordinate_names, prior_of
 from boresight.calib.information import InformationPairs
-from boresight.calib.orbit_bias import BIASES, bias_prior
-from boresight.calib.predicted_earth import is_earth, predictions_of, prior_of_predictions
-from boresight.calib.shared_unknowns import (
-    SIGMA_ALIGNMENT_RAD,
-    coordinate_covariance,
-    coordinate_names,
-)
+from boresight.calib.orbit_bias import BIASES
+from boresight.calib.predicted_earth import predictions_of
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
@@ -43,6 +39,7 @@ __all__ = [
 ]
 
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns: mounting of a further head
+OTHERS = ("earth/", "reference/", "camera/")  # beginnings of names of further unknowns that are eliminated
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
@@ -315,24 +312,14 @@ def read_mounting(
         pairs = dataclasses.replace(pairs, F=F, F_theta=right)
     path = result / "sightings" / "strips.parquet"
     own = [unknown for unknown in pairs.shared if not DISTORTION.fullmatch(unknown)]
-    alignments = tuple(unknown for unknown in own if ALIGNMENT.fullmatch(unknown))
-    biases = tuple(unknown for unknown in own if unknown in BIASES)
-    earth = tuple(unknown for unknown in own if is_earth(unknown))
-    offsets = tuple(unknown for unknown in own if unknown.startswith("reference/"))
-    others = tuple(unknown for unknown in own if unknown.startswith("camera/"))
-    coordinates = [
-        unknown for unknown in own if unknown not in alignments + biases + earth + offsets + others
-    ]
+    known = {*BIASES, *(one for one in own if ALIGNMENT.fullmatch(one) or one.startswith(OTHERS))}
+    coordinates = [unknown for unknown in own if unknown not in known]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
-    weak = np.eye(len(alignments)) / SIGMA_ALIGNMENT_RAD**2
+    eliminated = by_kind(own)
     try:
-        of_earth = prior_of_predictions(earth)
-        of_ground = _prior_of_targets(result, targets), bias_prior(biases), of_earth, np.eye(len(offsets))
-        eliminated = coordinate_names(targets) + biases + earth + offsets + alignments + others
-        free = np.eye(len(others))  # 1 rad: a camera without strips is any
-        return pairs.as_one(name, eliminated, block_diag(*of_ground, weak, free))
+        return pairs.as_one(name, eliminated, prior_of(eliminated, _prior_of_targets(result, targets)))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 

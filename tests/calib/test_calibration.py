@@ -7,12 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.calibration import _noise_scale, calibrate_strips
+from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.information import solve_total
-from boresight.calib.joint_solution import Problem, linearised, solve_weighted
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.ledger import Kind, Reason
@@ -38,11 +36,9 @@ def normalised_errors(plan, settings, runs, seed):
     return np.array(out)
 
 
-@pytest.mark.parametrize("scope", ["camera", "strip"])
-def test_stated_covariance_holds_with_every_error_of_table_1(scope):
-    small = {"strips": 2, "exposures": 5, "stars": 15, "targets": 8, "distortion_scope": scope}
-    plan, settings = replace(TABLE_1, **small), CalibrationSettings(distortion_scope=scope)
-    nees = normalised_errors(plan, settings, 200, seed=11)
+def test_stated_covariance_holds_with_every_error_of_table_1():
+    plan = replace(TABLE_1, strips=2, exposures=5, stars=15, targets=8)
+    nees = normalised_errors(plan, CalibrationSettings(), 200, seed=11)
     low, high = chi2(df=3 * 200).ppf([0.0005, 0.9995]) / 200
     assert low < nees.mean() < high  # 2.46 to 3.60
     assert np.mean(nees > chi2(3).ppf(0.9)) == pytest.approx(0.1, abs=0.07)  # 3.3 sigma of 200 runs
@@ -68,12 +64,11 @@ def test_targets_that_all_strips_see_are_one_point_each():
     assert apart.mean() > 15  # expected 3: 5 m of 6 points do not average over 20 strips
 
 
-def test_targets_beyond_the_limit_are_counted():
+def test_targets_beyond_the_limit_are_many_points():
     plan = replace(StripPlan(), strips=3, targets=6, sigma_target_m=5.0, same_targets=True)
     strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
     estimate = calibrate_strips(strips, R_CS0, CalibrationSettings(most_shared_targets=4))
     assert isinstance(estimate, InstallationEstimate)
-    assert estimate.n_targets_treated_independent == 2
     assert sum(name.startswith("target/") for name in estimate.pairs.shared) == 12
 
 
@@ -124,33 +119,6 @@ def test_stored_pairs_are_all_that_a_later_calibration_needs():
     again = solve_total(total.F, total.F_theta, estimate.prior_shared, sigma_observable_rad=1e-3)
     np.testing.assert_array_equal(again.covariance, estimate.cov_theta)
     np.testing.assert_allclose(again.theta, 0.0, atol=1e-11)
-
-
-def test_noise_that_was_stated_wrong_is_found_with_its_own_sigma():
-    plan = StripPlan(strips=30, sigma_s_px=0.12, sigma_c_px=0.6)
-    strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(6))
-    stated = [
-        replace(
-            strip,
-            exposures=tuple(replace(e, cov_s=e.cov_s / 4.0) for e in strip.exposures),
-            ground=replace(strip.ground, cov_c=strip.ground.cov_c / 9.0),
-        )
-        for strip in strips
-    ]
-    settings = CalibrationSettings(
-        sigma_position_m=0,
-        sigma_clock_s=0,
-        sigma_vibration_rad=0,
-        sigma_distortion_rad=0,
-        estimate_noise=True,
-    )
-    estimate = calibrate_strips(stated, R_CS0, settings)
-    assert isinstance(estimate, InstallationEstimate)
-    noise = estimate.noise
-    assert abs(noise.stars - 2.0) < 4 * noise.stars_sigma < 0.1
-    assert abs(noise.targets - 3.0) < 4 * noise.targets_sigma < 0.8
-    error = theta_between(estimate.R_cs, BOLD)
-    assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
 
 
 def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
@@ -215,18 +183,6 @@ def test_one_step_from_far_away_has_not_converged():
     )
     estimate = calibrate_strips(strips, near, one_step)
     assert not estimate.converged_matrix and estimate.converged_covariance and estimate.converged
-
-
-def test_factor_of_the_noise_allows_for_the_tail_that_is_rejected():
-    strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(9))
-    settings = CalibrationSettings(probability_false_alarm=0.05)
-    problem = Problem.of([prepare_strip(strip, settings) for strip in strips], settings)
-    step = solve_weighted(problem, linearised(problem, BOLD, 1.0), np.ones(24))
-    robust, _ = _noise_scale(step, problem.inside, 1.0, settings)
-    plain, _ = _noise_scale(step, problem.inside, 1.0, replace(settings, robust=False))
-    draws = np.random.default_rng(1).chisquare(2, 1_000_000)
-    cut = draws[draws < chi2(2).isf(0.05)].mean() / 2.0
-    assert robust / plain == pytest.approx(cut**-0.5, rel=2e-3)  # 4 sigma of a million draws
 
 
 def test_nearly_half_of_the_targets_wrong_in_one_direction_do_not_decide():

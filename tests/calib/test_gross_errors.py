@@ -78,7 +78,7 @@ def test_search_ends_where_no_single_change_is_better_from_any_start(seed):
     plan = replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0)
     strips, _ = draw_strips(plan, CAMERAS, rng)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
-    about, limit = linearised(problem, BOLD, 1.0), rejection_test(1e-3, 36).limit
+    about, limit = linearised(problem, BOLD), rejection_test(1e-3, 36).limit
     for start in (problem.inside, rng.random(36) < 0.5, rng.random(36) < 0.8):
         kept = snoop(problem, about, start, limit).weight == 1.0
         best = criterion(problem, about, kept, limit)
@@ -99,7 +99,7 @@ def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
     strip = replace(strip, ground=replace(strip.ground, target_id=ids))
     (wrong,) = shifted([strip], 0, 10, np.array([1.2e-5, 1.2e-5]))
     problem = Problem.of([prepare_strip(wrong, SETTINGS)], SETTINGS)
-    about, limit = linearised(problem, BOLD, 1.0), rejection_test(1e-3, 12).limit
+    about, limit = linearised(problem, BOLD), rejection_test(1e-3, 12).limit
     start = problem.inside.copy()
     start[[9, 11]] = False
     alone = squared_mahalanobis(solve_weighted(problem, about, start.astype(float)))
@@ -185,7 +185,7 @@ def test_targets_that_contradict_each_other_have_the_weight_that_their_probabili
     wrong = shifted(strips, 1, 3, 4.0 * axis)
     estimate, (first, other) = calibrate_strips(wrong, BOLD, SETTINGS), (15, 16)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in wrong], SETTINGS)
-    about, every = linearised(problem, estimate.R_cs, 1.0), np.ones(36)
+    about, every = linearised(problem, estimate.R_cs), np.ones(36)
     whole = solve_weighted(problem, about, every)
     falls = whole.chi2 - np.array([solve_weighted(problem, about, every - unit).chi2 for unit in np.eye(36)])
     odds = np.divide(*(likelihood_of_any_error(problem, about, whole, row) for row in (first, other)))
@@ -205,7 +205,7 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
     rng = np.random.default_rng(1)
     strips, _ = draw_strips(replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0), CAMERAS, rng)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
-    about, kept = linearised(problem, BOLD, 1.0), rng.random(36) < 0.7
+    about, kept = linearised(problem, BOLD), rng.random(36) < 0.7
     step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
     for row, (statistic, variance) in zip(rows, readmitted(step, rows), strict=True):
         more = kept | (np.arange(36) == row)
@@ -225,6 +225,6 @@ def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
     solved, of = [], gross_errors.solve_weighted
     monkeypatch.setattr(gross_errors, "solve_weighted", lambda *a: solved.append(a) or of(*a))
     test = rejection_test(1e-3, 180)
-    kept = snoop(problem, linearised(problem, BOLD, 1.0), problem.inside, test.limit).weight
+    kept = snoop(problem, linearised(problem, BOLD), problem.inside, test.limit).weight
     assert np.mean(kept) < 2.0 / 3.0
     assert len(solved) < 2 * 60  # one by one to a third of the targets, then all that fail at once

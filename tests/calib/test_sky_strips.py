@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
+from boresight.calib.error_table import of_pass
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.orbit_bias import bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess
@@ -54,16 +56,15 @@ def test_stated_covariance_holds_from_the_sky_alone():
 
 def test_no_position_of_the_satellite_moves_a_star():
     strip = draw_sky_strips(SKY, CAMERAS, np.random.default_rng(1))[0]
-    prepared = prepare_strip(strip, replace(NONE, sigma_position_m=2.0))
-    first = prepared.unknowns.index("position/x")
-    assert not prepared.shared_s[:, :, first : first + 3].any()
+    settings = replace(NONE, sigma_position_m=2.0)
+    assert not of_pass(prepare_strip(strip, settings), settings).any()
 
 
 def test_the_row_clock_moves_a_star_by_the_rate_of_the_scan():
     still = replace(SKY, wave_rad=(0.0, 0.0), sigma_s_px=1e-4)
     strip = draw_sky_strips(still, CAMERAS, np.random.default_rng(2))[0]
-    prepared = prepare_strip(strip, replace(NONE, sigma_clock_s=1e-3))
-    column = prepared.shared_s[:, :, prepared.unknowns.index("clock")] @ BOLD.as_matrix().T
+    settings = replace(NONE, sigma_clock_s=1e-3)
+    column = of_pass(prepare_strip(strip, settings), settings)[:, :, 3] @ BOLD.as_matrix().T
     # 1 ms of a scan at -14.5 mrad/s about y: 14.5 µrad along x, the field is too narrow for more
     np.testing.assert_allclose(column[:, 0], 14.5e-6, rtol=1e-3)
     assert np.abs(column[:, 1]).max() < 1e-10  # rad; the rate is that of stars of 1e-4 px
@@ -156,7 +157,7 @@ def test_the_ground_alone_states_no_bias():
 def test_biases_move_the_targets_as_the_physics_says():
     strip = mixed(4)[0]
     ground, settings = strip.ground, replace(NONE, sigma_position_m=2.0, sigma_clock_s=1e-4)
-    columns = prepare_strip(strip, settings).bias_s
+    columns = bias_columns(prepare_strip(strip, settings), settings)
     axes = strip.R_oi_targets.inv().as_matrix()  # columns: forward, right, down
     for n, axis_i in enumerate((axes[:, :, 0], axes[:, :, 1], -axes[:, :, 2])):
         # A stated position 2 m ahead: the true one is 2 m back, and the target lies further ahead from there.

@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
+from boresight.calib.error_table import SharedUnknowns, find_shared, of_pass
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.shared_unknowns import SharedUnknowns
-from boresight.calib.strips import group_strips, linearise, prepare_strip
+from boresight.calib.strips import group_strips, linearise, prepare_strip, tangent_axes
 from boresight.features.paper.frames import calibrate_frames
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings
@@ -92,11 +92,11 @@ def test_exposures_doubled_a_millisecond_apart_tell_nothing_more_and_nothing_les
     assert apart @ np.linalg.solve(by_each.cov_theta, apart) < 0.1**2 * 3  # a tenth of 1 sigma
 
 
-@pytest.mark.parametrize("unknown", ["position/y", "clock"])
-def test_shared_errors_move_the_targets_as_the_physics_says(unknown):
+@pytest.mark.parametrize("unknown", [1, 3])  # position along y, clock of the rows
+def test_errors_of_a_pass_move_the_targets_as_the_physics_says(unknown):
     strip = strips_of(StripPlan(strips=1, wave_rad=(0.0, 0.0)))[0]
-    ground, late_s = strip.ground, 1e-3 if unknown == "clock" else 0.0
-    shift = ground.v_rel_i * late_s if unknown == "clock" else np.array([0.0, 2.0, 0.0])
+    ground, late_s = strip.ground, 1e-3 if unknown == 3 else 0.0
+    shift = ground.v_rel_i * late_s if unknown == 3 else np.array([0.0, 2.0, 0.0])
     seen_from_there = ground.range_m[:, None] * ground.u_i - shift
     seen_from_there /= np.linalg.norm(seen_from_there, axis=1, keepdims=True)
     span = strip.exposures[-1].t_s - strip.exposures[0].t_s
@@ -105,7 +105,7 @@ def test_shared_errors_move_the_targets_as_the_physics_says(unknown):
     there = replace(strip, ground=replace(ground, u_i=seen_from_there), R_oi_targets=later)
     settings = replace(NONE, sigma_position_m=2.0, sigma_clock_s=1e-3)
     before, after = prepare_strip(strip, settings), prepare_strip(there, settings)
-    column = before.shared_s[:, :, before.unknowns.index(unknown)]
+    column = of_pass(before, settings)[:, :, unknown]
     size = np.abs(column).max()
     assert size > 1e-6  # rad
     np.testing.assert_allclose(
@@ -139,8 +139,7 @@ def test_theta_and_attitude_columns_are_derivatives_of_the_residual():
 def test_a_prior_of_zero_switches_its_error_off():
     strip = strips_of(StripPlan(strips=1))[0]
     prepared = prepare_strip(strip, NONE)
-    for unknown in ("position/x", "position/y", "position/z", "clock"):
-        assert not np.any(prepared.shared_s[:, :, prepared.unknowns.index(unknown)])
+    assert of_pass(prepared, NONE).shape[2] == 4 and not np.any(of_pass(prepared, NONE))
     group = group_strips([prepared], NOTHING, NONE)[0]
     assert not np.any(group.white_s) and not np.any(group.missed)
 
@@ -151,7 +150,7 @@ def test_a_target_seen_twice_is_one_point_on_the_ground():
     ids[3] = ids[7]
     prepared = prepare_strip(replace(strip, ground=replace(strip.ground, target_id=ids)), NONE)
     group = group_strips([prepared], NOTHING, NONE)[0]
-    assert group.shared_s.shape[3] == prepared.shared_s.shape[2] + 3
+    assert group.shared_s.shape[3] == prepared.attitude_s.shape[2] + 4 + 3
     own = group.shared_s[0, :, :, -3:]
     assert np.flatnonzero(np.any(own != 0, axis=(1, 2))).tolist() == [3, 7]
     assert np.flatnonzero(~np.any(group.white_s[0] != 0, axis=(1, 2))).tolist() == [3, 7]
@@ -170,9 +169,11 @@ def test_vibration_seen_by_the_exposures_adds_to_the_covariance_of_their_attitud
     still, shaken = (
         prepare_strip(strip, replace(NONE, sigma_vibration_exposure_rad=size)) for size in (0.0, sigma)
     )
-    weights = lagrange_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
+    weights = interpolation_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
     phi = slice(0, 3 * len(strip.exposures))
-    added = [np.einsum("jan,jbn->jab", p.shared_s[:, :, phi], p.shared_s[:, :, phi]) for p in (shaken, still)]
+    added = [
+        np.einsum("jan,jbn->jab", p.attitude_s[:, :, phi], p.attitude_s[:, :, phi]) for p in (shaken, still)
+    ]
     across = np.eye(3) - still.v_s[:, :, None] * still.v_s[:, None, :]
     expected = sigma**2 * np.sum(weights**2, axis=1)[:, None, None] * across
     np.testing.assert_allclose(added[0] - added[1], expected, rtol=0, atol=1e-6 * sigma**2)
@@ -200,16 +201,13 @@ def test_coordinates_of_targets_are_in_axes_that_rotate_with_the_earth():
     np.testing.assert_allclose(second.cov_coordinates[0], np.diag([4.0, 1.0, 9.0]), atol=1e-6)
 
 
-@pytest.mark.parametrize("scope", ["camera", "strip"])
-def test_distortion_has_the_stated_variance_between_knots_too(scope):
+def test_distortion_has_the_stated_variance_between_knots_too():
     sigma = 3e-7  # rad
-    settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0, distortion_scope=scope)
+    settings = replace(NONE, sigma_distortion_rad=sigma, distortion_length_px=2000.0)
     prepared = prepare_strip(strips_of(StripPlan(strips=1))[0], settings)
     knots = knots_touched(prepared.curve, prepared.place)
-    shared = replace(NOTHING, knots=knots if scope == "camera" else ())
-    group = group_strips([prepared], shared, settings)[0]
-    by_knots = group.parts[0].looks_rad[0]
-    weights = by_knots @ np.linalg.cholesky(correlation(knots)) if scope == "camera" else group.own[0]
+    group = group_strips([prepared], find_shared([prepared], settings), settings)[0]
+    weights = group.parts[0].in_c[0, :, 0, : len(knots)] @ np.linalg.cholesky(correlation(knots))
     from_knots = np.sum(weights**2, axis=1)
     np.testing.assert_allclose(from_knots + group.missed[0], sigma**2, rtol=1e-9)
     # Linear interpolation over half a correlation length leaves up to an eighth of the variance.
@@ -226,7 +224,9 @@ def test_measurements_of_slanted_covariance_are_whitened_to_unit_variance():
     ground = replace(strip.ground, cov_c=axes @ slanted @ np.swapaxes(axes, 1, 2))
     prepared = prepare_strip(replace(strip, ground=ground), NONE)
     at = linearise(group_strips([prepared], NOTHING, NONE)[0], BOLD, NONE)
-    np.testing.assert_allclose(at.measured[0], np.tile(np.eye(2), (len(u), 1, 1)), atol=1e-3)
+    to_rows = at.whitener[0] @ tangent_axes(BOLD.apply(prepared.v_s))
+    measured = to_rows @ ground.cov_c @ np.swapaxes(to_rows, 1, 2)
+    np.testing.assert_allclose(measured, np.tile(np.eye(2), (len(u), 1, 1)), atol=1e-3)
     # 1e-3: the predicted directions, about which it is whitened, differ from the measured by the noise
 
 

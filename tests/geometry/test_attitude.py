@@ -11,7 +11,6 @@ from boresight.geometry.attitude import (
     ConstantRate,
     EarthFixedAttitude,
     interpolation_weights,
-    lagrange_weights,
 )
 from boresight.geometry.constants import ARCSEC
 
@@ -62,7 +61,7 @@ INSIDE = np.random.default_rng(3).uniform(10.0, 12.6, 3000)
 def test_weights_sum_to_one_and_hold_a_line_and_a_cubic(steps, where, points):
     nodes = np.concatenate([[0.0], np.cumsum(steps)])
     t = np.array(where) * nodes[-1]
-    weights = lagrange_weights(nodes, t, points)
+    weights = interpolation_weights(nodes, t, points=points)
     assert weights.shape == (len(t), len(nodes))
     assert np.abs(weights.sum(axis=1) - 1.0).max() < 1e-9
     assert (np.count_nonzero(weights, axis=1) <= points).all()
@@ -74,7 +73,7 @@ def test_weights_sum_to_one_and_hold_a_line_and_a_cubic(steps, where, points):
 
 
 def test_weights_pick_the_node_itself_and_the_nearest_four():
-    weights = lagrange_weights(EXPOSURES, [10.6, 11.1], 4)
+    weights = interpolation_weights(EXPOSURES, [10.6, 11.1], points=4)
     assert weights[0] == pytest.approx(np.eye(14)[3], abs=1e-12)
     assert np.flatnonzero(weights[1]).tolist() == [4, 5, 6, 7]
     assert weights[1][4:8] == pytest.approx([-1 / 16, 9 / 16, 9 / 16, -1 / 16], abs=1e-9)
@@ -100,10 +99,10 @@ def test_exposures_a_quarter_of_a_step_apart_stay_nodes_of_their_own():
 
 
 def test_instants_are_taken_up_to_half_a_step_outside():
-    assert np.isfinite(lagrange_weights(EXPOSURES, [9.91, 12.69])).all()
+    assert np.isfinite(interpolation_weights(EXPOSURES, [9.91, 12.69])).all()
     for t in (9.89, 12.71, np.nan):
         with pytest.raises(ValueError, match="outside the exposures"):
-            lagrange_weights(EXPOSURES, [11.0, t])
+            interpolation_weights(EXPOSURES, [11.0, t])
 
 
 def test_orbital_motion_alone_is_restored_exactly():
@@ -118,7 +117,10 @@ def test_the_waves_of_figure_4_are_restored_to_milliarcseconds():
     assert np.abs(error_s(track, inner)).max() < 9e-3 * ARCSEC
     # against the attitude itself, interpolated without the nominal motion taken out first: far worse
     vectors = (track.R_si_nodes * track.R_si_nodes[7].inv()).as_rotvec()
-    plain = Rotation.from_rotvec(lagrange_weights(EXPOSURES, inner, 2) @ vectors) * track.R_si_nodes[7]
+    plain = (
+        Rotation.from_rotvec(interpolation_weights(EXPOSURES, inner, points=2) @ vectors)
+        * track.R_si_nodes[7]
+    )
     assert np.abs((plain * true_attitude(inner).inv()).as_rotvec()).max() > 0.1 * ARCSEC
 
 
@@ -178,7 +180,7 @@ def test_nonsense_is_refused():
     with pytest.raises(ValueError, match="shape"):
         AttitudeTrack(EXPOSURES, true_attitude(EXPOSURES), Nominal(), np.zeros((3, 3)))
     with pytest.raises(ValueError, match="two points"):
-        lagrange_weights(EXPOSURES, [11.0], 1)
+        interpolation_weights(EXPOSURES, [11.0], points=1)
 
 
 def test_polynomial_quaternions_are_normalised_and_referred_to_the_turning_earth():
@@ -214,7 +216,7 @@ def test_expansion_follows_the_attitude_and_needs_eight_exposures():
     assert np.abs(error_s(track, INSIDE)).max() < 0.03 * ARCSEC
     assert track.breaks_s == pytest.approx(EXPOSURES[:-1] + 0.1)
     few = interpolation_weights(EXPOSURES[:7], [10.5], "taylor")
-    assert np.array_equal(few, lagrange_weights(EXPOSURES[:7], [10.5]))
+    assert np.array_equal(few, interpolation_weights(EXPOSURES[:7], [10.5]))
 
 
 def test_constant_rate_is_recovered_from_attitudes_and_rotates_the_frame_the_right_way() -> None:

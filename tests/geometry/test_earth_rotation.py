@@ -19,7 +19,7 @@ from boresight.geometry.earth_orientation import (
     EarthOrientationTable,
     EarthOrientationWarning,
     bundled_earth_orientation,
-    expected_prediction_error_m,
+    expected_error_m,
 )
 from boresight.geometry.earth_rotation import EarthRotation, _daily_values
 from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
@@ -187,7 +187,7 @@ def test_predictions_far_ahead_are_spoken_of():
     year, month, day, _ = erfa.jd2cal(MJD_ZERO_JD, TABLE.mjd_last_measured + 200)
     with pytest.warns(EarthOrientationWarning, match="is predicted"):
         earth = EarthRotation.over(Epoch.from_utc(f"{year:04d}-{month:02d}-{day:02d}"), 0.0, 1.0, TABLE)
-    assert earth.expected_error_m == pytest.approx(expected_prediction_error_m(200), rel=0.02)
+    assert earth.expected_error_m == pytest.approx(expected_error_m(200.0, 0.0), rel=0.02)
 
 
 def test_the_tables_meet_without_a_step():

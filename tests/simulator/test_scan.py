@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -159,7 +159,7 @@ def test_places_between_the_nodes_are_those_of_the_rigorous_model(model, surface
     told = LineNodes.over(scene, 3, 90, 128, nodes).at(100, 60)
     true = scene.texels(3, samples, lines)
     for told_nodes, direct in zip(told, true):
-        between = told_nodes @ lagrange_weights(nodes, samples).T
+        between = told_nodes @ interpolation_weights(nodes, samples).T
         miss_px = np.abs(between - direct) / SCENARIO.ground.texels_per_pixel
         assert miss_px.max() < 0.01  # px; the edges' share is held to 0.005 px on 999 of 1000 edges
 

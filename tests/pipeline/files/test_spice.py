@@ -191,7 +191,7 @@ def dump(tmp_path: Path) -> Path:
     R_bi = R_HB.inv() * plain.R_cs0.inv() * plain.orbit.R_oi(t_s)
     write_ck(root / "str1.bc", ticks, R_bi)
     t = np.arange(0.0, 40.0)
-    states = np.hstack([plain.orbit.positions_i(t), plain.orbit.velocities_i(t)]) / 1e3
+    states = np.hstack([plain.orbit.positions_i(t), plain.orbit.states_i(t)[1]]) / 1e3
     write_spk(root / "sat.bsp", states, ephemeris_time(EPOCH, t))
     text = (root / "dump.toml").read_text().replace("orbit.oem", "sat.bsp")
     for name in ("star_camera", "installation", "exposures"):
@@ -236,7 +236,7 @@ def test_a_dump_of_kernels_has_the_orbit_and_the_attitudes_of_the_toolkit(dump: 
             state, _ = spiceypy.spkezr(str(SATELLITE), et, "J2000", "NONE", "EARTH")
             # 1.2e-7 s by which a double of ephemeris time is rounded are 1 mm on the orbit
             assert np.abs(opened.orbit.positions_i([one])[0] - 1e3 * state[:3]).max() < 2e-3  # m
-            assert np.abs(opened.orbit.velocities_i([one])[0] - 1e3 * state[3:]).max() < 1e-5  # m/s
+            assert np.abs(opened.orbit.states_i([one])[1][0] - 1e3 * state[3:]).max() < 1e-5  # m/s
         middle = source.rows.t_s[20] + float(EPOCH.tai_s - opened.epoch.tai_s)
         et = float(ephemeris_time(EPOCH, [middle])[0])
         expected = spiceypy.pxform("J2000", "SAT_STR1", et)
@@ -284,7 +284,7 @@ def test_a_kernel_that_names_others_is_refused(dump: Path) -> None:
 def test_of_several_objects_one_is_stated(dump: Path) -> None:
     t = np.arange(0.0, 40.0)
     orbit = open_dump(dump).orbit
-    states = np.hstack([orbit.positions_i(t), orbit.velocities_i(t)]) / 1e3
+    states = np.hstack([orbit.positions_i(t), orbit.states_i(t)[1]]) / 1e3
     (dump / "sat.bsp").unlink()
     write_spk(dump / "sat.bsp", states, ephemeris_time(EPOCH, t), (SATELLITE, -998))
     with pytest.raises(RawDataError, match=r"objects: found -999, -998, expected one object, or `spacecraft"):

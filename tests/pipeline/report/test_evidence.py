@@ -132,7 +132,6 @@ def test_variance_of_a_cross_angle_is_that_of_everything_it_depends_on():
         sigma_clock_s=0.0,
         sigma_vibration_rad=vibration_rad,
         sigma_distortion_rad=0.0,
-        use_target_sigma=False,
     )
     R_cs = installation_by_tilt(np.radians(15.0))
     plan = StripPlan(strips=1, targets=4, duration_s=1.0, exposures=6, wave_rad=(0.0, 0.0))

@@ -1,0 +1,310 @@
+"""The table of errors: each declared once, with its unknowns, their prior and their columns.
+
+    scope             error                                                    unknowns
+    pass              position, clock of a camera's rows: processes in time    independent parts, 1-sigma each
+    camera            residual distortion, interior orientation                knots, CCDs' modes; parameters
+    target            coordinates of one that several strips see               metres; of a star µrad
+    satellite         bias of the orbit and of the row clocks                  stated errors of a strip
+    date              rotation of the Earth where it is predicted              1-sigma of the prediction
+    ground reference  offset of a mosaic or a survey                           1-sigma stated for it
+    head              alignment to the reference head                          radians
+
+All but those of a pass are named unknowns of the whole calibration, which do not average over strips.
+Coordinates are in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS closely
+enough for errors of metres; those of a star are its direction, GCRS axes. The errors at two instants of a
+process with a correlation time T have the correlation exp(-|t - t'| / T), whatever pass the instants are of;
+without one it is constant over a pass and independent from pass to pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from boresight.calib.distortion import (
+    Knot,
+    columns_of_ccds,
+    knot_weights,
+    knots_touched,
+    missed_between_knots,
+    prior_information,
+    unknown_names,
+)
+from boresight.calib.ground_references import ReferenceField, fields_of
+from boresight.calib.heads import head_names, of_heads
+from boresight.calib.interior_parameters import InteriorModel
+from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
+from boresight.calib.predicted_earth import earth_names, prior_of_predictions
+from boresight.calib.settings import CalibrationSettings
+from boresight.geometry.constants import EARTH_ROTATION_RATE
+from boresight.geometry.record import Bools, Ints, array, record, scalar
+
+if TYPE_CHECKING:
+    from boresight.calib.strips import PreparedStrip
+
+__all__ = [
+    "MICRORADIAN",
+    "SIGMA_ALIGNMENT_RAD",
+    "SharedError",
+    "SharedUnknowns",
+    "by_kind",
+    "coordinate_covariance",
+    "coordinate_names",
+    "earth_axes",
+    "find_shared",
+    "of_pass",
+    "prior_of",
+]
+
+Array = NDArray[np.float64]
+MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
+SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
+NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedError:
+    """One row of the table: an error that moves looks and known directions of targets."""
+
+    names: tuple[str, ...]  # of its n unknowns
+    columns_s: Callable[[PreparedStrip], Array] | None = None  # change (J, 3, n) of v_s by each; None: none
+    columns_c: Callable[[PreparedStrip], Array] | None = None  # the same of u_c - w, frame c
+
+
+@record(kw_only=True)
+class SharedUnknowns:
+    """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
+
+    knots: tuple[Knot, ...] = scalar("of the cameras' distortion", default=())
+    errors: tuple[SharedError, ...] = scalar("rows of the table; alignments of heads are last", default=())
+    targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
+    prior_targets: Array = scalar("(3 T, 3 T) information on these", default_factory=lambda: np.zeros((0, 0)))
+    references: tuple[ReferenceField, ...] = scalar("offsets of ground references", default=())
+    heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns, in the order of the matrices."""
+        return tuple(name for error in self.errors for name in error.names)
+
+    def prior_information(self) -> Array:
+        """Inverse prior covariance (n, n), each error in its unit."""
+        return prior_of(self.names, self.prior_targets)
+
+    def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
+        """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
+        none = np.zeros((len(strip.ccd), 3, 0))
+        in_c, in_s = [none], [none]
+        for error in self.errors:
+            zero = np.zeros((len(strip.ccd), 3, len(error.names)))
+            in_c.append(error.columns_c(strip) if error.columns_c else zero)
+            in_s.append(error.columns_s(strip) if error.columns_s else zero)
+        return np.concatenate(in_c, axis=2), np.concatenate(in_s, axis=2)
+
+    def missed(self, strip: PreparedStrip) -> Array:
+        """Variance (J,) of the cameras' distortion that straight lines between its knots miss, rad²."""
+        share = missed_between_knots(_weights(strip, self.knots)) if self.knots else 1.0
+        return np.asarray(strip.distortion_rad**2 * share)
+
+
+def coordinate_names(targets: Sequence[str]) -> tuple[str, ...]:
+    """Names of the unknown coordinates of targets, three each."""
+    return tuple(f"target/{name}/{axis}" for name in targets for axis in range(3))
+
+
+def earth_axes(t_s: Array) -> Array:
+    """(J, 3, 3), from the axes in which targets' coordinates are unknown to GCRS at t_s (J,)."""
+    return Rotation.from_rotvec(np.outer(EARTH_ROTATION_RATE * t_s, [0.0, 0.0, 1.0])).as_matrix()
+
+
+def coordinate_covariance(cov_target_i: Array, t_s: Array, u_i: Array, is_star: Bools) -> Array:
+    """Covariance (J, 3, 3) of targets' coordinates: on the ground m², axes that rotate with the Earth, from
+    GCRS axes; of stars µrad², GCRS axes, from rad².
+
+    A star's covariance has nothing along its direction; its mean there makes it regular and changes no
+    direction.
+    """
+    R_ie = np.where(is_star[:, None, None], np.eye(3), earth_axes(t_s))
+    covariance = np.swapaxes(R_ie, 1, 2) @ cov_target_i @ R_ie
+    along = u_i[:, :, None] * u_i[:, None, :]
+    mean = 0.5 * np.trace(cov_target_i, axis1=1, axis2=2)[:, None, None]
+    of_stars = (cov_target_i + mean * along) / MICRORADIAN**2
+    return np.asarray(np.where(is_star[:, None, None], of_stars, covariance))
+
+
+def find_shared(
+    strips: Sequence[PreparedStrip],
+    settings: CalibrationSettings,
+    heads: tuple[str, ...] = (),
+    interior: InteriorModel | None = None,
+) -> SharedUnknowns:
+    """The unknowns that these strips share, the alignments of `heads` among them; biases of orbit and clock
+    where there are stars and targets on the ground.
+
+    Of targets in several strips, those seen most often come first.
+    """
+    knots: set[Knot] = set()
+    ccds: set[int] = set()
+    for strip in strips:
+        curved = strip.distortion_rad > 0.0
+        knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
+        ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
+    count: dict[str, int] = {}
+    covariance: dict[str, Array] = {}
+    for strip in strips:
+        ids, first = np.unique(strip.target_id, return_index=True)
+        for name, row in zip(ids.tolist(), first.tolist()):
+            count[name] = count.get(name, 0) + 1
+            covariance.setdefault(name, strip.cov_coordinates[row])
+    often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
+    often.sort(key=lambda name: (-count[name], name))
+    kept = tuple(sorted(often[: settings.most_shared_targets]))
+    mixed = any(s.is_star.any() for s in strips) and any(not s.is_star.all() for s in strips)
+    earth = tuple(sorted({strip.earth for strip in strips if strip.earth}))
+    fields = fields_of(strips)
+    return SharedUnknowns(
+        knots=tuple(sorted(knots)),
+        errors=(
+            _distortion(tuple(sorted(knots)), tuple(sorted(ccds))),
+            *([_interior(interior)] if interior else []),
+            _coordinates(kept),
+            *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
+            _earth(earth),
+            *(SharedError(one.names, one.columns) for one in fields),
+            SharedError(head_names(heads), lambda one: of_heads(one.heads, one.by_alignments_s, heads)),
+        ),
+        targets=kept,
+        prior_targets=_in_blocks([np.linalg.inv(covariance[name]) for name in kept]),
+        references=fields,
+        heads=heads,
+    )
+
+
+def prior_of(names: Sequence[str], of_targets: Array) -> Array:
+    """Prior information (n, n) of shared unknowns by their names, those of one kind one after another;
+    `of_targets` (3 T, 3 T) is that of the coordinates.
+    """
+    priors = PRIORS | {"target": lambda _: of_targets}
+    return _in_blocks([priors[kind](tuple(own)) for kind, own in groupby(names, key=_kind)])
+
+
+def by_kind(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of shared unknowns in the order of the table."""
+    return tuple(sorted(names, key=lambda name: list(PRIORS).index(_kind(name))))
+
+
+def _kind(name: str) -> str:
+    return name.partition("/")[0]
+
+
+def _in_blocks(parts: Sequence[Array]) -> Array:
+    """Matrices on the diagonal of one (n, n); none: (0, 0)."""
+    return np.asarray(block_diag(np.zeros((0, 0)), *parts))
+
+
+def _of_unit(names: Sequence[str]) -> Array:
+    """Of unknowns in units of their 1-sigma; of other cameras' matrices, whose 1 rad is any."""
+    return np.eye(len(names))
+
+
+# Prior information on the unknowns of each kind by their names, which begin with it.
+PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
+    "distortion": prior_information,
+    "interior": _of_unit,
+    "target": _of_unit,  # if nothing else is known
+    "bias": bias_prior,
+    "earth": prior_of_predictions,
+    "reference": _of_unit,
+    "head": lambda names: np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2,
+    "camera": _of_unit,
+}
+
+
+def of_pass(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
+    """Change (J, 3, N) of v_s by the errors of one pass, or of passes that are still correlated: the position
+    of the satellite (along the track, across it and in height, where it is a process) and the clock of the
+    rows of each camera.
+    """
+    position = strip.move_s if settings.position_time_s else strip.move_i
+    late, one = settings.sigma_clock_s * strip.late_s[:, :, None], np.zeros_like(strip.camera)
+    moved = _process(settings.sigma_position_m * position, strip, settings.position_time_s, one)
+    return np.concatenate([moved, _process(late, strip, settings.clock_time_s, strip.camera)], axis=2)
+
+
+def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> Array:
+    """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
+    instant, (J, 3, A): its M independent parts of unit variance; processes of different `of` (J,) are
+    independent.
+    """
+    if time_s:
+        apart = np.abs(strip.t_s[:, None] - strip.t_s)
+        values, vectors = np.linalg.eigh((of[:, None] == of) * np.exp(-apart / time_s))
+        large = values > NO_EFFECT * values[-1:]
+        root = vectors[:, large] * np.sqrt(values[large])
+    else:
+        own = np.unique(np.column_stack([strip.number, of]), axis=0, return_inverse=True)[1]
+        root = np.eye(int(own.max(initial=-1)) + 1)[own]
+    return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
+
+
+def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
+    def columns(strip: PreparedStrip) -> Array:
+        of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
+        along = np.column_stack([of_knots, columns_of_ccds(strip.modes_rad, strip.unit, ccds)])
+        none = np.zeros_like(along)
+        return np.stack([np.hstack([along, none]), np.hstack([none, along]), np.hstack([none, none])], axis=1)
+
+    return SharedError(unknown_names(knots, ccds), columns_c=columns)
+
+
+def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
+    """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
+    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ccd), len(knots)))
+    weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
+    return weights
+
+
+def _interior(model: InteriorModel) -> SharedError:
+    """Of the camera: looks, and delays of a CCD's rows."""
+
+    def delays(strip: PreparedStrip) -> Array:
+        return strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
+
+    def looks(strip: PreparedStrip) -> Array:
+        return -model.look_change(strip.ccd, strip.sample) @ model.basis
+
+    return SharedError(model.unknowns, delays, looks)
+
+
+def _coordinates(targets: tuple[str, ...]) -> SharedError:
+    number = {name: n for n, name in enumerate(targets)}
+
+    def columns(strip: PreparedStrip) -> Array:
+        return _of_each(
+            [number.get(name, -1) for name in strip.target_id.tolist()], len(targets), strip.coordinates_s
+        )
+
+    return SharedError(coordinate_names(targets), columns)
+
+
+def _earth(predictions: tuple[str, ...]) -> SharedError:
+    def columns(strip: PreparedStrip) -> Array:
+        n = predictions.index(strip.earth) if strip.earth else -1
+        return _of_each([n] * len(strip.ccd), len(predictions), strip.earth_s)
+
+    return SharedError(earth_names(predictions), columns)
+
+
+def _of_each(number: Sequence[int], count: int, change: Array) -> Array:
+    """Changes (J, 3, 3) by the three unknowns of an error, `number` of each target, as columns of all `count`
+    errors; -1: of none.
+    """
+    own = np.array(number, dtype=np.int64)[:, None] == np.arange(count)
+    return np.asarray((own[:, None, :, None] * change[:, :, None, :]).reshape(len(change), 3, 3 * count))
