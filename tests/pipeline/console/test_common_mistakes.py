@@ -99,9 +99,7 @@ def test_mistake_in_a_dump_is_one_line(file, old, new, field, says, sound, tmp_p
 
 
 @pytest.mark.parametrize("mistake", ON_THE_COMMAND_LINE)
-def test_mistake_on_the_command_line_is_explained(
-    mistake: str, sound: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_mistake_on_the_command_line_is_explained(mistake, sound, tmp_path, capsys):
     command, expected, *says = ON_THE_COMMAND_LINE[mistake]
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("x")

@@ -473,9 +473,7 @@ def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(with_fault)
         with_fault("ground", shifted)
 
 
-def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(
-    with_fault,
-):
+def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(with_fault):
     """18 arc-seconds about x of the head, from the second scan on: the orbit's aberration is 5."""
 
     def moves(dump: Path) -> None:

@@ -102,9 +102,7 @@ def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_pa
         ("terrain", (1, 32), "int16", "heights: found terrain needs at least 2 x 2 heights"),
     ],
 )
-def test_image_of_another_size_or_depth_is_refused_with_both(
-    kind: str, shape: tuple[int, int], dtype: str, says: str, tmp_path: Path
-) -> None:
+def test_image_of_another_size_or_depth_is_refused_with_both(kind, shape, dtype, says, tmp_path):
     path = tmp_path / "image.tif"
     (write_strip if kind in ("exposure", "strip") else write_chip)(path, np.ones(shape, dtype))
     with pytest.raises(RawDataError, match=says):
@@ -113,9 +111,7 @@ def test_image_of_another_size_or_depth_is_refused_with_both(
 
 @pytest.mark.parametrize("kind", READ)
 @pytest.mark.parametrize("layout", [{"tile": 256}, {"tile": 999_984}, {"rows": 1}, {"rows": 10**6}])
-def test_tiff_that_claims_a_million_by_a_million_pixels_costs_nothing(
-    kind: str, layout: dict[str, int], tmp_path: Path
-) -> None:
+def test_tiff_that_claims_a_million_by_a_million_pixels_costs_nothing(kind, layout, tmp_path):
     path = tmp_path / "image.tif"
     claiming(path, 10**6, 10**6, **layout)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -107,9 +107,7 @@ def test_link_that_leads_out_is_refused(file: str, handmade: Path) -> None:
         "NUL",
     ],
 )
-def test_toml_that_is_made_to_harm_is_refused_at_once(
-    kind: str, text: str, says: str, tmp_path: Path
-) -> None:
+def test_toml_that_is_made_to_harm_is_refused_at_once(kind, text, says, tmp_path):
     path, begin = tmp_path / "hostile.toml", time.process_time()
     path.write_text(text)
     if kind == "any" and says.startswith("a int"):

@@ -194,9 +194,7 @@ CASES = [
 
 @pytest.mark.parametrize(("version", "meta", "inverse"), CASES)
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_messages_of_every_form_give_the_attitude(
-    form: str, version: str, meta: dict[str, str], inverse: bool, tmp_path: Path
-) -> None:
+def test_messages_of_every_form_give_the_attitude(form, version, meta, inverse, tmp_path):
     turned = Rotation.from_euler("xyz", [10.0, 20.0, 30.0], degrees=True) * R_SI  # trace above -1
     matrices = turned.inv().as_matrix() if inverse else turned.as_matrix()
     q = [standard_quaternion(matrix) for matrix in matrices]
@@ -272,9 +270,7 @@ def test_message_in_gps_time_is_18_seconds_earlier(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "later_s"), [("UTC", 0.0), ("TAI", -37.0), ("GPS", -18.0)])
-def test_times_of_a_table_are_in_the_scale_that_its_column_names(
-    scale: str, later_s: float, tmp_path: Path
-) -> None:
+def test_times_of_a_table_are_in_the_scale_that_its_column_names(scale, later_s, tmp_path):
     # 2024: TAI - UTC = 37 s, GPS - UTC = 18 s (Bulletin C of the IERS)
     path = tmp_path / "attitudes.csv"
     path.write_text(csv_text(R_SI.as_quat()).replace("utc,", f"{scale.lower()},"))

@@ -116,9 +116,7 @@ ALL = ("a.tls", "a.tsc", "a.tf")
 @pytest.mark.parametrize(
     ("frame", "kind"), [("J2000", 3), ("J2000", 1), ("ECLIPJ2000", 3), ("J2000", 2), ("J2000", 5)]
 )
-def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(
-    frame: str, kind: int, tmp_path: Path
-) -> None:
+def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(frame, kind, tmp_path):
     write_texts(tmp_path)
     ticks = ticks_of(tmp_path, np.arange(-2.0, 12.0, 0.125))
     write_ck(tmp_path / "a.bc", ticks, bold(instants_of(tmp_path, ticks)), frame, kind)

@@ -79,9 +79,7 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
         (0.5, 3.5, False, ["1", "2", "3"]),
     ],
 )
-def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(
-    low: float, high: float, is_log: bool, texts: list[str]
-) -> None:
+def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(low, high, is_log, texts):
     at, found, label = Axis("x", low, high, is_log=is_log).numbers(5)
     factor = float(label[3:-1]) if "(" in label else 1.0
     written = [float(text.replace("−", "-")) * factor for text in found]
@@ -200,9 +198,7 @@ def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> Non
 
 
 @pytest.mark.parametrize(("snr", "r"), [(0.3, 0.6), (10.0, 0.9), (251.19, 1.32), (1000.0, 1.5), (1e7, 1.5)])
-def test_the_mark_of_a_star_grows_by_0_3_for_ten_times_the_signal_to_noise_ratio(
-    snr: float, r: float
-) -> None:
+def test_the_mark_of_a_star_grows_by_0_3_for_ten_times_the_signal_to_noise_ratio(snr, r):
     mark = star_detection(12.0, 7.0, snr, "used", {"used": "identified"}, "HIP 5")
     assert mark.r == pytest.approx(r, abs=1e-9)
 

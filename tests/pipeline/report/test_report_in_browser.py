@@ -23,11 +23,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
 from fixture_strips import stopped_run, strip_of_fixture
 from PIL import Image
 from tornado.websocket import websocket_connect
-from typer.testing import CliRunner
 
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
@@ -170,8 +169,7 @@ def faulty(finished, tmp_path_factory) -> Path:
         content = change(dump / row[8])
         (dump / row[8]).write_bytes(content)
     stopped_run(result, [dump], finished[1])
-    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
-    assert ran.exit_code == 5, ran.output  # findings
+    ran("calibrate", dump, "--out", result, "--workers", 1, status=5)  # findings
     return result
 
 
@@ -545,8 +543,7 @@ def brightness(colour: str) -> float:
 
 
 def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, tmp_path):
-    told = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(tmp_path), "--workers", "1"])
-    assert told.exit_code == 0, told.output
+    ran("calibrate", SKY, "--out", tmp_path, "--workers", 1)
 
     async def look() -> tuple[list[str], list[list[float]], list[list[float]]]:
         browser = await opened(address)

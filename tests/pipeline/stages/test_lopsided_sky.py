@@ -150,9 +150,7 @@ def test_a_row_is_the_middle_of_all_its_stages(task: SkyTask, named: NamedStars)
     np.testing.assert_allclose(seen.t_s, [middle_of_row(line) for line in XY[:, 1]], rtol=0, atol=1e-12)  # s
 
 
-def test_errors_of_sample_and_line_move_the_direction_as_the_scan_does(
-    task: SkyTask, named: NamedStars
-) -> None:
+def test_errors_of_sample_and_line_move_the_direction_as_the_scan_does(task, named):
     """The direction in the sky that a place means, differentiated by numbers, in the axes of its row."""
     seen, step = sky_sightings(task, named), 0.5
     for n, (ccd, (sample, line)) in enumerate(zip(CCD.tolist(), XY.tolist())):

@@ -1,30 +1,17 @@
 """Directions of matched targets, and the target that misses a strip."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from boresight.geometry.constants import WGS84
-from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.missing import nearest_miss
-from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
 
 
-@pytest.fixture(scope="module")
-def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
-    """The one-strip dump from its finished units."""
-    found = calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
-    assert found.n_computed == 0
-    return found
-
-
-def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axes(
-    calibration: DumpCalibration,
-) -> None:
+def test_covariance_of_a_target_is_turned_from_east_north_up_to_the_inertial_axes(calibration):
     task, matched = calibration.tasks[0], calibration.matched[0]
     sigma_m = np.array([1.0, 2.0, 3.0])
     targets = tuple(replace(target, sigma_m=sigma_m) for target in task.targets)
