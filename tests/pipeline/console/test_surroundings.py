@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from fixture_strips import begun
 
 from boresight.console import run_command_line
 from boresight.pipeline.console.messages import say, tell
@@ -75,11 +76,12 @@ def test_limit_on_processes_is_named_with_the_remedy(one_strip, tmp_path, monkey
     assert not (tmp_path / "out/installation.json").exists()
 
 
-def test_a_calibration_needs_no_thread_of_its_own(one_strip, tmp_path, monkeypatch, capsys):
+def test_a_calibration_needs_no_thread_of_its_own(finished, tmp_path, monkeypatch, capsys):
     def refused(*given: object, **named: object) -> None:
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refused)
-    arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
+    begun(tmp_path / "out", finished, exposures=12)
+    arguments = ["calibrate", str(finished[0]), "--out", str(tmp_path / "out"), "--workers", "2"]
     code, told = ended(arguments, monkeypatch, capsys)
     assert code == 0 and (tmp_path / "out/installation.json").is_file(), told

@@ -156,23 +156,6 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
     assert star.name == "HIP 17499, strip sky01, CCD 2" and star.key == "used" and star.printed
 
 
-def test_scenes_stand_beside_one_another_each_in_a_cell_of_its_own() -> None:
-    box = [-1000.0, -500.0, 11_000.0, 8_500.0]
-    scene = {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": "s01", "outlines_m": []}]}
-    names = ("east_m", "north_m", "residual_east_m", "residual_north_m", "residual_m")
-    ground = {name: [5000.0, 5000.0, 5000.0] for name in names} | {"scene": [0, 1, 2]}
-    context = {"scenes": [scene | {"strips": [{"id": f"s{n}", "outlines_m": []}]} for n in range(3)]}
-    saved = SimpleNamespace(context=context, ground=pa.table(ground), map=pa.table({}), validation={})
-    view = map_view(saved, [card(n) for n in range(3)])  # type: ignore[arg-type]
-    assert view is not None
-    columns, _ = _layout(3, np.array([12_000.0, 9_000.0]))
-    places = {spot.row.row: (spot.x, spot.y) for spot in view.spots}
-    assert columns > 1
-    for n in range(3):
-        assert n % columns * WIDTH / columns < places[n][0] < (n % columns + 1) * WIDTH / columns
-    assert all(0.0 < y < view.height for _, y in places.values())
-
-
 def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> None:
     boxes = [[-1e3, -5e2, 11e3, 85e2], [3e3, 4e3, 7e3, 5e3], [-9e3, 2e2, 1e3, 5e3], [0.0, 0.0, 5e2, 3e3]]
     scenes = [

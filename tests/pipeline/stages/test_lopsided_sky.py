@@ -196,21 +196,6 @@ def test_the_motion_of_a_trace_is_that_of_a_star_that_stands_still_in_the_sky(ta
             assert motion.drift[ccd, k] == pytest.approx(drift, abs=1e-4)
 
 
-def test_motion_of_image_points_is_that_of_the_middle_of_each_ccd(task) -> None:
-    motion = strip_motion(task, MOUNTING)
-    for ccd, (first, offset) in enumerate(CCDS):
-        for node in (0, 20):
-            t = middle_of_row(float(motion.lines[node]))
-            turn = camera_from_gcrs(t + 0.5 * PERIOD) @ camera_from_gcrs(t - 0.5 * PERIOD).T
-            u = turn @ look(ccd, 999.5)  # 2000 pixels
-            x, y = -FOCAL_M * u[:2] / u[2] - [offset, first + 1000.0 * PITCH_M]
-            along = (y * np.cos(TURN_RAD) - x * np.sin(TURN_RAD)) / PITCH_M + 1000.0
-            across = (x * np.cos(TURN_RAD) + y * np.sin(TURN_RAD)) / PITCH_M
-            # px a row: attitudes are interpolated between nine exposures to 1e-9 rad
-            assert motion.drift[ccd, node] == pytest.approx(along - 999.5, abs=1e-4)
-            assert motion.rate[ccd, node] == pytest.approx(across, abs=1e-4)
-
-
 def test_rows_and_columns_in_reverse_begin_at_the_other_end(task, named) -> None:
     side = SkySide(tasks=(task,), found=(named.found,), omissions=(), computed=(True,))
     columns, rows = (order.apply(side).found[0].xy_px for order in orders_of(task.strip))
