@@ -80,17 +80,7 @@ class Reader:
 
     @property
     def is_text(self) -> bool:
-        return Path(self.file).suffix in (
-            ".toml",
-            ".csv",
-            ".oem",
-            ".aem",
-            ".xml",
-            ".DBL",
-            ".json",
-            ".points",
-            ".gcp",
-        )
+        return Path(self.file).suffix in ".toml .csv .oem .aem .xml .DBL .json .points .gcp".split()
 
 
 def write_sound_files(folder: Path) -> Path:
@@ -482,62 +472,15 @@ period_s = 5.3
 
 
 PIECES = [
-    *(
-        "nan",
-        "-nan",
-        "inf",
-        "-inf",
-        "-1",
-        "0",
-        "1e999",
-        "-1e308",
-        "5e-324",
-        "9" * 400,
-        "9" * 5000,
-        "1_0",
-        "٣",
-    ),
-    *(
-        "",
-        " ",
-        "\n",
-        "\r",
-        "\r\n",
-        "\t",
-        "\x00",
-        "\x1b[2J",
-        "\ufeff",
-        "\u202e",
-        "é",
-        "𝄞",
-        "'",
-        '"',
-        '"""',
-        "'''",
-    ),
-    *("[", "]", "[[", "{", "}", "=", ",", ";", "#", ".", ":", "<", ">", "&", "\\", "/", "|", "%s", "%n"),
-    *("..", "../", "/etc/passwd", "C:\\x", "file:///etc/passwd", "http://[", "~", "a." * 50, "[" * 300),
-    *(
-        "true",
-        "false",
-        "null",
-        "{}",
-        "[]",
-        "2024-13-45T99:99:99",
-        "2016-12-31T23:59:60",
-        "1971-01-01T00:00:00",
-    ),
+    *("nan", "-nan", "inf", "-inf", "-1", "0", "1e999", "-1e308", "5e-324", "9" * 400, "9" * 5000, "1_0"),
+    *("٣", "", " ", "\n", "\r", "\r\n", "\t", "\x00", "\x1b[2J", "\ufeff", "\u202e", "é", "𝄞"),
+    *("'", '"', '"""', "'''", *"[ ] [[ { } = , ; # . : < > & \\ / | %s %n .. ../".split()),
+    *("/etc/passwd", "C:\\x", "file:///etc/passwd", "http://[", "~", "a." * 50, "[" * 300),
+    *("true", "false", "null", "{}", "[]", "2024-13-45T99:99:99", "2016-12-31T23:59:60", "1971-01-01T00:00:00"),
     *("9999-12-31T23:59:59", "0001-01-01T00:00:00", "0x" + "f" * 5000, "<!DOCTYPE x>", "&a;", "<![CDATA["),
-    *(
-        "__import__('os')",
-        "!!python/object",
-        "=cmd|' /C calc'!A0",
-        "${jndi:x}",
-        "<script>",
-        "COMMENT",
-        "META_START",
-    ),
-]
+    *("__import__('os')", "!!python/object", "=cmd|' /C calc'!A0", "${jndi:x}", "<script>", "COMMENT"),
+    "META_START",
+]  # fmt: skip
 NUMBERS = (0, 1, 2, 7, 8, 15, 16, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1)
 
 

@@ -46,7 +46,7 @@ SWITCHES = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
-# Colours depend on the scheme and layout on the width: each is seen once; by axe, with its colours or without.
+# Colours depend on the scheme, layout on the width: each is seen once; by axe, with its colours or without.
 SCREENS = [(400, "light", True), (1280, "dark", True), (2560, "light", False)]
 LONGEST_S = 120.0  # for one answer of the browser, on a machine that does much else
 AXE = importlib.util.find_spec("axe_core_python")
