@@ -247,9 +247,11 @@ def restated(record, t_s):
 def test_even_instants_that_are_cut_or_early_are_named_in_a_single_strip(step_s, rate):
     """Twelve rows, which a free motion follows: with evenly spaced instants there is none."""
     t_s = step_s * np.arange(12)
-    for stated in (np.floor(8.0 * t_s) / 8.0, t_s - 0.05 * (np.arange(12) % 3 == 0)):
+    cut, early = np.floor(8.0 * t_s) / 8.0, t_s - 0.05 * (np.arange(12) % 3 == 0)
+    for stated in (cut, early):
         (told,) = against_own_motion([restated(record_of(1, rate, strips=1, rows=12, step_s=step_s), stated)])
         assert told.cause == "times of attitudes" and told.refutes
+        assert ("multiples of 0.125 s" in told.text) == (stated is cut)
 
 
 @pytest.mark.parametrize("seed", range(2))

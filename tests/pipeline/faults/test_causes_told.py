@@ -29,7 +29,6 @@ from boresight.pipeline.results.folder import store_of
 
 change, edited, later = faults.change, faults.edited, faults.later
 STRIPS = ("s01", "s02", "s03")
-PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 NO_ABERRATION = "[light]\naberration = false\n\n"
 Make = Callable[[Path], None]
 
@@ -92,25 +91,10 @@ def one_point(name: str, column: str, new: Callable[[str], str], dump: Path) -> 
     edited("points.csv", edit, dump)
 
 
-CAUSES = [
+CAUSES = [  # others: `test_faults_of_images.py`
     # fault, cause, item, size (NaN: none is reported), file
     (partial(rows_late, "s02", -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
-    (partial(rows_late, "s03", 9e-3), "clock of the rows", "strip s03", 9.0, "strips.csv"),
     (partial(period, "s01", 1.0018), "row period", "strip s01", 0.18, "strips.csv"),
-    (
-        partial(camera, "x_offset_mm", 1, 0.7 * PITCH_MM),
-        "place of a CCD, along the track",
-        "CCD 1",
-        0.7,
-        "remote_camera.toml",
-    ),
-    (
-        partial(camera, "y_first_mm", 3, -0.8 * PITCH_MM),
-        "place of a CCD, across the track",
-        "CCD 3",
-        -0.8,
-        "remote_camera.toml",
-    ),
     (
         focal_length,
         "focal length of the remote-sensing camera",
@@ -163,16 +147,6 @@ def test_points_that_scatter_more_than_stated_are_one_finding_about_their_noise(
     assert (first.cause, first.item) == ("noise of the image points or coordinates", item)
     assert 3.0 < first.value < 9.0  # times the stated of image, survey and vibration together
     assert first.refutes or item != "all strips"  # then the matrix is less certain than stated
-
-
-def test_instants_cut_to_an_eighth_of_a_second_are_told_with_that_step(told):
-    def cut(row: dict[str, str]) -> None:
-        utc = np.datetime64(row["utc"], "ns")
-        row["utc"] = str(utc - np.timedelta64(int(utc.astype(np.int64)) % 125_000_000, "ns"))
-
-    first = told(partial(edited, "STR1.csv", cut)).verdict.findings[0]
-    assert (first.cause, first.item) == ("times of attitudes", "head STR1")
-    assert "multiples of 0.125 s" in first.text
 
 
 def test_sizes_of_single_points_scatter_by_their_sigma(told, sound):

@@ -141,16 +141,16 @@ def test_what_is_wrong_is_named(old: str, new: str, says: str, tmp_path: Path) -
         read_oem(written(tmp_path, text_of(20).replace(old, new, 1)), "orbit.oem")
 
 
-def test_six_hours_at_one_hertz_take_less_than_a_third_of_the_librarys_time(tmp_path: Path) -> None:
+def test_two_hours_at_one_hertz_take_less_than_a_third_of_the_librarys_time(tmp_path: Path) -> None:
     # In turn, as clocks of machines differ by three: on a fast one a day took 0.35 s of CPU time, the library
     # alone 4 s. On slow, busy ones single pairs gave 0.15 to 0.34, the least of five of each 0.24 to 0.27.
-    path = written(tmp_path, text_of(21_600))
+    path = written(tmp_path, text_of(7_200))
     alone_s, here_s = [np.inf], [np.inf]
     while len(here_s) <= 5 and not min(here_s) < min(alone_s) / 3:  # other programs take caches and clock
         alone_s.append(cpu_s(lambda: list(OrbitEphemerisMessage.open(path).segments[0].states)))
         here_s.append(cpu_s(lambda: read_oem(path, "orbit.oem")))
     assert min(here_s) < min(alone_s) / 3
-    assert len(read_oem(path, "orbit.oem").t_s) == 21_600
+    assert len(read_oem(path, "orbit.oem").t_s) == 7_200
 
 
 def cpu_s(work: Callable[[], object]) -> float:

@@ -380,7 +380,7 @@ def test_mutated_polynomials_are_read_or_refused(kind: int, tmp_path: Path) -> N
     whole, rng, refused = (tmp_path / "a.bc").read_bytes(), np.random.default_rng(4), 0
     (first,) = np.frombuffer(whole[1096:1100], "<i4")  # where the only segment begins, in its summary
     codes = range(8 * (int(first) + 3), len(whole), 8 * 13) if kind == 4 else ()  # high bytes of codes
-    for n in [*codes, *rng.integers(1024, len(whole), 200).tolist()]:
+    for n in [*codes, *rng.integers(1024, len(whole), 60).tolist()]:
         raw = bytearray(whole)
         raw[n + 6 if n in codes and n + 6 < len(raw) else n] = 255
         (tmp_path / "b.bc").write_bytes(raw)
@@ -414,7 +414,7 @@ def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
         {name: (dump / name).read_bytes() for name in ("str1.bc", "sat.bsp")},
     )
     refused = 0
-    for n in range(200):
+    for n in range(80):
         name = ("str1.bc", "sat.bsp")[n % 2]
         raw = bytearray(whole[name])
         for _ in range(int(rng.integers(1, 4))):
@@ -427,4 +427,4 @@ def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
             refused += 1
             assert str(error)
         (dump / name).write_bytes(whole[name])
-    assert refused > 20
+    assert refused > 8
