@@ -52,10 +52,10 @@ def test_folder_with_files_of_others_is_refused_and_left_as_it_is(tmp_path: Path
     (out / "notes").mkdir(parents=True)
     for name in ("installation.json", "draft.tmp", "notes/.letter.txt.tmp", "dumps.json"):
         (out / name).write_text("precious")
-    before = contents(out)
+    before = everything(out)
     with pytest.raises(RawDataError, match="a new or empty folder"), claimed(out, [FIXTURE], Settings()):
         pass
-    assert contents(out) == before
+    assert everything(out) == before  # not even a lock
 
 
 def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still_read(
