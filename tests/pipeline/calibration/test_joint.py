@@ -302,28 +302,16 @@ def test_no_dump_that_suffices_is_no_result() -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "says"),
     [
-        (
-            "dump.toml",
-            'mission = "mini"',
-            'mission = "maxi"',
-            "dump.toml: mission: found maxi, expected mini",
-        ),
+        ("dump.toml", 'mission = "mini"', 'mission = "maxi"',
+            "dump.toml: mission: found maxi, expected mini"),
         ("dump.toml", "position_m = 2.0", "position_m = 1.0", "errors.sigma_position_m: found 1.0, .* 2.0"),
         ("star_camera.toml", "512.0", "512.5", r"star_camera.toml: star camera.principal_px.0: found 512.5"),
-        (
-            "remote_camera.toml",
-            "focal_length_m = 10.0",
-            "focal_length_m = 10.1",
-            "camera.focal_m: found 10.1",
-        ),
-        (
-            "installation.toml",
-            r"quaternion_cs = \[[^]]*\]",
-            "quaternion_cs = [1.0, 0.0, 0.0, 0.0]",
-            "pre-launch installation matrix: found",
-        ),
+        ("remote_camera.toml", "focal_length_m = 10.0", "focal_length_m = 10.1",
+            "camera.focal_m: found 10.1"),
+        ("installation.toml", r"quaternion_cs = \[[^]]*\]", "quaternion_cs = [1.0, 0.0, 0.0, 0.0]",
+            "pre-launch installation matrix: found"),
     ],
-)
+)  # fmt: skip
 def test_dumps_of_other_cameras_are_refused_with_file_and_field(dumps, tmp_path, file, old, new, says):
     other = tmp_path / "other"
     shutil.copytree(dumps[2], other)

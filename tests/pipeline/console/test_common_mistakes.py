@@ -27,66 +27,26 @@ def printed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[i
 
 # Arguments, with {dump}, {here} for folders; exit status; the option or file; cause; remedy.
 ON_THE_COMMAND_LINE: dict[str, tuple[str, int, str, str, str]] = {
-    "a folder that is not there": (
-        "calibrate {here}/nowhere --out {here}/r",
-        1,
-        "nowhere",
-        "no such folder",
-        "a folder with a dump.toml",
-    ),
+    "a folder that is not there": ("calibrate {here}/nowhere --out {here}/r", 1, "nowhere", "no such folder",
+        "a folder with a dump.toml"),
     "no --out": ("calibrate {dump}", 2, "--out", "Missing option", "boresight calibrate --help"),
     "a misspelt command": ("calibrat {dump}", 2, "calibrat", "No such command", "Did you mean 'calibrate'"),
-    "the result inside the dump": (
-        "calibrate {dump} --out {dump}/r",
-        1,
-        "--out",
-        "a folder of the dump",
-        "a folder outside of it",
-    ),
-    "a folder with other files": (
-        "calibrate {dump} --out {here}/full",
-        1,
-        "--out",
-        "found notes.txt",
-        "a new or empty folder",
-    ),
-    "a setting that does not exist": (
-        "calibrate {dump} --out {here}/r --settings {here}/settings.toml",
-        1,
-        "settings.toml",
-        "match.correlation: found an unknown key",
-        "least_correlation",
-    ),
-    "a result that is not finished": (
-        "validate {here}/full --dump {dump}",
-        1,
-        "installation.json",
-        "no such file",
-        "boresight status",
-    ),
+    "the result inside the dump": ("calibrate {dump} --out {dump}/r", 1, "--out", "a folder of the dump",
+        "a folder outside of it"),
+    "a folder with other files": ("calibrate {dump} --out {here}/full", 1, "--out", "found notes.txt",
+        "a new or empty folder"),
+    "a setting that does not exist": ("calibrate {dump} --out {here}/r --settings {here}/settings.toml", 1,
+        "settings.toml", "match.correlation: found an unknown key", "least_correlation"),
+    "a result that is not finished": ("validate {here}/full --dump {dump}", 1, "installation.json",
+        "no such file", "boresight status"),
     "an unknown format": ("export {here} --format kml2", 2, "kml2", "there is no format", "geojson"),
-    "a strip that is not there": (
-        "match {dump} --out {here}/m.csv --strip s9",
-        1,
-        "s9",
-        "no strip",
-        "only s1",
-    ),
-    "text in the place of an image": (
-        "identify {here}/full/notes.txt",
-        1,
-        "notes.txt",
-        "byte 0: found 78",
-        "a PNG, TIFF or FITS image",
-    ),
-    "--workers and --scheduler": (
-        "calibrate {dump} --out {here}/r --workers 2 --scheduler tcp://h:1",
-        2,
-        "--workers",
-        "--scheduler",
-        "exclude one another",
-    ),
-}
+    "a strip that is not there": ("match {dump} --out {here}/m.csv --strip s9", 1, "s9", "no strip",
+        "only s1"),
+    "text in the place of an image": ("identify {here}/full/notes.txt", 1, "notes.txt", "byte 0: found 78",
+        "a PNG, TIFF or FITS image"),
+    "--workers and --scheduler": ("calibrate {dump} --out {here}/r --workers 2 --scheduler tcp://h:1", 2,
+        "--workers", "--scheduler", "exclude one another"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("file", "old", "new", "field", "says"), WRONG[::7])

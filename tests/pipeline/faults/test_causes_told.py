@@ -102,21 +102,11 @@ CAUSES = [  # others: `test_faults_of_images.py`
         0.04,
         "remote_camera.toml",
     ),  # 212 m of height would explain it, too
-    (
-        partial(faults.ground_moved, "points.csv", ("s02",), "north", 80.0),
-        "datum of the targets, north",
-        "strip s02",
-        80.0,
-        "points.csv",
-    ),
-    (
-        partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"),
-        "coordinates",
-        "target s01-t07 (strip s01)",
-        27.8,
-        "points.csv",
-    ),
-]
+    (partial(faults.ground_moved, "points.csv", ("s02",), "north", 80.0), "datum of the targets, north",
+        "strip s02", 80.0, "points.csv"),
+    (partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"), "coordinates",
+        "target s01-t07 (strip s01)", 27.8, "points.csv"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "cause", "item", "size", "file"), CAUSES)

@@ -81,24 +81,12 @@ def strips_again(dump: Path) -> None:
 REMOTE, CLOCK = "remote_camera.toml", "clock of the rows"
 ROWS = [
     # fixture, fault, outcome, what is reported: (cause, item, size; None: not measured, file)
-    (
-        "mini",
-        number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0),
-        REFUTED,
-        [("place of a CCD, along the track", "CCD 0", 1.0, REMOTE)],
-    ),
-    (
-        "mini",
-        number(REMOTE, "y_first_mm", lambda v: v + 5 * PITCH_MM, 2),
-        FINDINGS,
-        [("place of a CCD, across the track", "CCD 2", 5.0, REMOTE)],
-    ),
-    (
-        "mini",
-        number(REMOTE, "x_offset_mm", lambda v: -v),
-        REFUTED,
-        [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)],
-    ),
+    ("mini", number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0), REFUTED,
+        [("place of a CCD, along the track", "CCD 0", 1.0, REMOTE)]),
+    ("mini", number(REMOTE, "y_first_mm", lambda v: v + 5 * PITCH_MM, 2), FINDINGS,
+        [("place of a CCD, across the track", "CCD 2", 5.0, REMOTE)]),
+    ("mini", number(REMOTE, "x_offset_mm", lambda v: -v), REFUTED,
+        [("images or look directions of a CCD", "CCDs 1, 3", None, REMOTE)]),
     ("mini", partial(late, s01=15.0), REFUTED, [(CLOCK, "strip s01", 15.0, "strips.csv")]),
     ("mini", partial(late, s03=15.0), FINDINGS, [(CLOCK, "strip s03", 15.0, "strips.csv")]),
     (
@@ -108,18 +96,10 @@ ROWS = [
         [(CLOCK, "strip s02", -8.0, "strips.csv"), (CLOCK, "strip s01", 5.0, "strips.csv")],
     ),
     ("mini", typo, FINDINGS, [("coordinates or chip", "target s01-t04", None, "targets.csv")]),
-    (
-        "mini",
-        of_two_ccds,
-        FINDINGS,
-        [("files of two CCDs", f"CCD 0 and CCD 1 in strip s0{n}", None, "strips.csv") for n in (1, 2, 3)],
-    ),
-    (
-        "mini",
-        partial(files_exchanged, "exposures.csv", [(6, 9)]),
-        FINDINGS,
-        [("files or times of exposures", "exposures e0007 and e0010", None, "exposures.csv")],
-    ),
+    ("mini", of_two_ccds, FINDINGS,
+        [("files of two CCDs", f"CCD 0 and CCD 1 in strip s0{n}", None, "strips.csv") for n in (1, 2, 3)]),
+    ("mini", partial(files_exchanged, "exposures.csv", [(6, 9)]), FINDINGS,
+        [("files or times of exposures", "exposures e0007 and e0010", None, "exposures.csv")]),
     (
         "mini",
         two_at_once,
@@ -130,12 +110,8 @@ ROWS = [
         ],
     ),
     ("mini", strips_again, Outcome.CONSISTENT, []),
-    (
-        "sky",
-        number("star_camera.toml", "focal_length_mm", lambda v: 0.9999 * v),
-        REFUTED,
-        [("focal length of the star camera", "all exposures", -0.01, "star_camera.toml")],
-    ),
+    ("sky", number("star_camera.toml", "focal_length_mm", lambda v: 0.9999 * v), REFUTED,
+        [("focal length of the star camera", "all exposures", -0.01, "star_camera.toml")]),
     (
         "sky",  # of whose three stars none is where it must be
         number(REMOTE, "x_offset_mm", lambda v: v - 9 * PITCH_MM, 2),
@@ -143,7 +119,7 @@ ROWS = [
         [("place of a CCD, along the track", "CCD 2", -9.0, REMOTE)],
     ),
     ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("fixture", "make", "outcome", "causes"), ROWS)

@@ -70,15 +70,13 @@ def claiming(path: Path, width: int, height: int, *, tile: int = 0, rows: int = 
     [
         (lambda path: path.unlink(), "image: file: found no such file, expected an image"),
         (lambda path: path.write_bytes(b""), "image: byte 0: found an empty file, expected a .*TIFF"),
-        (
-            lambda path: path.write_bytes(path.read_bytes()[:6]),
-            "image: TIFF header: found .* expected a TIFF",
-        ),
+        (lambda path: path.write_bytes(path.read_bytes()[:6]),
+            "image: TIFF header: found .* expected a TIFF"),
         (lambda path: path.write_bytes(path.read_bytes()[:-300]), "image: .*found .*, expected"),
         (lambda path: path.write_bytes(b"GIF89a" + bytes(99)), "image: byte 0: found 47 49 46"),
     ],
     ids=["missing", "zero length", "header cut", "pixels cut", "no TIFF"],
-)
+)  # fmt: skip
 def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_path: Path) -> None:
     path = tmp_path / "image.tif"
     sound(kind, path)

@@ -122,19 +122,15 @@ def test_toml_that_is_made_to_harm_is_refused_at_once(kind, text, says, tmp_path
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (
-            "[orbit]\naltitude_km = 0x" + "f" * 400,
-            "orbit.altitude_km: expected a number up to 1e.15, found 44462",
-        ),
-        (
-            "[orbit]\naltitude_km = 0x" + "f" * 5000,
-            "altitude_km: expected a number up to 1e.15, found a int too long",
-        ),
+        ("[orbit]\naltitude_km = 0x" + "f" * 400,
+            "orbit.altitude_km: expected a number up to 1e.15, found 44462"),
+        ("[orbit]\naltitude_km = 0x" + "f" * 5000,
+            "altitude_km: expected a number up to 1e.15, found a int too long"),
         ("[orbit]\naltitude_km = nan", "orbit.altitude_km: expected a number up to 1e.15, found nan"),
         ("[strips]\ncount = 0x" + "f" * 400, "strips.count: expected a number up to 1e.15, found 44462"),
         ("[strips]\ncount = true", "strips.count: expected a valid integer, found True"),
     ],
-)
+)  # fmt: skip
 def test_number_that_no_scenario_has_is_told_with_its_key(text: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(text)
     with pytest.raises(ScenarioError, match=says):

@@ -102,40 +102,25 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
         ("2016-12-31T23:59:31.000 ", "2016-13-31T23:59:31.000 ", "times that exist"),
         ("2016-12-31T23:59:31.000 ", "2016-12-31T23:59:30.000 ", "strictly increasing"),
         ("REF_FRAME = GCRF\n", "", "META_START of line 5, REF_FRAME: found nothing"),
-        (
-            "REF_FRAME = GCRF\n",
-            "REF_FRAME = GCRF\nREF_FRAME = ICRF\n",
-            "line 10, REF_FRAME: found a second time",
-        ),
-        (
-            "REF_FRAME = GCRF\n",
-            "REF_FRAME = GCRF\nCOLOUR = red\n",
-            "line 10, COLOUR: found an unknown keyword",
-        ),
+        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nREF_FRAME = ICRF\n",
+            "line 10, REF_FRAME: found a second time"),
+        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR = red\n",
+            "line 10, COLOUR: found an unknown keyword"),
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR\n", "found COLOUR, expected KEYWORD = value"),
         ("CCSDS_OEM_VERS = 2.0", "CCSDS_OEM_VERS = 3.5", "expected 1.0, 2.0, 3.0"),
-        (
-            "META_START",
-            "META_START\nMETA_STOP\nMETA_START",
-            "META_START of line 5, OBJECT_NAME: found nothing",
-        ),
+        ("META_START", "META_START\nMETA_STOP\nMETA_START",
+            "META_START of line 5, OBJECT_NAME: found nothing"),
         ("META_STOP\n", "", "line 5, META_START: found 0 META_STOP"),
         ("META_START\n", "", "META_START: found nothing"),
         ("EARTH", "MARS", "line 8, CENTER_NAME: found MARS, expected EARTH"),
-        (
-            "CCSDS_OEM_VERS = 2.0",
-            "CCSDS_OPM_VERS = 2.0",
-            "line 1: found CCSDS_OPM_VERS = 2.0, expected CCSDS_OEM",
-        ),
+        ("CCSDS_OEM_VERS = 2.0", "CCSDS_OPM_VERS = 2.0",
+            "line 1: found CCSDS_OPM_VERS = 2.0, expected CCSDS_OEM"),
         ("2016-12-31T23:59:31.000 ", "2016-367T23:59:31.000 ", "a day of that year"),
         (" 0.0 ", " 0.0 1.0 ", "line 15: found 8 words.*six numbers"),
-        (
-            "TIME_SYSTEM = UTC",
-            "TIME_SYSTEM = UT1",
-            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT, TDB or GPS",
-        ),
+        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1",
+            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT, TDB or GPS"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_named(old: str, new: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=says):
         read_oem(written(tmp_path, text_of(20).replace(old, new, 1)), "orbit.oem")
