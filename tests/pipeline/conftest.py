@@ -4,6 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from command_line import ran
+from outside import ROOT
 
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import open_dump
@@ -22,3 +24,10 @@ def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
 def result(finished: tuple[Path, Path], tmp_path: Path) -> Path:
     """A copy of the finished result, without its units; a test may change it."""
     return shutil.copytree(finished[1], tmp_path / "result", ignore=shutil.ignore_patterns("work"))
+
+
+@pytest.fixture(scope="session")
+def sky_result(made_once) -> Path:
+    """What the command makes of `fixtures/sky`. Read only."""
+    sky = ROOT / "fixtures" / "sky"
+    return made_once("sky-result", lambda folder: ran("calibrate", sky, "--out", folder, "--workers", 1))

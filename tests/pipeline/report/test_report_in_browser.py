@@ -37,7 +37,6 @@ CHROMIUM = next(
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="NO CHROMIUM FOUND: the report was not looked at in a browser"
 )
-SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 SWITCHES = (
     "--headless=new",
     "--no-sandbox",
@@ -530,12 +529,10 @@ def brightness(colour: str) -> float:
     return 0.3 * red + 0.6 * green + 0.1 * blue
 
 
-def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, tmp_path):
-    ran("calibrate", SKY, "--out", tmp_path, "--workers", 1)
-
+def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, sky_result):
     async def look() -> tuple[list[str], list[list[float]], list[list[float]]]:
         browser = await opened(address)
-        await browser.go(tmp_path / "report.html", 1280, "light")
+        await browser.go(sky_result / "report.html", 1280, "light")
         await browser.value("panel = document.querySelector('#strips-on-sky-words').closest('svg'); 0")
         texts = "[...panel.querySelectorAll('text')]"
         box = "(e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }"
