@@ -6,8 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from command_line import app
-from typer.testing import CliRunner
+from command_line import ran
 
 ROOT = Path(__file__).parents[2]
 NUMBER = re.compile(r"(?<![\w.+-])[+-]?\d+\.\d+(?:e[+-]\d+)?(?![\w.])")
@@ -41,9 +40,8 @@ def numbers_after(label: str, line: str) -> list[str]:
 def test_numbers_of_the_demo_are_those_that_it_prints(demo: Path, tmp_path: Path) -> None:
     result = tmp_path / "demo-result"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
-    told = CliRunner().invoke(app, ["validate", str(result), "--dump", str(ROOT / "fixtures" / "mini")])
-    assert told.exit_code == 0, told.output
-    printed = lines_of((demo / "printed").read_text() + told.output)
+    told = ran("validate", result, "--dump", ROOT / "fixtures" / "mini").output
+    printed = lines_of((demo / "printed").read_text() + told)
     true = {label: next(found for one in printed if (found := numbers_after(label, one))) for label in LABELS}
     counts = next(found.groups() for one in printed if (found := COUNTS.search(one)))
     pages = [ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/images/terminal-*.svg")]

@@ -31,9 +31,7 @@ def test_example_is_short(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_prints_what_the_site_shows(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_example_prints_what_the_site_shows(path, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [str(path), str(tmp_path)])
     monkeypatch.chdir(tmp_path)  # no file of a checkout is at hand
     with matplotlib.rc_context({"backend": "agg"}):

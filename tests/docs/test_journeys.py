@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 import pytest
-from command_line import app
+from command_line import ran
 from fixture_strips import strip_of_fixture
 from journeys import ROOT, Call, Stop, calls_of, code_of_name, journeys
-from typer.testing import CliRunner
 
 JOURNEYS = journeys((ROOT / "docs" / "architecture.md").read_text(encoding="utf-8"))
 STOPS = [stop for journey in JOURNEYS.values() for stop in journey]
@@ -20,12 +19,8 @@ def calls(tmp_path_factory) -> Mapping[str, list[Call]]:
     folder = tmp_path_factory.mktemp("journeys")
     strip_of_fixture(folder / "dump", 1)
     codes = {code_of_name(stop.name): stop.name for stop in STOPS}
-    words = ["calibrate", str(folder / "dump"), "--out", str(folder / "result"), "--workers", "1"]
-
-    def calibrated() -> None:
-        assert CliRunner().invoke(app, [*words, "--no-report"]).exit_code == 0
-
-    return calls_of(codes, calibrated)
+    words = ("calibrate", folder / "dump", "--out", folder / "result", "--workers", 1, "--no-report")
+    return calls_of(codes, lambda: ran(*words))
 
 
 def test_the_page_has_three_journeys_of_several_stops():

@@ -7,10 +7,9 @@ import unicodedata
 from pathlib import Path
 
 import pytest
-from command_line import app
+from command_line import ran
 from PIL import Image
 from pypdf import PdfReader
-from typer.testing import CliRunner
 
 from boresight.pipeline.report.pdf import chromium
 
@@ -54,13 +53,10 @@ def assert_alike(kept: str, now: str, name: str) -> None:
 
 
 @pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: the picture is not compared")
-def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(
-    demo: Path, tmp_path: Path
-) -> None:
+def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(demo, tmp_path):
     result = tmp_path / "demo-result"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
-    ran = CliRunner().invoke(app, ["validate", str(result), "--dump", str(ROOT / "fixtures" / "mini")])
-    assert ran.exit_code == 0, ran.output
+    ran("validate", result, "--dump", ROOT / "fixtures" / "mini")
     now = MADE_BY["words_of"](result / "report.html", tmp_path)
     assert "Consistent: 8 of 8 checks hold" in now and "check point" in now
     with Image.open(ROOT / "docs" / "images" / "report.png") as picture:
@@ -68,16 +64,13 @@ def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(
 
 
 @pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
-def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(
-    demo: Path, tmp_path: Path
-) -> None:
+def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(demo, tmp_path):
     result = tmp_path / "demo-result"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
     (tmp_path / "about.toml").write_text(MADE_BY["ABOUT"])
     asked = ["report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf"]
     for command in (["validate", result, "--dump", ROOT / "fixtures" / "mini"], asked):
-        ran = CliRunner().invoke(app, [str(one) for one in command])
-        assert ran.exit_code == 0, ran.output
+        ran(*command)
     pages = PdfReader(result / "report.pdf").pages
     for n in (1, 2):
         with Image.open(ROOT / "docs" / "images" / f"signed-{n}.png") as picture:

@@ -6,27 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
-from command_line import app
+from command_line import invoked, ran
 from fixture_strips import stopped_run
 from scipy.spatial.transform import Rotation
 from two_cameras import two_cameras
-from typer.testing import CliRunner
 
 import boresight as bs
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_cameras, open_dump
-
-
-def invoked(*words: object) -> Result:
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def ran(*words: object) -> Result:
-    done = invoked(*words)
-    assert done.exit_code == 0, done.output
-    return done
 
 
 def refused(*words: object) -> str:
@@ -54,9 +42,7 @@ def content(result: Path) -> dict:
     return json.loads((result / "installation.json").read_text())
 
 
-def test_each_camera_has_a_matrix_and_what_both_share_is_counted_once(
-    seen: tuple[Path, Path], finished: tuple[Path, Path]
-) -> None:
+def test_each_camera_has_a_matrix_and_what_both_share_is_counted_once(seen, finished):
     joint, whole = content(seen[1]), content(finished[1])
     assert not {"R_cs", "quaternion", "theta_rad", "covariance_rad2"} & set(joint)
     assert [one["name"] for one in joint["cameras"]] == ["left", "right"]
@@ -151,9 +137,7 @@ def test_what_if_and_compare_take_one_of_several_cameras(seen: tuple[Path, Path]
     assert alone["p_value"] > 1e-3  # the same observations, with those of the other camera
 
 
-def test_a_dump_says_its_cameras_once_and_its_strips_name_them(
-    seen: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_dump_says_its_cameras_once_and_its_strips_name_them(seen, tmp_path):
     dump = tmp_path / "dump"
     shutil.copytree(seen[0], dump)
     assert [view.camera for view in open_cameras(dump)] == ["left", "right"]

@@ -15,11 +15,10 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command_line import app
+from command_line import ran
 from fixture_strips import stopped_run, strip_of_fixture
 from pytest import approx
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings
@@ -49,14 +48,11 @@ from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
-runner = CliRunner()
 NAMES = ["november", "a-little-later", "january"]  # in the order of time; not that of the alphabet
 
 
-def ran(*arguments: object) -> str:
-    outcome = runner.invoke(app, [str(argument) for argument in arguments])
-    assert outcome.exit_code == 0, outcome.output
-    return outcome.stdout
+def said(*words: object) -> str:
+    return ran(*words).stdout
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +67,7 @@ def dumps(made_once) -> list[Path]:
         changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
         changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
         options = [part for change in changes for part in ("--set", change)]
-        ran("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
+        said("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
         # the same cameras to the last digit, which another processor rounds otherwise
         for camera in ("remote_camera.toml", "star_camera.toml"):
             shutil.copy(folder / NAMES[0] / camera, folder / NAMES[2] / camera)
@@ -91,7 +87,7 @@ def joint(dumps: list[Path], finished: tuple[Path, Path], demo: Path, made_once)
         stopped_run(out, dumps)
         stopped_run(out / NAMES[0], dumps[:1], finished[1])
         stopped_run(out / NAMES[1], dumps[1:2], demo / "demo-result")
-        ran("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
+        said("calibrate", dumps[2], dumps[0], dumps[1], "--out", out, "--workers", 1)
 
     return made_once("joint", fill) / "result"
 
@@ -157,16 +153,14 @@ def test_every_dump_has_the_result_that_it_has_alone(joint: Path, finished: tupl
 NOT_COMPARED = ("run.json", "boresight-result.json")  # times; where the dumps lie from there
 
 
-def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
-    dumps: list[Path], joint: Path, tmp_path: Path
-) -> None:
+def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(dumps, joint, tmp_path):
     again = tmp_path / "again"
     stopped_run(again, dumps)
     for name, dump in zip(NAMES, dumps):
         stopped_run(again / name, [dump], joint / name)
     for unit in (again / NAMES[0] / "work/exposures").iterdir():
         unit.unlink()  # made anew, by two processes
-    ran("calibrate", *dumps, "--out", again, "--workers", 2, "--no-report")
+    said("calibrate", *dumps, "--out", again, "--workers", 2, "--no-report")
     compared = set()
     for path in sorted(path for path in again.rglob("*") if path.is_file() and path.name not in NOT_COMPARED):
         compared.add(str(path.relative_to(again)))
@@ -176,18 +170,18 @@ def test_the_same_bytes_in_whatever_order_and_by_whatever_workers(
 
 
 def test_status_report_and_archive_know_a_folder_of_dumps(joint: Path, tmp_path: Path) -> None:
-    told = ran("status", joint)
+    told = said("status", joint)
     assert [line for line in told.splitlines() if line.startswith("dump")] == [f"dump {n}" for n in NAMES]
     assert told.rstrip().endswith("all dumps together: finished, verdict consistent")
     page = joint / "report.html"
     before = page.read_text()
-    ran("report", joint)
+    said("report", joint)
     assert page.read_text() == before
     assert all(f'<a href="{name}/report.html">{name}</a>' in before for name in NAMES)
     assert before.count('<figure class="small-map"') == len(NAMES)
     shown = re.search(r'<data value="([^"]+)" data-source="installation.json" data-key="R_cs.0.1"', before)
     assert shown is not None and float(shown[1]) == matrix(joint)["R_cs"][0][1]
-    assert ran("archive", "add", joint, "--to", tmp_path).count("added") == len(NAMES)
+    assert said("archive", "add", joint, "--to", tmp_path).count("added") == len(NAMES)
 
 
 def test_the_page_shows_the_budget_of_the_joint_covariance(joint: Path) -> None:
@@ -228,14 +222,14 @@ def test_a_joint_matrix_has_a_sheet_to_be_signed(joint: Path) -> None:
 
 def test_a_required_accuracy_is_that_of_the_joint_matrix(joint: Path, tmp_path: Path) -> None:
     shutil.copytree(joint, tmp_path / "joint", ignore=shutil.ignore_patterns("work"))
-    told = ran("report", tmp_path / "joint", "--require-arcsec", 1, "--require-m", 500)
+    told = said("report", tmp_path / "joint", "--require-arcsec", 1, "--require-m", 500)
     assert "1 arcsec about each axis: not met about Z" in told and "500 m on the ground: met" in told
     page = (tmp_path / "joint" / "report.html").read_text()
     assert "about every axis: not met</strong> (about Z)" in page and "on the ground: met</strong>" in page
 
 
 def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, tmp_path: Path) -> None:
-    ran("export", joint, "--format", "aem,geojson,fits", "--dump", dumps[2], "--out", tmp_path)
+    said("export", joint, "--format", "aem,geojson,fits", "--dump", dumps[2], "--out", tmp_path)
     message = (tmp_path / "s01.aem").read_text()
     rows = [line.split() for line in message.splitlines() if re.match(r"\d{4}-\d\d-\d\dT", line)]
     assert len(rows) > 2
@@ -247,7 +241,7 @@ def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, t
         open_calibrated(joint, None)
     # The exposures' attitudes are the dump's own, the matrix is the joint one, and better: one dump of one
     # strip leaves 10 arcsec about Z.
-    told = ran("validate", joint, "--dump", dumps[2]).splitlines()
+    told = said("validate", joint, "--dump", dumps[2]).splitlines()
     sigma = next(line.split()[-3:] for line in told if "stated 1 sigma" in line)
     joint_sigma = np.sqrt(np.diag(matrix(joint)["covariance_rad2"])) / ARCSEC
     np.testing.assert_allclose(np.array(sigma, dtype=float), joint_sigma, atol=6e-5)  # as printed
@@ -257,13 +251,11 @@ def test_joint_matrix_serves_each_of_its_dumps(dumps: list[Path], joint: Path, t
     assert not any("no position" in line for line in told)
 
 
-def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(
-    dumps: list[Path], joint: Path, tmp_path: Path
-) -> None:
+def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(dumps, joint, tmp_path):
     calibrated = open_calibrated(joint, dumps[2])
     strip = calibrated.dump.strips[0].strip_id
     (tmp_path / "pixels.csv").write_text("ccd,sample,line\n1,300.25,500.5\n")
-    told = ran("geolocate", joint, "--dump", dumps[2], "--strip", strip, "--pixels", tmp_path / "pixels.csv")
+    told = said("geolocate", joint, "--dump", dumps[2], "--strip", strip, "--pixels", tmp_path / "pixels.csv")
     (place,) = csv.DictReader(io.StringIO(told))
     lat, lon, height = (float(place[name]) for name in ("lat_deg", "lon_deg", "height_m"))
     p_e = ecef_from_geodetic(np.radians([lat]), np.radians([lon]), np.array([height]), WGS84)
@@ -275,9 +267,7 @@ def test_image_points_of_each_dump_are_placed_with_the_joint_matrix(
     assert (sample[0], line[0]) == pytest.approx((300.25, 500.5), abs=1e-3)
 
 
-def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
-    dumps: list[Path], joint: Path, tmp_path: Path
-) -> None:
+def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(dumps, joint, tmp_path):
     blind, out = tmp_path / "blind", tmp_path / "result"
     shutil.copytree(dumps[1], blind)
     lines = (blind / "targets.csv").read_text().splitlines()
@@ -287,16 +277,16 @@ def test_a_dump_that_does_not_suffice_is_counted_and_the_others_go_on(
     stopped_run(out, [dumps[0], blind, dumps[2]])
     for folder, dump, name in zip((NAMES[0], "blind", NAMES[2]), (dumps[0], blind, dumps[2]), NAMES):
         stopped_run(out / folder, [dump], joint / name)
-    told = ran("calibrate", dumps[0], blind, dumps[2], "--out", out, "--workers", 1, "--no-report")
+    told = said("calibrate", dumps[0], blind, dumps[2], "--out", out, "--workers", 1, "--no-report")
     assert "jointly from 2 dumps" in told and "0 targets matched in 1 strips" in told
     omissions = pq.read_table(out / "sightings/ledger.parquet").to_pylist()
     assert [(row["kind"], row["name"]) for row in omissions if row["kind"] == "dump"] == [("dump", "blind")]
     assert not (out / "blind/installation.json").exists()
     assert json.loads((out / "drift.json").read_text())["results"] == [NAMES[0], NAMES[2]]
-    ran("report", out)
+    said("report", out)
     page = (out / "report.html").read_text()
     assert '<th scope="row">blind</th>' in page and "not calibrated: no target comes into view" in page
-    of_blind = ran("status", out).partition("dump blind")[2].partition("dump january")[0]
+    of_blind = said("status", out).partition("dump blind")[2].partition("dump january")[0]
     assert of_blind.rstrip().endswith("the same `boresight calibrate` goes on")
 
 
@@ -312,31 +302,17 @@ def test_no_dump_that_suffices_is_no_result() -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "says"),
     [
-        (
-            "dump.toml",
-            'mission = "mini"',
-            'mission = "maxi"',
-            "dump.toml: mission: found maxi, expected mini",
-        ),
+        ("dump.toml", 'mission = "mini"', 'mission = "maxi"',
+            "dump.toml: mission: found maxi, expected mini"),
         ("dump.toml", "position_m = 2.0", "position_m = 1.0", "errors.sigma_position_m: found 1.0, .* 2.0"),
         ("star_camera.toml", "512.0", "512.5", r"star_camera.toml: star camera.principal_px.0: found 512.5"),
-        (
-            "remote_camera.toml",
-            "focal_length_m = 10.0",
-            "focal_length_m = 10.1",
-            "camera.focal_m: found 10.1",
-        ),
-        (
-            "installation.toml",
-            r"quaternion_cs = \[[^]]*\]",
-            "quaternion_cs = [1.0, 0.0, 0.0, 0.0]",
-            "pre-launch installation matrix: found",
-        ),
+        ("remote_camera.toml", "focal_length_m = 10.0", "focal_length_m = 10.1",
+            "camera.focal_m: found 10.1"),
+        ("installation.toml", r"quaternion_cs = \[[^]]*\]", "quaternion_cs = [1.0, 0.0, 0.0, 0.0]",
+            "pre-launch installation matrix: found"),
     ],
-)
-def test_dumps_of_other_cameras_are_refused_with_file_and_field(
-    dumps: list[Path], tmp_path: Path, file: str, old: str, new: str, says: str
-) -> None:
+)  # fmt: skip
+def test_dumps_of_other_cameras_are_refused_with_file_and_field(dumps, tmp_path, file, old, new, says):
     other = tmp_path / "other"
     shutil.copytree(dumps[2], other)
     text = (other / file).read_text()

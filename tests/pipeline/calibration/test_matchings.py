@@ -37,9 +37,7 @@ def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
     return match_strips(tasks, StageRunner(), "matching-0")[0]
 
 
-def test_matrix_is_that_of_searching_every_strip(
-    store: UnitStore, all_searched: list[MatchedTargets], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_matrix_is_that_of_searching_every_strip(store, all_searched, monkeypatch):
     dump, again = open_dump(FIXTURE), Settings(run=RunSettings(settled_px=0.0))  # all matched again
     from_one = calibrate_dump(dump, again, store).estimate
     searched = lambda tasks, start_from, runner: (tasks, all_searched, [True] * len(tasks))  # noqa: E731
@@ -53,9 +51,7 @@ def test_matrix_is_that_of_searching_every_strip(
     assert from_one.n_targets == everywhere.n_targets
 
 
-def test_strips_that_a_wrong_matrix_misses_are_searched(
-    tasks: list[StripTask], all_searched: list[MatchedTargets]
-) -> None:
+def test_strips_that_a_wrong_matrix_misses_are_searched(tasks, all_searched):
     wrong = Rotation.from_rotvec([0.01, 0.0, 0.0]) * tasks[0].R_cs, np.full(3, 5e-6)
     used, matched, computed = match_first(tasks, lambda task, found: wrong, StageRunner())
     assert used == tasks  # compared by identity: none was matched from the wrong matrix
@@ -64,9 +60,7 @@ def test_strips_that_a_wrong_matrix_misses_are_searched(
         assert np.array_equal(one.target_id, expected.target_id) and np.array_equal(one.xy_px, expected.xy_px)
 
 
-def test_search_goes_on_until_a_strip_determines_a_matrix(
-    tasks: list[StripTask], all_searched: list[MatchedTargets]
-) -> None:
+def test_search_goes_on_until_a_strip_determines_a_matrix(tasks, all_searched):
     used, matched, _ = match_first(tasks, lambda task, found: None, StageRunner())
     assert used == tasks
     assert [len(one.target_id) for one in matched] == [len(one.target_id) for one in all_searched]
@@ -109,9 +103,7 @@ def test_strips_are_matched_again_where_a_target_was_refused_or_lay_far_from_its
         assert np.array_equal(one.xy_px, expected.xy_px) and one.omissions == expected.omissions
 
 
-def test_a_strip_whose_templates_were_all_predicted_four_pixels_off_is_not_settled(
-    store: UnitStore, tasks: list[StripTask]
-) -> None:
+def test_a_strip_whose_templates_were_all_predicted_four_pixels_off_is_not_settled(store, tasks):
     exact = calibrate_dump(open_dump(FIXTURE), Settings(), store)
     assert all(is_settled(one, 2.0) for one in exact.matched)
     task, farthest = exact.tasks[2], exact.matched[2].farthest_px

@@ -48,32 +48,28 @@ KNOWN: dict[tuple[str, str], tuple[tuple[str, ...], list[str]]] = {
     ("virtual-ccd", "--strip"): (("RESULT",), STRIPS),
 }
 # Options with words that nothing here knows, and why.
-FREE = {
-    ("calibrate", "--scheduler"): "the address of a machine",
-    ("dump init", "--mission"): "a name that the user gives",
-    ("export", "--object-id"): "a designator that others have given",
-    ("export", "--spice-remote-camera"): "a name that the user gives",
-    ("export", "--spice-star-camera"): "a name that the user gives",
-    ("export", "--camera"): "an id that the user gives",
-    ("compare", "--camera"): "an id that the user gives",
-    ("what-if", "--camera"): "an id that the user gives",
-    ("geolocate", "--camera"): "an id that the user gives",
-    ("import dimap", "--object-id"): "a designator that others have given",
-    ("import sentinel2", "--object-id"): "a designator that others have given",
-    ("sky-strip-plan", "--utc"): "a time",
-    ("star-camera-plan", "--utc"): "a time",
-    ("targets suggest", "--asset"): "a name in a catalogue that is not read yet",
-    ("targets suggest", "--days"): "a time",
-    ("targets suggest", "--reference"): "a name that the user gives",
-    ("export", "--valid-from"): "a time",
-    ("export", "--valid-to"): "a time",
-    ("trends", "--at"): "a time",
-    ("what-if", "--only"): "a strip of the result",
-    ("what-if", "--sigma"): "a strip of the result, and a number",
-    ("what-if", "--without"): "a strip of the result",
-    ("validate", "--camera"): "an id that the user gives",
-    ("virtual-ccd", "--camera"): "an id that the user gives",
+FREE_BECAUSE = {
+    "the address of a machine": "calibrate --scheduler",
+    "a name that the user gives": (
+        "dump init --mission, export --spice-remote-camera, export --spice-star-camera, "
+        "targets suggest --reference"
+    ),
+    "a designator that others have given": (
+        "export --object-id, import dimap --object-id, import sentinel2 --object-id"
+    ),
+    "an id that the user gives": (
+        "export --camera, compare --camera, what-if --camera, geolocate --camera, validate --camera, "
+        "virtual-ccd --camera"
+    ),
+    "a time": (
+        "sky-strip-plan --utc, star-camera-plan --utc, targets suggest --days, export --valid-from, "
+        "export --valid-to, trends --at"
+    ),
+    "a name in a catalogue that is not read yet": "targets suggest --asset",
+    "a strip of the result": "what-if --only, what-if --without",
+    "a strip of the result, and a number": "what-if --sigma",
 }
+FREE = {tuple(one.rsplit(" ", 1)) for words in FREE_BECAUSE.values() for one in words.split(", ")}
 SETTINGS = ("simulate", "--set")
 
 
@@ -147,7 +143,7 @@ def test_every_value_of_every_command_is_a_file_a_number_a_free_word_or_offered(
     """A file or folder is left to the shell, which `complete -o default` lets offer them; so is a number."""
     found = dict(parameters())
     assert len(COMMANDS) >= 28 and {command for command, _ in found} == set(COMMANDS)
-    assert set(KNOWN) | set(FREE) | {SETTINGS} <= set(found)
+    assert set(KNOWN) | FREE | {SETTINGS} <= set(found)
     for (command, name), one in found.items():
         told, words = f"{command} {name}", command.split()
         if (command, name) in KNOWN:
@@ -195,9 +191,5 @@ def test_formats_after_a_comma_and_experiments_from_pixels() -> None:
     assert answers("match", "no-such-folder", "--strip", "s0") == []
 
 
-@pytest.mark.parametrize(
-    ("words", "answered"),
-    [(("match", "fixtures/mini", "--strip", "s0"), STRIPS), (("simulate", "p"), ["paper"])],
-)
-def test_the_program_itself_answers_a_shell(words: tuple[str, ...], answered: list[str]) -> None:
-    assert offered(*words) == answered
+def test_the_program_itself_answers_a_shell() -> None:
+    assert offered("match", "fixtures/mini", "--strip", "s0") == STRIPS

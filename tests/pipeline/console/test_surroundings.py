@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from fixture_strips import begun
 
 from boresight.console import run_command_line
 from boresight.pipeline.console.messages import say, tell
@@ -36,9 +37,7 @@ def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["stdout", "stderr"])
-def test_message_for_a_closed_stream_goes_nowhere(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_message_for_a_closed_stream_goes_nowhere(name, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr(sys, name, None)
         tell("a result")
@@ -50,9 +49,7 @@ def test_message_for_a_closed_stream_goes_nowhere(
     assert ("a remark" in told.err) == (name == "stdout")
 
 
-def test_result_folder_of_a_name_that_is_no_text_is_refused(
-    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_result_folder_of_a_name_that_is_no_text_is_refused(one_strip, tmp_path, monkeypatch, capsys):
     out = tmp_path / NO_TEXT
     told = ended(["calibrate", str(one_strip), "--out", str(out), "--workers", "1"], monkeypatch, capsys)
     assert told[0] == 1 and "found a name that is not text in UTF-8" in told[1] and not out.exists()
@@ -68,9 +65,7 @@ def test_name_that_a_library_cannot_take_is_one_line(capsys: pytest.CaptureFixtu
         "ö".encode("ascii")
 
 
-def test_limit_on_processes_is_named_with_the_remedy(
-    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_limit_on_processes_is_named_with_the_remedy(one_strip, tmp_path, monkeypatch, capsys):
     def refused(*given: object, **named: object) -> None:
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
@@ -81,13 +76,12 @@ def test_limit_on_processes_is_named_with_the_remedy(
     assert not (tmp_path / "out/installation.json").exists()
 
 
-def test_a_calibration_needs_no_thread_of_its_own(
-    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_calibration_needs_no_thread_of_its_own(finished, tmp_path, monkeypatch, capsys):
     def refused(*given: object, **named: object) -> None:
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", refused)
-    arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
+    begun(tmp_path / "out", finished, exposures=12)
+    arguments = ["calibrate", str(finished[0]), "--out", str(tmp_path / "out"), "--workers", "2"]
     code, told = ended(arguments, monkeypatch, capsys)
     assert code == 0 and (tmp_path / "out/installation.json").is_file(), told

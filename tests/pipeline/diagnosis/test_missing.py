@@ -6,8 +6,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from command_line import app
-from typer.testing import CliRunner
+from command_line import ran
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
@@ -41,12 +40,10 @@ def test_wrong_focal_length_is_among_the_hints(one_strip: Path) -> None:
     assert "measures the focal length" in told and "mirrored left" not in told
 
 
-def test_centroids_far_worse_than_stated_are_named_by_file_and_field(
-    one_strip, tmp_path, monkeypatch
-) -> None:
+def test_centroids_far_worse_than_stated_are_named_by_file_and_field(one_strip, tmp_path, monkeypatch):
     monkeypatch.chdir(one_strip)
     images = [f"exposures/{path.name}" for path in Path("exposures").iterdir()]
-    assert CliRunner().invoke(app, ["centroids", *images, "--out", "centroids.csv"]).exit_code == 0
+    ran("centroids", *images, "--out", "centroids.csv")
     with open("centroids.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows:
@@ -60,9 +57,8 @@ def test_centroids_far_worse_than_stated_are_named_by_file_and_field(
     head = '[[star_cameras]]\nname = "STR"\nlevel = "centroids"\ninstallation = "installation.toml"\n'
     keys = 'camera = "star_camera.toml"\nexposures = "exposures.csv"\ncentroids = "centroids.csv"\n'
     Path("dump.toml").write_text(f"{text}\n{head}{keys}")
-    ran = CliRunner().invoke(app, ["calibrate", ".", "--out", str(tmp_path / "result")])
-    told = str(ran.exception)
-    assert ran.exit_code == 1 and told.startswith("none of 14 exposures has an attitude: ")
+    told = str(ran("calibrate", ".", "--out", tmp_path / "result", status=1).exception)
+    assert told.startswith("none of 14 exposures has an attitude: ")
     assert "check sigma_x_px, sigma_y_px and cov_xy_px2 of centroids.csv" in told
     assert "14 star exposures, 1 strips" in (tmp_path / "result" / "report.html").read_text()
 

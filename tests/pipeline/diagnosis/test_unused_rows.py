@@ -10,7 +10,7 @@ import pytest
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.input_findings import outside_chips
 from boresight.pipeline.diagnosis.unused_rows import (
     Rows,
@@ -20,14 +20,7 @@ from boresight.pipeline.diagnosis.unused_rows import (
 )
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.writing import verdict_json
-
-
-@pytest.fixture(scope="module")
-def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
-    """The one-strip dump from its finished units: twelve targets, all used."""
-    return calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
 
 
 def with_targets(dump: Path, root: Path, more: dict[str, tuple[int, str, str]]) -> Dump:
@@ -57,9 +50,7 @@ SLIPPED = {
 }
 
 
-def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(
-    calibration: DumpCalibration, finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_target_in_no_strip_has_its_distance_and_the_slip_that_explains_it(calibration, finished, tmp_path):
     more = {name: case[:3] for name, case in SLIPPED.items()}
     dump = with_targets(finished[0], tmp_path / "dump", more)
     clean, tasks, matched = open_dump(finished[0]), calibration.tasks, calibration.matched
@@ -87,9 +78,7 @@ def test_coordinates_that_are_off_together_accuse_no_target_that_a_slip_does_not
     assert [one.item for one in outside_chips(off[-1:])] == ["target t9"]
 
 
-def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
-    calibration: DumpCalibration, finished: tuple[Path, Path]
-) -> None:
+def test_a_target_elsewhere_in_its_own_chip_is_not_accused(calibration, finished):
     """A list of a whole country: the chip of each target lies around it, far from the strip."""
     dump = open_dump(finished[0])
     kept = [one.target_id != "s01-t05" for one in dump.targets]
@@ -111,16 +100,12 @@ def test_a_target_elsewhere_in_its_own_chip_is_not_accused(
         ((0.1234567, 9.5), (0.1834567, 9.5), "lat_deg 0.18 for 0.12 (one digit)"),
     ],
 )
-def test_slips_of_every_kind_are_found(
-    stated: tuple[float, float], meant: tuple[float, float], words: str
-) -> None:
+def test_slips_of_every_kind_are_found(stated, meant, words):
     found = likeliest(slips(*stated), lambda places: np.abs(places - meant).max(axis=1) < 1e-6)
     assert (found.words if found else "") == words
 
 
-def test_rows_that_nothing_needs_are_counted(
-    calibration: DumpCalibration, finished: tuple[Path, Path]
-) -> None:
+def test_rows_that_nothing_needs_are_counted(calibration, finished):
     dump = open_dump(finished[0])
     assert dump.listed == {"targets": 12, "points": 0, "strips": 1, "exposures": 14}
     assert [str(one) for one in calibration.rows] == [

@@ -31,14 +31,19 @@ def ends_in_time() -> Iterator[None]:
 
 
 @pytest.fixture
-def with_fault(made_once, tmp_path: Path) -> Callable[..., DumpCalibration]:
+def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibration]:
     """What a calibration of a dump of images gives, of a kind of `fault_dumps` and a seed, with a fault: what
-    the fault leaves unchanged is computed once.
+    the fault leaves unchanged is computed once; of fixtures it is there already.
     """
     from fault_dumps import linked, sound_dump
 
     def fill(name: str, seed: int, folder: Path) -> None:
-        (folder / "work").mkdir()
+        if (name, seed) == ("ground", 1):
+            shutil.copytree(request.getfixturevalue("demo") / "demo-result" / "work", folder / "work")
+        elif (name, seed) == ("sky", 1):
+            shutil.copytree(request.getfixturevalue("sky_result") / "work", folder / "work")
+        else:
+            (folder / "work").mkdir()
         sound = sound_dump(name, seed, folder)
         if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
             shutil.copytree(sound, folder / f"{name}-{seed}")

@@ -262,28 +262,26 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
     # 2 m of the orbit are 0.27 ms, clocks 0.1 ms; stars of the sky say a row's time to some 0.1 ms.
     for strip in facts.strips:
-        for times, ms in [sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng)]:
-            make = partial(rows_late, (strip,), 1e-3 * ms)
-            blind = "clock|late|time|one.way" if len(facts.strips) == 1 else f"clock of the rows.*{strip}"
-            yield Fault("strip clock", strip, ms, "ms", times, make, (strip, LATE), blind, (strip,))
+        times, ms = sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng)
+        make = partial(rows_late, (strip,), 1e-3 * ms)
+        blind = "clock|late|time|one.way" if len(facts.strips) == 1 else f"clock of the rows.*{strip}"
+        yield Fault("strip clock", strip, ms, "ms", times, make, (strip, LATE), blind, (strip,))
     if len(facts.strips) > 1:
-        for times, ms in [sized(2.0, rng)]:
-            make = partial(rows_late, facts.strips, 1e-3 * ms)
-            own = facts.strips
-            yield Fault("all strips' clock", "", ms, "ms", times, make, ("all|common", LATE), LATE, own)
-    for strip in facts.strips:  # 12 targets, each to 0.08 px, over 2000 rows
-        for times, part in [sized(3e-4, rng)]:
-            make = partial(period, (strip,), part)
-            blind = f"row period.*{strip}"
-            yield Fault(
-                "row period", strip, 100.0 * part, "%", times, make, (strip, "period|rate"), blind, (strip,)
-            )
-    for times, part in [sized(3e-4, rng)]:
-        make = partial(period, facts.strips, part)
+        times, ms = sized(2.0, rng)
+        make = partial(rows_late, facts.strips, 1e-3 * ms)
         own = facts.strips
+        yield Fault("all strips' clock", "", ms, "ms", times, make, ("all|common", LATE), LATE, own)
+    for strip in facts.strips:  # 12 targets, each to 0.08 px, over 2000 rows
+        times, part = sized(3e-4, rng)
+        make = partial(period, (strip,), part)
+        blind = f"row period.*{strip}"
         yield Fault(
-            "all row periods", "", 100.0 * part, "%", times, make, ("period|rate",), "period|rate", own
+            "row period", strip, 100.0 * part, "%", times, make, (strip, "period|rate"), blind, (strip,)
         )
+    times, part = sized(3e-4, rng)
+    make = partial(period, facts.strips, part)
+    own = facts.strips
+    yield Fault("all row periods", "", 100.0 * part, "%", times, make, ("period|rate",), "period|rate", own)
 
     def row_time(stages: int, which: str, dump: Path) -> None:
         change(dump / "remote_camera.toml", "tdi_stages = 1\n", f"tdi_stages = {stages}\n")
@@ -301,9 +299,9 @@ def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         def head_late(seconds: float, dump: Path, name: str = head) -> None:
             edited(f"{name}.csv", lambda row: row.update(utc=later(row["utc"], seconds)), dump)
 
-        for times, ms in [sized(2.0, rng)]:
-            make = partial(head_late, 1e-3 * ms)
-            yield Fault("head clock", head, ms, "ms", times, make, (head, LATE), LATE, (head,))
+        times, ms = sized(2.0, rng)
+        make = partial(head_late, 1e-3 * ms)
+        yield Fault("head clock", head, ms, "ms", times, make, (head, LATE), LATE, (head,))
         yield from _rows_dated_wrong(f"{head}.csv", "utc", head, rng)
 
 
@@ -320,20 +318,18 @@ def _rows_dated_wrong(file: str, column: str, head: str, rng: np.random.Generato
 
     drawn = rng.random(10_000) < 0.5
     for name, chosen in (("every second", lambda k: k % 2 == 1), ("at random", lambda k: bool(drawn[k]))):
-        for times, ms in [sized(5.0, rng)]:
-            make, words = partial(dated, chosen, 1e-3 * ms), (head.lower() or "exposure", "time")
-            yield Fault(
-                "rows dated wrong", f"{head} {name}".strip(), ms, "ms", times, make, words, "", (head,)
-            )
+        times, ms = sized(5.0, rng)
+        make, words = partial(dated, chosen, 1e-3 * ms), (head.lower() or "exposure", "time")
+        yield Fault("rows dated wrong", f"{head} {name}".strip(), ms, "ms", times, make, words, "", (head,))
 
 
 def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
     def exposures_late(seconds: float, dump: Path) -> None:
         edited("exposures.csv", lambda row: row.update(utc_mid=later(row["utc_mid"], seconds)), dump)
 
-    for times, ms in [sized(2.0, rng)]:
-        make = partial(exposures_late, 1e-3 * ms)
-        yield Fault("exposures' clock", "", ms, "ms", times, make, ("exposure|star|all", LATE), LATE)
+    times, ms = sized(2.0, rng)
+    make = partial(exposures_late, 1e-3 * ms)
+    yield Fault("exposures' clock", "", ms, "ms", times, make, ("exposure|star|all", LATE), LATE)
     yield from _rows_dated_wrong("exposures.csv", "utc_mid", "", rng)
 
     def exchanged(first: int, second: int, dump: Path) -> None:
@@ -356,25 +352,23 @@ def _of_line_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     for ccd in range(facts.ccds):
         one = (f"CCD {ccd}",)
         for key, kind in (("x_offset_mm", "along"), ("y_first_mm", "across")):
-            for times, px in [sized(0.3, rng)]:
-                make = partial(toml_number, camera, key, lambda v, px=px: v + px * pitch_mm, ccd)
-                words = (f"ccd {ccd}\\b", f"{kind}|{key}|place|look")
-                # one CCD along the track is Z itself where few targets stand against it
-                yield Fault(f"CCD {kind}", one[0], px, "px", times, make, words, f"ccd {ccd}", one)
-        for times, mrad in [sized(2.0, rng)]:
-            make = partial(toml_number, camera, "rotation_mrad", lambda v, mrad=mrad: v + mrad, ccd)
-            words = (f"ccd {ccd}\\b", "rotat|turn")
-            yield Fault("CCD rotation", one[0], mrad, "mrad", times, make, words, f"ccd {ccd}", one)
+            times, px = sized(0.3, rng)
+            make = partial(toml_number, camera, key, lambda v, px=px: v + px * pitch_mm, ccd)
+            words = (f"ccd {ccd}\\b", f"{kind}|{key}|place|look")
+            # one CCD along the track is Z itself where few targets stand against it
+            yield Fault(f"CCD {kind}", one[0], px, "px", times, make, words, f"ccd {ccd}", one)
+        times, mrad = sized(2.0, rng)
+        make = partial(toml_number, camera, "rotation_mrad", lambda v, mrad=mrad: v + mrad, ccd)
+        words = (f"ccd {ccd}\\b", "rotat|turn")
+        yield Fault("CCD rotation", one[0], mrad, "mrad", times, make, words, f"ccd {ccd}", one)
     every = tuple(f"CCD {ccd}" for ccd in range(facts.ccds))
     for kind, edit in (("x offsets zero", lambda v: 0.0 * v), ("x offsets' signs", lambda v: -v)):
         make = partial(toml_number, camera, "x_offset_mm", edit, None)
         yield Fault(kind, "", 20.0, "mm", 30.0, make, ("ccd|look", "x_offset|along|remote_camera"), "", every)
-    for times, part in [sized(1.5e-4, rng)]:
-        make = partial(toml_number, camera, "focal_length_m", lambda v, part=part: v * (1.0 + part), None)
-        words = ("focal|scale|remote_camera|height",)
-        yield Fault(
-            "remote focal length", "", 100.0 * part, "%", times, make, words, "focal|scale|radial", every
-        )
+    times, part = sized(1.5e-4, rng)
+    make = partial(toml_number, camera, "focal_length_m", lambda v, part=part: v * (1.0 + part), None)
+    words = ("focal|scale|remote_camera|height",)
+    yield Fault("remote focal length", "", 100.0 * part, "%", times, make, words, "focal|scale|radial", every)
 
     def exchanged(strip: str, first: int, second: int, dump: Path) -> None:
         """Files, or for measured points the CCDs that they are said to be on."""
@@ -481,9 +475,9 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     if not facts.star_images:
         return
     camera, star = "star_camera.toml", "star camera|star_camera"
-    for times, part in [sized(2e-5, rng)]:
-        make = partial(toml_number, camera, "focal_length_mm", lambda v, part=part: v * (1.0 + part), None)
-        yield Fault("star focal length", "", 100.0 * part, "%", times, make, (star, "focal"), "star.*focal")
+    times, part = sized(2e-5, rng)
+    make = partial(toml_number, camera, "focal_length_mm", lambda v, part=part: v * (1.0 + part), None)
+    yield Fault("star focal length", "", 100.0 * part, "%", times, make, (star, "focal"), "star.*focal")
 
     def principal(dx: float, dy: float, dump: Path) -> None:
         text = (dump / camera).read_text()
@@ -492,11 +486,11 @@ def _of_star_camera(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         new = f"principal_point_px = [{x + dx}, {y + dy}]"
         write_text(dump / camera, text[: found.start()] + new + text[found.end() :])
 
-    for times, px in [sized(0.5, rng)]:
-        dx, dy = (px, 0.0) if rng.random() < 0.5 else (0.0, px)
-        make = partial(principal, dx, dy)
-        words = (star, "principal|distortion")
-        yield Fault("star principal point", "x" if dx else "y", px, "px", times, make, words, "principal")
+    times, px = sized(0.5, rng)
+    dx, dy = (px, 0.0) if rng.random() < 0.5 else (0.0, px)
+    make = partial(principal, dx, dy)
+    words = (star, "principal|distortion")
+    yield Fault("star principal point", "x" if dx else "y", px, "px", times, make, words, "principal")
 
     def signs(keys: tuple[str, ...], dump: Path) -> None:
         for key in keys:
@@ -538,21 +532,21 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         states(edit, dump)
 
     for axis in ("along", "across", "radial"):
-        for times, metres in [sized(12.0 if axis != "radial" else 80.0, rng)]:
-            make = partial(moved, axis, metres, -np.inf, np.inf)
-            words = (f"{orbit}|position|datum|clock|time|height", "")
-            blind = f"orbit|{axis}"
-            yield Fault(
-                f"orbit {axis}",
-                "",
-                metres,
-                "m",
-                times,
-                make,
-                words,
-                blind,
-                harmless=sky_only and abs(metres) < 1e4,
-            )
+        times, metres = sized(12.0 if axis != "radial" else 80.0, rng)
+        make = partial(moved, axis, metres, -np.inf, np.inf)
+        words = (f"{orbit}|position|datum|clock|time|height", "")
+        blind = f"orbit|{axis}"
+        yield Fault(
+            f"orbit {axis}",
+            "",
+            metres,
+            "m",
+            times,
+            make,
+            words,
+            blind,
+            harmless=sky_only and abs(metres) < 1e4,
+        )
     if not sky_only and len(facts.of_ground) > 1:
         begin = np.datetime64(
             re.search(r"START_TIME = (\S+)", (facts.root / "orbit.oem").read_text())[1], "ns"
@@ -562,12 +556,10 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for strip in facts.of_ground:
             t = (np.datetime64(at[strip], "ns") - begin) / np.timedelta64(1, "s")
             for axis in ("along", "across"):
-                for times, metres in [sized(15.0, rng)]:
-                    make = partial(moved, axis, metres, t - 8.0, t + 10.0)
-                    words = (rf"{strip}|orbit\.oem", "orbit|position|clock|time|late|early|point")
-                    yield Fault(
-                        f"orbit of a strip {axis}", strip, metres, "m", times, make, words, "", (strip,)
-                    )
+                times, metres = sized(15.0, rng)
+                make = partial(moved, axis, metres, t - 8.0, t + 10.0)
+                words = (rf"{strip}|orbit\.oem", "orbit|position|clock|time|late|early|point")
+                yield Fault(f"orbit of a strip {axis}", strip, metres, "m", times, make, words, "", (strip,))
 
     def turned(seconds: float, dump: Path) -> None:
         R = Rotation.from_rotvec([0.0, 0.0, -EARTH_RAD_S * seconds])
@@ -672,13 +664,11 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
             edited(f"{name}.csv", edit, dump)
 
-        for times, arcsec in [sized(6.0, rng)]:
-            make = partial(rotated, 0, arcsec, head)
-            words = (head,)
-            blind = "attitude|head"
-            yield Fault(
-                "head moves", head, arcsec, "arcsec", times, make, words, blind, (*own, *facts.strips)
-            )
+        times, arcsec = sized(6.0, rng)
+        make = partial(rotated, 0, arcsec, head)
+        words = (head,)
+        blind = "attitude|head"
+        yield Fault("head moves", head, arcsec, "arcsec", times, make, words, blind, (*own, *facts.strips))
     if len(facts.heads) == 2:
 
         def exchanged(dump: Path) -> None:
@@ -715,16 +705,14 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     def add(column: str, amount: float, row: dict[str, str]) -> None:
         row[column] = f"{float(row[column]) + amount:.10f}"
 
-    for times, px in [sized(1.0, rng)]:
-        name = str(rng.choice(facts.ground))
-        column, scale = (
-            ("lat_deg", metres_per_deg) if rng.random() < 0.5 else ("lon_deg", 0.81 * metres_per_deg)
-        )
-        make = partial(one, name, partial(add, column, px * GROUND_M / scale))
-        words = (name, column + "|coordinate")
-        yield Fault(
-            "target coordinate", name, px * GROUND_M, "m", times, make, words, "", (name,), harmless=in_chips
-        )
+    times, px = sized(1.0, rng)
+    name = str(rng.choice(facts.ground))
+    column, scale = ("lat_deg", metres_per_deg) if rng.random() < 0.5 else ("lon_deg", 0.81 * metres_per_deg)
+    make = partial(one, name, partial(add, column, px * GROUND_M / scale))
+    words = (name, column + "|coordinate")
+    yield Fault(
+        "target coordinate", name, px * GROUND_M, "m", times, make, words, "", (name,), harmless=in_chips
+    )
     for digit in (0, 1, 2):
 
         def typo(row: dict[str, str], digit: int = digit) -> None:
@@ -745,19 +733,19 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
     make = partial(one, name, negative)
     yield Fault("sign of a coordinate", name, 1, "sign", 30.0, make, (name, "lon|coordinate"), "", (name,))
-    for times, metres in [sized(60.0, rng)]:
-        name = str(rng.choice(facts.ground))
-        make = partial(one, name, partial(add, "height_m", metres))
-        yield Fault("target height", name, metres, "m", times, make, (name,), "height", (name,))
+    times, metres = sized(60.0, rng)
+    name = str(rng.choice(facts.ground))
+    make = partial(one, name, partial(add, "height_m", metres))
+    yield Fault("target height", name, metres, "m", times, make, (name,), "height", (name,))
     for axis in ("north", "east"):
-        for times, metres in [sized(12.0, rng)]:
-            make = partial(ground_moved, listed, (), axis, metres)
-            words = ("all|common|datum|shift",)
-            blind = "shift|target|along|across|orbit"
-            yield Fault(f"all targets {axis}", "", metres, "m", times, make, words, blind, harmless=in_chips)
-    for times, metres in [sized(80.0, rng)]:
-        make = partial(edited, listed, partial(add, "height_m", metres))
-        yield Fault("all heights", "", metres, "m", times, make, ("height",), "height|radial|scale")
+        times, metres = sized(12.0, rng)
+        make = partial(ground_moved, listed, (), axis, metres)
+        words = ("all|common|datum|shift",)
+        blind = "shift|target|along|across|orbit"
+        yield Fault(f"all targets {axis}", "", metres, "m", times, make, words, blind, harmless=in_chips)
+    times, metres = sized(80.0, rng)
+    make = partial(edited, listed, partial(add, "height_m", metres))
+    yield Fault("all heights", "", metres, "m", times, make, ("height",), "height|radial|scale")
 
     def kind(dump: Path) -> None:
         def edit(row: dict[str, str]) -> None:
@@ -790,15 +778,13 @@ def _of_chips(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         for name in names:
             repaint(dump / f"chips/{name}.tif", lambda image: image, metres)
 
-    for times, metres in [sized(GROUND_M, rng)]:
-        name = str(rng.choice(facts.ground))
-        make = partial(shifted, (name,), metres)
-        yield Fault("chip shifted", name, metres, "m", times, make, (name, "chip"), "", (name,))
-    for times, metres in [sized(12.0, rng)]:
-        make, words = partial(shifted, facts.ground, metres), ("all|common|datum|shift",)
-        yield Fault(
-            "all chips shifted", "", metres, "m", times, make, words, "shift|target|along|across|orbit"
-        )
+    times, metres = sized(GROUND_M, rng)
+    name = str(rng.choice(facts.ground))
+    make = partial(shifted, (name,), metres)
+    yield Fault("chip shifted", name, metres, "m", times, make, (name, "chip"), "", (name,))
+    times, metres = sized(12.0, rng)
+    make, words = partial(shifted, facts.ground, metres), ("all|common|datum|shift",)
+    yield Fault("all chips shifted", "", metres, "m", times, make, words, "shift|target|along|across|orbit")
 
     def exchanged(a: str, b: str, dump: Path) -> None:
         files = {a: f"chips/{b}.tif", b: f"chips/{a}.tif"}

@@ -28,7 +28,7 @@ from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.results.folder import store_of
 
 change, edited, later = faults.change, faults.edited, faults.later
-PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
+STRIPS = ("s01", "s02", "s03")
 NO_ABERRATION = "[light]\naberration = false\n\n"
 Make = Callable[[Path], None]
 
@@ -91,25 +91,10 @@ def one_point(name: str, column: str, new: Callable[[str], str], dump: Path) -> 
     edited("points.csv", edit, dump)
 
 
-CAUSES = [
+CAUSES = [  # others: `test_faults_of_images.py`
     # fault, cause, item, size (NaN: none is reported), file
     (partial(rows_late, "s02", -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
-    (partial(rows_late, "s03", 9e-3), "clock of the rows", "strip s03", 9.0, "strips.csv"),
     (partial(period, "s01", 1.0018), "row period", "strip s01", 0.18, "strips.csv"),
-    (
-        partial(camera, "x_offset_mm", 1, 0.7 * PITCH_MM),
-        "place of a CCD, along the track",
-        "CCD 1",
-        0.7,
-        "remote_camera.toml",
-    ),
-    (
-        partial(camera, "y_first_mm", 3, -0.8 * PITCH_MM),
-        "place of a CCD, across the track",
-        "CCD 3",
-        -0.8,
-        "remote_camera.toml",
-    ),
     (
         focal_length,
         "focal length of the remote-sensing camera",
@@ -117,21 +102,11 @@ CAUSES = [
         0.04,
         "remote_camera.toml",
     ),  # 212 m of height would explain it, too
-    (
-        partial(faults.ground_moved, "points.csv", ("s02",), "north", 80.0),
-        "datum of the targets, north",
-        "strip s02",
-        80.0,
-        "points.csv",
-    ),
-    (
-        partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"),
-        "coordinates",
-        "target s01-t07 (strip s01)",
-        27.8,
-        "points.csv",
-    ),
-]
+    (partial(faults.ground_moved, "points.csv", ("s02",), "north", 80.0), "datum of the targets, north",
+        "strip s02", 80.0, "points.csv"),
+    (partial(one_point, "s01-t07", "lat_deg", lambda v: f"{float(v) + 2.5e-4:.10f}"), "coordinates",
+        "target s01-t07 (strip s01)", 27.8, "points.csv"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("make", "cause", "item", "size", "file"), CAUSES)
@@ -164,29 +139,23 @@ def test_points_that_scatter_more_than_stated_are_one_finding_about_their_noise(
     assert first.refutes or item != "all strips"  # then the matrix is less certain than stated
 
 
-def test_instants_cut_to_an_eighth_of_a_second_are_told_with_that_step(told):
-    def cut(row: dict[str, str]) -> None:
-        utc = np.datetime64(row["utc"], "ns")
-        row["utc"] = str(utc - np.timedelta64(int(utc.astype(np.int64)) % 125_000_000, "ns"))
-
-    first = told(partial(edited, "STR1.csv", cut)).verdict.findings[0]
-    assert (first.cause, first.item) == ("times of attitudes", "head STR1")
-    assert "multiples of 0.125 s" in first.text
-
-
 def test_sizes_of_single_points_scatter_by_their_sigma(told, sound):
-    """Of 24 points, each 27.8 m off in turn; the rms of 24 normal deviates is 0.7 to 1.4 in 99 of 100."""
+    """Of 24 points, one of each strip at a time, each 27.8 m off; the rms of 24 normal deviates is 0.7 to 1.4
+    in 99 of 100.
+    """
     header, *rows = faults.table(sound / "points.csv")
-    names = list(dict.fromkeys(row[header.index("id")] for row in rows))
-    errors = []
-    for n, name in enumerate(np.random.default_rng(3).choice(names, 24, replace=False).tolist()):
-        off_deg = (-1) ** n * 2.5e-4
-        verdict = told(
-            partial(one_point, name, "lat_deg", lambda v, d=off_deg: f"{float(v) + d:.10f}")
-        ).verdict
-        (found,) = [one for one in verdict.findings if one.is_fault]
-        assert found.item.startswith(f"target {name} ")
-        errors.append((found.value - 27.8) / found.sigma)
+    names = sorted({row[header.index("id")] for row in rows})
+    rng, errors = np.random.default_rng(3), []
+    of_strips = [rng.permutation([one for one in names if one.startswith(s)]).tolist()[:8] for s in STRIPS]
+    for k, trio in enumerate(zip(*of_strips)):
+
+        def off(dump: Path, trio: tuple[str, ...] = trio, off_deg: float = (-1) ** k * 2.5e-4) -> None:
+            for name in trio:
+                one_point(name, "lat_deg", lambda value: f"{float(value) + off_deg:.10f}", dump)
+
+        found = {one.item.split()[1]: one for one in told(off).verdict.findings if one.is_fault}
+        assert set(found) == set(trio)
+        errors += [(one.value - 27.8) / one.sigma for one in found.values()]
     assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.4
 
 
@@ -375,19 +344,6 @@ def test_an_orbit_that_contradicts_all_heads_alike_is_named_and_no_head(told):
     assert raised.value.file == "orbit.oem" and "STR" not in str(raised.value)
 
 
-def test_an_orbit_of_another_revolution_is_told_where_it_sees_no_point_at_all(told):
-    def turned(dump: Path) -> None:
-        R = Rotation.from_rotvec([0.0, 0.0, -faults.EARTH_RAD_S * faults.REVOLUTION_S])
-
-        def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
-            p[:], v[:] = R.apply(p), R.apply(v)
-
-        faults.states(edit, dump)
-
-    with pytest.raises(DataNotSufficientError, match="none of 99 measured points is in view"):
-        told(turned)
-
-
 def test_the_same_points_under_other_ids_count_once(told, right):
     def twice(dump: Path) -> None:
         header, *rows = faults.table(dump / "points.csv")
@@ -450,7 +406,7 @@ def painted(strip: str, level: int, dump: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "strip", "level"),
-    [("ground", "s02", 0), ("scans", "sky01", 255), ("scans", "sky02", 17)],  # dead, saturated, one grey
+    [("ground", "s02", 17), ("scans", "sky01", 255)],  # one grey value, saturated
 )
 def test_a_strip_that_gives_nothing_is_a_finding_with_its_reason(with_fault, name, strip, level):
     found = with_fault(name, partial(painted, strip, level)).verdict
@@ -473,9 +429,7 @@ def test_chips_that_all_lie_off_alike_are_told_with_the_common_shift(with_fault)
         with_fault("ground", shifted)
 
 
-def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(
-    with_fault,
-):
+def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilometres_a_second(with_fault):
     """18 arc-seconds about x of the head, from the second scan on: the orbit's aberration is 5."""
 
     def moves(dump: Path) -> None:
@@ -519,18 +473,17 @@ def one_way(made_once) -> Path:
     return made_once("scans-one-way", fill) / "sound"
 
 
-@pytest.mark.parametrize(("label", "sign"), [("start", -1.0), ("end", 1.0)])
-def test_what_scans_all_one_way_cannot_show_of_the_time_of_a_row_is_told(one_way, tmp_path, label, sign):
-    """Rows of 16 stages, of which the label is the first or the last: each is dated 8 rows wrong."""
+def test_what_scans_all_one_way_cannot_show_of_the_time_of_a_row_is_told(one_way, tmp_path):
+    """Rows of 16 stages, of which the label is the first: each is dated 8 rows wrong."""
     fault_dumps.linked(one_way, tmp_path / "dump")
     change(tmp_path / "dump" / "remote_camera.toml", "tdi_stages = 1\n", "tdi_stages = 16\n")
-    change(tmp_path / "dump" / "remote_camera.toml", 'time_of_row = "middle"', f'time_of_row = "{label}"')
+    change(tmp_path / "dump" / "remote_camera.toml", 'time_of_row = "middle"', 'time_of_row = "start"')
     store = store_of(one_way.parent)
     right, wrong = (calibrate_dump(open_dump(one), store=store) for one in (one_way, tmp_path / "dump"))
     (spot,) = [one for one in blind_spots(wrong.verdict.tests) if "time_of_row" in one.field]
     assert spot.is_unseen and spot.item == "all strips"
     moved = (wrong.estimate.R_cs * right.estimate.R_cs.inv()).as_rotvec()
-    late_ms = sign * 8e3 * wrong.sky.tasks[0].strip.row_period_s
+    late_ms = -8e3 * wrong.sky.tasks[0].strip.row_period_s
     assert np.linalg.norm(moved - late_ms * spot.effect_rad) < 0.05 * np.linalg.norm(moved)  # it is linear
     assert np.max(np.abs(moved) / right.estimate.sigma_theta) > 100.0
 

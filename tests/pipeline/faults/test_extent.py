@@ -183,22 +183,13 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any], Callable[[Path], Any]]] = {
     "json": ("a.json", text(json.dumps({"a": [{}] * 2**22})), read_json),
     "json, nested": ("a.json", text('{"a":' + "[" * 2**23), read_json),
     "xml, tags": ("a.xml", text("<a>" + "<b/>" * 2**22 + "</a>"), lambda p: read_xml(p, "f")),
-    "xml, attributes": (
-        "a.xml",
-        text("<a>" + "<b c='' d='' e=''/>" * 2**20 + "</a>"),
-        lambda p: read_xml(p, "f"),
-    ),
+    "xml, attributes": ("a.xml", text("<a>" + "<b c='' d='' e=''/>" * 2**20 + "</a>"),
+        lambda p: read_xml(p, "f")),
     "toml, keys": ("a.toml", text("a" + ".a" * 10**5), lambda p: toml_tables(p, "f")),
-    "text, gzip": (
-        "a.gz",
-        lambda path: path.write_bytes(gzip.compress(bytes(2**27 + 1), 1)),
-        lambda p: read_message(p, "f"),
-    ),
-    "text, a hole": (
-        "a.txt",
-        lambda path: path.touch() or os.truncate(path, 2**33),
-        lambda p: read_text(p, "f"),
-    ),
+    "text, gzip": ("a.gz", lambda path: path.write_bytes(gzip.compress(bytes(2**27 + 1), 1)),
+        lambda p: read_message(p, "f")),
+    "text, a hole": ("a.txt", lambda path: path.touch() or os.truncate(path, 2**33),
+        lambda p: read_text(p, "f")),
     "stars, csv cells": ("a.csv", text("source_id" + ",a" * 99 + "\n" + (",1" * 99 + "\n") * 350_000), gaia),
     "stars, csv line": ("a.csv", text("source_id\n" + "x" * 10**6 + "\n1" * 10_000), gaia),
     "stars, fits": ("a.fits", star_table, gaia),
@@ -213,33 +204,18 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any], Callable[[Path], Any]]] = {
     "fits, planes": ("a.fits", fits_of((16384, 16384, 3)), lambda p: read_star_image(p, "f")),
     "fits, header": ("a.fits", endless, lambda p: read_star_image(p, "f")),
     "tiff": ("a.tif", lambda path: tiff(path, 10**5, 10**5), lambda p: read_star_image(p, "f")),
-    "tiff, doubles": (
-        "a.tif",
-        lambda path: tiff(path, 16384, 8192, kind="float64"),
-        lambda p: read_star_image(p, "f"),
-    ),
-    "strip, tiles": (
-        "a.tif",
-        lambda path: tiff(path, 65536, 10**7, blockxsize=16384, blockysize=16384),
-        lambda p: check_strip_file(p, "f", lines=10**7, samples=65536, bit_depth=8),
-    ),
+    "tiff, doubles": ("a.tif", lambda path: tiff(path, 16384, 8192, kind="float64"),
+        lambda p: read_star_image(p, "f")),
+    "strip, tiles": ("a.tif", lambda path: tiff(path, 65536, 10**7, blockxsize=16384, blockysize=16384),
+        lambda p: check_strip_file(p, "f", lines=10**7, samples=65536, bit_depth=8)),
     "chip": ("a.tif", lambda path: tiff(path, 9000, 9000), lambda p: read_grid(p, "f", max_pixels=2**24)),
-    "chip, a tile": (
-        "a.tif",
-        lambda path: tiff(path, 512, 512, blockxsize=65536, blockysize=65536),
-        lambda p: read_grid(p, "f", max_pixels=2**24),
-    ),
-    "height model": (
-        "a.tif",
-        lambda path: tiff(path, 20_001, 20_001),
-        lambda p: read_heights([p], "ellipsoidal"),
-    ),
-    "location grid": (
-        "a.tif",
-        lambda path: tiff(path, 20_000, 20_000, 2),
-        lambda p: dimap_grid_differences(SimpleNamespace(), p),
-    ),
-}
+    "chip, a tile": ("a.tif", lambda path: tiff(path, 512, 512, blockxsize=65536, blockysize=65536),
+        lambda p: read_grid(p, "f", max_pixels=2**24)),
+    "height model": ("a.tif", lambda path: tiff(path, 20_001, 20_001),
+        lambda p: read_heights([p], "ellipsoidal")),
+    "location grid": ("a.tif", lambda path: tiff(path, 20_000, 20_000, 2),
+        lambda p: dimap_grid_differences(SimpleNamespace(), p)),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 import rasterio
 from astropy.io import fits
-from command_line import app
+from command_line import ran
 from image_mutants import FORMATS, differs, mutated
 from PIL import Image
-from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.png import png_rows
@@ -26,7 +25,6 @@ from boresight.star_id.finding import star_shape
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
-runner = CliRunner()
 SHAPE = (96, 128)
 TOP = {np.uint8: 255, np.uint16: 65535, np.float32: 1.0}
 
@@ -77,9 +75,9 @@ def test_exposures_without_a_sky_are_left_out_by_name_with_what_they_show(tmp_pa
     fits.PrimaryHDU(bright).writeto(tmp_path / "bright.fits")
     fits.PrimaryHDU(np.full(SHAPE, np.nan, np.float32)).writeto(tmp_path / "nan.fits")
     paths = sorted(tmp_path.iterdir())
-    ran = runner.invoke(app, ["identify", "--fov", "20", *map(str, paths)])
-    assert isinstance(ran.exception, SystemExit) and ran.exit_code == 1, ran.output
-    lines = ran.output.splitlines()
+    told = ran("identify", "--fov", 20, *paths, status=1)
+    assert isinstance(told.exception, SystemExit), told.output
+    lines = told.output.splitlines()
     reasons = {path.stem: line for path in paths for line in lines if line.startswith(f"{path} ")}
     assert "100 % of the pixels are saturated: Sun" in reasons["saturated"]
     assert "50 % of the pixels are saturated" in reasons["checkerboard"]
@@ -88,7 +86,7 @@ def test_exposures_without_a_sky_are_left_out_by_name_with_what_they_show(tmp_pa
     assert "a value of 1e+30" in reasons["bright"]
     assert "none that is a number" in reasons["nan"]
     assert all("not identified" in line or "not read" in line for line in reasons.values())
-    assert len(reasons) == len(paths) and "identified 0 of 9 images" in ran.output
+    assert len(reasons) == len(paths) and "identified 0 of 9 images" in told.output
 
 
 def test_animated_png_is_refused_by_name_before_it_is_decoded(tmp_path: Path) -> None:
@@ -190,9 +188,7 @@ def test_tiff_of_thousands_of_bands_is_refused_before_it_is_read(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("side", "refused"), [(16_384, True), (8192, False)])
-def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpacked(
-    side: int, refused: bool, tmp_path: Path
-) -> None:
+def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpacked(side, refused, tmp_path):
     path = tmp_path / "sparse.tif"
     form = {"tiled": True, "blockxsize": 4096, "blockysize": 4096, "compress": "deflate", "sparse_ok": True}
     with rasterio.open(path, "w", driver="GTiff", width=side, height=side, count=1, dtype="uint8", **form):
@@ -207,9 +203,7 @@ def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpack
 
 @pytest.mark.parametrize("form", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}, {"predictor": 2}])
 @pytest.mark.parametrize("fault", ["checksum", "end"])
-def test_deflated_block_of_a_tiff_whose_end_is_damaged_is_refused(
-    fault: str, form: dict[str, object], tmp_path: Path
-) -> None:
+def test_deflated_block_of_a_tiff_whose_end_is_damaged_is_refused(fault, form, tmp_path):
     """The last pixels of such a block are other ones by GDAL than by Pillow, without a word of either."""
     path, pixels = tmp_path / "sky.tif", np.random.default_rng(3).integers(0, 200, (40, 50), dtype=np.uint8)
     profile = {"driver": "GTiff", "width": 50, "height": 40, "count": 1, "dtype": "uint8"}
@@ -252,9 +246,7 @@ def test_text_pgm_and_ppm_are_read_and_bounded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("colour", "interlaced"), [(0, 1), (2, 0), (3, 0), (4, 0), (6, 1)])
-def test_png_whose_stream_ends_before_its_last_row_is_refused(
-    colour: int, interlaced: int, tmp_path: Path
-) -> None:
+def test_png_whose_stream_ends_before_its_last_row_is_refused(colour, interlaced, tmp_path):
     """Pillow fills what is missing with black, so that a file of 1 kB may state 50 million pixels."""
     modes = {0: "L", 2: "RGB", 3: "P", 4: "LA", 6: "RGBA"}
     width, height, samples = 13, 11, {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]

@@ -70,15 +70,13 @@ def claiming(path: Path, width: int, height: int, *, tile: int = 0, rows: int = 
     [
         (lambda path: path.unlink(), "image: file: found no such file, expected an image"),
         (lambda path: path.write_bytes(b""), "image: byte 0: found an empty file, expected a .*TIFF"),
-        (
-            lambda path: path.write_bytes(path.read_bytes()[:6]),
-            "image: TIFF header: found .* expected a TIFF",
-        ),
+        (lambda path: path.write_bytes(path.read_bytes()[:6]),
+            "image: TIFF header: found .* expected a TIFF"),
         (lambda path: path.write_bytes(path.read_bytes()[:-300]), "image: .*found .*, expected"),
         (lambda path: path.write_bytes(b"GIF89a" + bytes(99)), "image: byte 0: found 47 49 46"),
     ],
     ids=["missing", "zero length", "header cut", "pixels cut", "no TIFF"],
-)
+)  # fmt: skip
 def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_path: Path) -> None:
     path = tmp_path / "image.tif"
     sound(kind, path)
@@ -102,9 +100,7 @@ def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_pa
         ("terrain", (1, 32), "int16", "heights: found terrain needs at least 2 x 2 heights"),
     ],
 )
-def test_image_of_another_size_or_depth_is_refused_with_both(
-    kind: str, shape: tuple[int, int], dtype: str, says: str, tmp_path: Path
-) -> None:
+def test_image_of_another_size_or_depth_is_refused_with_both(kind, shape, dtype, says, tmp_path):
     path = tmp_path / "image.tif"
     (write_strip if kind in ("exposure", "strip") else write_chip)(path, np.ones(shape, dtype))
     with pytest.raises(RawDataError, match=says):
@@ -113,9 +109,7 @@ def test_image_of_another_size_or_depth_is_refused_with_both(
 
 @pytest.mark.parametrize("kind", READ)
 @pytest.mark.parametrize("layout", [{"tile": 256}, {"tile": 999_984}, {"rows": 1}, {"rows": 10**6}])
-def test_tiff_that_claims_a_million_by_a_million_pixels_costs_nothing(
-    kind: str, layout: dict[str, int], tmp_path: Path
-) -> None:
+def test_tiff_that_claims_a_million_by_a_million_pixels_costs_nothing(kind, layout, tmp_path):
     path = tmp_path / "image.tif"
     claiming(path, 10**6, 10**6, **layout)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -98,9 +98,7 @@ def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, byte
     return dump, out, (result / "installation.json").read_bytes()
 
 
-def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(
-    begun: tuple[Path, Path, bytes],
-) -> None:
+def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(begun):
     dump, out, expected = begun
     (out / "installation.json").write_text("{}")  # of an earlier run
     ran = subprocess.run(
@@ -205,9 +203,7 @@ def test_error_of_a_file_names_the_file(tmp_path: Path) -> None:
         read_parquet(tmp_path / "table.parquet")
 
 
-def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(
-    handmade: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(handmade, tmp_path, monkeypatch, capsys):
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from command_line import app
+from command_line import ran
 from fixture_strips import stopped_run
 from test_images import claiming
-from typer.testing import CliRunner
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +33,8 @@ def damaged(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactor
     exposures[2].touch()
     exposures[4].write_bytes(half)
     claiming(exposures[8], 10**6, 10**6, tile=256)
-    ran = CliRunner().invoke(
-        app, ["calibrate", str(dump), "--out", str(out), "--workers", "1", "--no-report"]
-    )
-    assert ran.exit_code == 0, ran.output
-    (folder / "told.txt").write_text(ran.output)
+    told = ran("calibrate", dump, "--out", out, "--workers", 1, "--no-report").output
+    (folder / "told.txt").write_text(told)
     return folder, {path.relative_to(dump).as_posix(): what for path, what in said.items()}
 
 
@@ -58,7 +54,7 @@ def test_the_command_and_status_count_what_is_not_used(damaged: tuple[Path, dict
     told = (folder / "told.txt").read_text()
     counts = told[told.index("not used") :]
     assert "2 chips: 2 file not usable" in counts and "4 exposures: 4 file not usable" in counts
-    status = CliRunner().invoke(app, ["status", str(folder / "result")]).output
+    status = ran("status", folder / "result").output
     assert re.search(r"exposures +14 done, 4 not used", status), status
     assert re.search(r"targets, round 2 +1 done, [0-9]+ not used", status), status
     assert status.count("file: found no such file, expected an image") >= 3

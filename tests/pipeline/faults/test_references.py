@@ -103,9 +103,7 @@ def test_table_whose_stars_lie_elsewhere_is_refused_and_nothing_is_requested(
     assert requests == []
 
 
-def test_dump_with_such_a_table_is_refused_and_nothing_is_requested(
-    handmade: Path, server: tuple[str, list[str]]
-) -> None:
+def test_dump_with_such_a_table_is_refused_and_nothing_is_requested(handmade, server):
     address, requests = server
     text = votable(handmade / "stars.vot", "binary").replace("<STREAM", f'<STREAM href="{address}/a"')
     (handmade / "stars.vot").write_text(text)
@@ -144,18 +142,14 @@ def test_table_that_unpacks_to_any_size_is_refused(how: str, tmp_path: Path) -> 
         '<!DOCTYPE a [<!ENTITY % b SYSTEM "{0}/b"> %b;]><a/>',
     ],
 )
-def test_xml_that_names_others_is_refused_and_nothing_is_requested(
-    text: str, tmp_path: Path, server: tuple[str, list[str]]
-) -> None:
+def test_xml_that_names_others_is_refused_and_nothing_is_requested(text, tmp_path, server):
     (tmp_path / "a.xml").write_text(text.format(server[0]))
     with pytest.raises(RawDataError, match="XML without DTD, entities or references"):
         read_xml(tmp_path / "a.xml", "a.xml")
     assert server[1] == []
 
 
-def test_xml_and_toml_that_name_others_in_words_are_only_words(
-    tmp_path: Path, server: tuple[str, list[str]]
-) -> None:
+def test_xml_and_toml_that_name_others_in_words_are_only_words(tmp_path, server):
     include = f'<a xmlns:xi="http://www.w3.org/2001/XInclude"><xi:include href="{server[0]}/x"/></a>'
     (tmp_path / "a.xml").write_text(include)
     assert len(read_xml(tmp_path / "a.xml", "a.xml")) == 1
@@ -202,9 +196,7 @@ def read_ortho(path: Path, band: int | None = None) -> RasterWindow:
     return file.window(0, 0, file.shape[1], file.shape[0])
 
 
-def test_ortho_image_as_vrt_is_read_from_files_of_this_machine_only(
-    tmp_path: Path, server: tuple[str, list[str]]
-) -> None:
+def test_ortho_image_as_vrt_is_read_from_files_of_this_machine_only(tmp_path, server):
     chip(tmp_path / "a.tif")
     path = tmp_path / "a.vrt"
     path.write_text(vrt("a.tif"))

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import fault_dumps
 import pytest
-from command_line import app
-from typer.testing import CliRunner
+from command_line import invoked
 
 SHIFT_PX = 1.5  # of the points of a CCD: 15 of their 1-sigma
 
@@ -38,16 +37,14 @@ def moved_points(source: Path, target: Path, ccds: tuple[int, ...]) -> Path:
     return target
 
 
-def test_errors_of_ccds_one_and_eleven_are_both_told_by_console_and_page(
-    twelve: Path, tmp_path: Path
-) -> None:
+def test_errors_of_ccds_one_and_eleven_are_both_told_by_console_and_page(twelve, tmp_path):
     dump, out = moved_points(twelve, tmp_path / "dump", (1, 11)), tmp_path / "result"
-    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(out)])
+    told_on_console = invoked("calibrate", dump, "--out", out).stdout
     findings = json.loads((out / "evidence" / "context.json").read_text(encoding="utf-8"))["findings"]
     page = (out / "report.html").read_text(encoding="utf-8")
     told = {subject["ccd"] for finding in findings for subject in finding["subjects"]}
     assert {1, 11} <= told and not told & {0, *range(2, 11)}
     for item in ("CCD 1", "CCD 11"):
         (finding,) = [finding for finding in findings if finding["item"] == item]
-        assert f"{finding['cause']}, {item}: " in ran.stdout
+        assert f"{finding['cause']}, {item}: " in told_on_console
         assert finding["text"][:40] in page

@@ -136,36 +136,27 @@ def test_the_exported_message_is_read_with_its_variances(tmp_path: Path) -> None
     ("old", "new", "complaint"),
     [
         ("= 2.0", "= 3.0", "CCSDS_ACM_VERS: found 3.0, expected 2.0"),
-        (
-            "ATT_TYPE = QUATERNION",
-            "ATT_TYPE = RODRIGUES",
-            "line 16, ATT_TYPE: found RODRIGUES, expected QUATERNION, EULER_ANGLES, DCM",
-        ),
+        ("ATT_TYPE = QUATERNION", "ATT_TYPE = RODRIGUES",
+            "line 16, ATT_TYPE: found RODRIGUES, expected QUATERNION, EULER_ANGLES, DCM"),
         ("REF_FRAME_A = ICRF\n", "", "line 16, REF_FRAME_A: found nothing"),
         ("REF_FRAME_A = ICRF", "REF_FRAME_A = LVLH", "found LVLH and STR1, expected one of GCRF, ICRF"),
         ("EPOCH_TZERO = 2025-03-20T02:31:00.5\n", "", "EPOCH_TZERO: found nothing"),
         ("EPOCH_TZERO = 2025-03-20", "EPOCH_TZERO = 2025-13-20", "EPOCH_TZERO: found "),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM = MET", "TIME_SYSTEM: found MET"),
-        (
-            "0.1 0.5 0.1 0.5 -0.7 0 0 0.06",
-            "0.1 0.5 0.1 0.5",
-            "line 23: found 0.1 0.5 0.1 0.5, expected a time",
-        ),
+        ("0.1 0.5 0.1 0.5 -0.7 0 0 0.06", "0.1 0.5 0.1 0.5",
+            "line 23: found 0.1 0.5 0.1 0.5, expected a time"),
         ("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 0.5 x", "line 23, QC: found x"),
         ("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 0.5 0.9", "attitude 2: found .*of length"),
         ("0.2 -0.7", "0.05 -0.7", "COV_START: found 3 covariances, expected one at each of 3 attitudes"),
         ("ATT_STOP\n\nCOV", "\nCOV", "line 26: found COV_START, expected ATT_STOP before it"),
         ("COV_STOP\n", "", "end of the file: found inside COV"),
-        (
-            "COV_TYPE = ANGLE",
-            "COV_TYPE = QUATERNION",
-            "COV_TYPE: found QUATERNION in STR1, expected ANGLE .*white",
-        ),
+        ("COV_TYPE = ANGLE", "COV_TYPE = QUATERNION",
+            "COV_TYPE: found QUATERNION in STR1, expected ANGLE .*white"),
         ("COV_REF_FRAME = STR1", "COV_REF_FRAME = ICRF", "found ANGLE in ICRF, expected ANGLE in STR1"),
         ("0.2 1e-8 2e-8 5e-6\n", "", "COV_START: found 2 covariances, expected one at each of 3 attitudes"),
         ("0.2 1e-8 2e-8 5e-6", "0.2 1e-8 2e-8 -5e-6", "expected positive variances"),
     ],
-)
+)  # fmt: skip
 def test_what_is_not_read_is_named(old: str, new: str, complaint: str, tmp_path: Path) -> None:
     whole = MESSAGE + COVARIANCE
     assert old in whole
@@ -250,24 +241,6 @@ def test_a_sequence_of_angles_that_is_none_is_named(sequence: str, tmp_path: Pat
     text = MESSAGE.replace("ATT_TYPE = QUATERNION", f"ATT_TYPE = EULER_ANGLES\nEULER_ROT_SEQ = {sequence}")
     with pytest.raises(RawDataError, match=rf"line 16, EULER_ROT_SEQ: found {sequence}, expected three axes"):
         read(tmp_path, text)
-
-
-def test_mutated_messages_are_read_or_refused(tmp_path: Path) -> None:
-    rng, whole = np.random.default_rng(3), (MESSAGE + COVARIANCE).encode()
-    refused = 0
-    for n in range(2000):
-        raw = bytearray(whole)
-        for _ in range(int(rng.integers(1, 4))):
-            raw[int(rng.integers(0, len(raw)))] = int(rng.integers(9, 127))
-        if n % 4 == 0:
-            lines = bytes(raw).splitlines(keepends=True)
-            raw = bytearray(b"".join(lines[int(k)] for k in rng.permutation(len(lines))[: len(lines) - 1]))
-        (tmp_path / "m.acm").write_bytes(bytes(raw))
-        try:
-            read_attitudes(tmp_path / "m.acm", "m.acm", EPOCH, None, None)
-        except RawDataError:
-            refused += 1
-    assert 500 < refused < 2000
 
 
 @pytest.mark.parametrize("scale", ["UTC", "TAI", "GPS"])

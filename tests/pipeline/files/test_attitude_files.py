@@ -168,35 +168,21 @@ def test_euler_angles_are_those_of_naif_in_keyword_value_and_both_forms_of_xml(t
 
 
 CASES = [
-    (
-        "1.0",
-        {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
-        False,
-    ),
-    (
-        "1.0",
-        {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "FIRST"},
-        False,
-    ),
-    (
-        "1.0",
-        {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "B2A", "QUATERNION_TYPE": "LAST"},
-        True,
-    ),
-    (
-        "1.0",
-        {"REF_FRAME_A": "ST_1", "REF_FRAME_B": "ICRF", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
-        True,
-    ),
+    ("1.0", {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
+        False),
+    ("1.0", {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "FIRST"},
+        False),
+    ("1.0", {"REF_FRAME_A": "ICRF", "REF_FRAME_B": "ST_1", "ATTITUDE_DIR": "B2A", "QUATERNION_TYPE": "LAST"},
+        True),
+    ("1.0", {"REF_FRAME_A": "ST_1", "REF_FRAME_B": "ICRF", "ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"},
+        True),
     ("2.0", {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}, False),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("version", "meta", "inverse"), CASES)
 @pytest.mark.parametrize("form", ["kvn", "xml"])
-def test_messages_of_every_form_give_the_attitude(
-    form: str, version: str, meta: dict[str, str], inverse: bool, tmp_path: Path
-) -> None:
+def test_messages_of_every_form_give_the_attitude(form, version, meta, inverse, tmp_path):
     turned = Rotation.from_euler("xyz", [10.0, 20.0, 30.0], degrees=True) * R_SI  # trace above -1
     matrices = turned.inv().as_matrix() if inverse else turned.as_matrix()
     q = [standard_quaternion(matrix) for matrix in matrices]
@@ -272,9 +258,7 @@ def test_message_in_gps_time_is_18_seconds_earlier(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "later_s"), [("UTC", 0.0), ("TAI", -37.0), ("GPS", -18.0)])
-def test_times_of_a_table_are_in_the_scale_that_its_column_names(
-    scale: str, later_s: float, tmp_path: Path
-) -> None:
+def test_times_of_a_table_are_in_the_scale_that_its_column_names(scale, later_s, tmp_path):
     # 2024: TAI - UTC = 37 s, GPS - UTC = 18 s (Bulletin C of the IERS)
     path = tmp_path / "attitudes.csv"
     path.write_text(csv_text(R_SI.as_quat()).replace("utc,", f"{scale.lower()},"))
@@ -302,18 +286,12 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (
-            kvn(OK | {"REF_FRAME_A": "TEME"}, [f"{t} {Q}" for t in TIMES], "2.0"),
-            r"META_START of line \d+, REF_FRAME_A and REF_FRAME_B: found TEME and ST_1",
-        ),
-        (
-            kvn(OK | {"TIME_SYSTEM": "TDR"}, [f"{t} {Q}" for t in TIMES], "2.0"),
-            r"line \d+, TIME_SYSTEM: found TDR, expected UTC, TAI, TT, TDB or GPS",
-        ),
-        (
-            kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("REF_FRAME_A = GCRF\n", ""),
-            r"META_START of line \d+, REF_FRAME_A: found nothing",
-        ),
+        (kvn(OK | {"REF_FRAME_A": "TEME"}, [f"{t} {Q}" for t in TIMES], "2.0"),
+            r"META_START of line \d+, REF_FRAME_A and REF_FRAME_B: found TEME and ST_1"),
+        (kvn(OK | {"TIME_SYSTEM": "TDR"}, [f"{t} {Q}" for t in TIMES], "2.0"),
+            r"line \d+, TIME_SYSTEM: found TDR, expected UTC, TAI, TT, TDB or GPS"),
+        (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("REF_FRAME_A = GCRF\n", ""),
+            r"META_START of line \d+, REF_FRAME_A: found nothing"),
         ("\nCCSDS_APM_VERS = 2.0\nX\n", "line 2: found CCSDS_APM_VERS = 2.0, expected CCSDS_AEM_VERS or"),
         *(
             (
@@ -334,15 +312,13 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
         (kvn(OK, [f"{t} 0 0 1_0 1" for t in TIMES], "2.0"), "line 15, Q3: found 1_0"),
         (kvn(OK, [f"{t} 0 0 1 1" for t in TIMES], "2.0"), "attitude 1: found .* of length 1.41421"),
         (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_STOP", ""), "end of the file"),
-        (
-            kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_START\n", ""),
-            "DATA_STOP, expected DATA_START",
-        ),
+        (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_START\n", ""),
+            "DATA_STOP, expected DATA_START"),
         ("<aem version='2.0'><body>", "XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><aem>&b;</aem>", "XML"),
         ("<oem/>", "root element: found oem"),
     ],
-)
+)  # fmt: skip
 def test_message_that_is_not_sound_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=complaint):
         read(tmp_path, text, None, None)
@@ -356,12 +332,10 @@ def test_message_that_is_not_sound_is_refused(text: str, complaint: str, tmp_pat
         ("utc,qx,qy,qz,qw,valid\n" + f"{TIMES[0]},0,0,0,1,yes\n", "line 2, valid: found yes"),
         ("utc,qx,qy,qz,qw\n" + f"{TIMES[0]},0,0,0,nan\n", "line 2, qw: found nan"),
         ("utc,qx,qy,qz,qw\n2024-13-01T00:00:00,0,0,0,1\n", "utc: found"),
-        (
-            csv_text(R_SI.as_quat(), ",sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec", (",1,0,1",) * 3),
-            "sigma: found",
-        ),
+        (csv_text(R_SI.as_quat(), ",sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec", (",1,0,1",) * 3),
+            "sigma: found"),
     ],
-)
+)  # fmt: skip
 def test_table_that_is_not_sound_is_refused(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=complaint):
         read(tmp_path, text)

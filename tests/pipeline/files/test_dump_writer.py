@@ -40,9 +40,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mission, Path, Dump
 
 
 @pytest.mark.skipif(not FORKS, reason="NO FORK on this system: missions are rendered by one process")
-def test_images_rendered_by_several_processes_are_the_same_bytes(
-    flown: tuple[Mission, Path, Dump], tmp_path: Path
-) -> None:
+def test_images_rendered_by_several_processes_are_the_same_bytes(flown, tmp_path):
     mission, root, _ = flown
     told: list[int] = []
 
@@ -74,9 +72,7 @@ def test_cameras_and_matrix_come_back_to_fourteen_digits(flown: tuple[Mission, P
     assert unstated.look_ccd_px == dump.errors.look_ccd_px
 
 
-def test_times_and_orbit_come_back_to_the_nanosecond_and_the_micrometre(
-    flown: tuple[Mission, Path, Dump],
-) -> None:
+def test_times_and_orbit_come_back_to_the_nanosecond_and_the_micrometre(flown):
     mission, _, dump = flown
     shift = mission.epoch.tai_s - dump.epoch.tai_s
     assert np.allclose([e.t_s - shift for e in dump.exposures], [e.t_s for e in mission.exposures], atol=1e-9)

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
 from fixture_strips import begun
-from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
@@ -55,23 +54,17 @@ def store(finished: tuple[Path, Path]) -> Iterator[str]:
 def calibrate(finished: tuple[Path, Path], out: Path, *how: str) -> None:
     """Carry a run over the stored dump, stopped after 13 of its 14 exposures, to the end of `finished`."""
     begun(out, finished, exposures=13)
-    command = ["calibrate", "s3://archive/passes/dump", "--out", str(out), "--no-report", *how]
-    ran = CliRunner().invoke(app, command)
-    assert ran.exit_code == 0, ran.output
+    ran("calibrate", "s3://archive/passes/dump", "--out", out, "--no-report", *how)
     assert (out / "installation.json").read_bytes() == (finished[1] / "installation.json").read_bytes()
     units = {path.name for path in (out / "work").rglob("*.parquet")}
     assert units == {path.name for path in (finished[1] / "work").rglob("*.parquet")}  # keys of content
 
 
-def test_dump_in_a_store_gives_the_bytes_of_the_one_on_disk(
-    store: str, finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_dump_in_a_store_gives_the_bytes_of_the_one_on_disk(store, finished, tmp_path):
     calibrate(finished, tmp_path / "result", "--workers", "2")
 
 
-def test_workers_of_a_cluster_read_a_dump_in_a_store(
-    store: str, finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_workers_of_a_cluster_read_a_dump_in_a_store(store, finished, tmp_path):
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
@@ -86,9 +79,7 @@ def test_dump_on_a_web_server_is_the_one_on_disk(store: str, finished: tuple[Pat
     assert str(there.exposures[0].path) == f"{store}/archive/passes/dump/{here.exposures[0].file}"
 
 
-def test_window_of_a_large_image_is_fetched_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
-) -> None:
+def test_window_of_a_large_image_is_fetched_alone(tmp_path, monkeypatch, recwarn):
     import fsspec
 
     image = np.random.default_rng(3).integers(0, 256, (3000, 4000), dtype=np.uint8)
@@ -149,9 +140,7 @@ def test_address_without_a_dump_is_an_error_that_names_why(store: str, address: 
     assert said in str(error.value) and ":secret" not in str(error.value)
 
 
-def test_store_without_credentials_is_an_error_that_says_so(
-    store: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_store_without_credentials_is_an_error_that_says_so(store, monkeypatch):
     import fsspec
 
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):

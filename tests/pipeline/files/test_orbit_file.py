@@ -102,55 +102,40 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
         ("2016-12-31T23:59:31.000 ", "2016-13-31T23:59:31.000 ", "times that exist"),
         ("2016-12-31T23:59:31.000 ", "2016-12-31T23:59:30.000 ", "strictly increasing"),
         ("REF_FRAME = GCRF\n", "", "META_START of line 5, REF_FRAME: found nothing"),
-        (
-            "REF_FRAME = GCRF\n",
-            "REF_FRAME = GCRF\nREF_FRAME = ICRF\n",
-            "line 10, REF_FRAME: found a second time",
-        ),
-        (
-            "REF_FRAME = GCRF\n",
-            "REF_FRAME = GCRF\nCOLOUR = red\n",
-            "line 10, COLOUR: found an unknown keyword",
-        ),
+        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nREF_FRAME = ICRF\n",
+            "line 10, REF_FRAME: found a second time"),
+        ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR = red\n",
+            "line 10, COLOUR: found an unknown keyword"),
         ("REF_FRAME = GCRF\n", "REF_FRAME = GCRF\nCOLOUR\n", "found COLOUR, expected KEYWORD = value"),
         ("CCSDS_OEM_VERS = 2.0", "CCSDS_OEM_VERS = 3.5", "expected 1.0, 2.0, 3.0"),
-        (
-            "META_START",
-            "META_START\nMETA_STOP\nMETA_START",
-            "META_START of line 5, OBJECT_NAME: found nothing",
-        ),
+        ("META_START", "META_START\nMETA_STOP\nMETA_START",
+            "META_START of line 5, OBJECT_NAME: found nothing"),
         ("META_STOP\n", "", "line 5, META_START: found 0 META_STOP"),
         ("META_START\n", "", "META_START: found nothing"),
         ("EARTH", "MARS", "line 8, CENTER_NAME: found MARS, expected EARTH"),
-        (
-            "CCSDS_OEM_VERS = 2.0",
-            "CCSDS_OPM_VERS = 2.0",
-            "line 1: found CCSDS_OPM_VERS = 2.0, expected CCSDS_OEM",
-        ),
+        ("CCSDS_OEM_VERS = 2.0", "CCSDS_OPM_VERS = 2.0",
+            "line 1: found CCSDS_OPM_VERS = 2.0, expected CCSDS_OEM"),
         ("2016-12-31T23:59:31.000 ", "2016-367T23:59:31.000 ", "a day of that year"),
         (" 0.0 ", " 0.0 1.0 ", "line 15: found 8 words.*six numbers"),
-        (
-            "TIME_SYSTEM = UTC",
-            "TIME_SYSTEM = UT1",
-            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT, TDB or GPS",
-        ),
+        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1",
+            "line 10, TIME_SYSTEM: found UT1, expected UTC, TAI, TT, TDB or GPS"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_named(old: str, new: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=says):
         read_oem(written(tmp_path, text_of(20).replace(old, new, 1)), "orbit.oem")
 
 
-def test_six_hours_at_one_hertz_take_less_than_a_third_of_the_librarys_time(tmp_path: Path) -> None:
+def test_two_hours_at_one_hertz_take_less_than_a_third_of_the_librarys_time(tmp_path: Path) -> None:
     # In turn, as clocks of machines differ by three: on a fast one a day took 0.35 s of CPU time, the library
     # alone 4 s. On slow, busy ones single pairs gave 0.15 to 0.34, the least of five of each 0.24 to 0.27.
-    path = written(tmp_path, text_of(21_600))
+    path = written(tmp_path, text_of(7_200))
     alone_s, here_s = [np.inf], [np.inf]
     while len(here_s) <= 5 and not min(here_s) < min(alone_s) / 3:  # other programs take caches and clock
         alone_s.append(cpu_s(lambda: list(OrbitEphemerisMessage.open(path).segments[0].states)))
         here_s.append(cpu_s(lambda: read_oem(path, "orbit.oem")))
     assert min(here_s) < min(alone_s) / 3
-    assert len(read_oem(path, "orbit.oem").t_s) == 21_600
+    assert len(read_oem(path, "orbit.oem").t_s) == 7_200
 
 
 def cpu_s(work: Callable[[], object]) -> float:

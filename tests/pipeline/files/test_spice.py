@@ -116,9 +116,7 @@ ALL = ("a.tls", "a.tsc", "a.tf")
 @pytest.mark.parametrize(
     ("frame", "kind"), [("J2000", 3), ("J2000", 1), ("ECLIPJ2000", 3), ("J2000", 2), ("J2000", 5)]
 )
-def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(
-    frame: str, kind: int, tmp_path: Path
-) -> None:
+def test_attitudes_are_those_that_the_toolkit_gives_at_the_same_instants(frame, kind, tmp_path):
     write_texts(tmp_path)
     ticks = ticks_of(tmp_path, np.arange(-2.0, 12.0, 0.125))
     write_ck(tmp_path / "a.bc", ticks, bold(instants_of(tmp_path, ticks)), frame, kind)
@@ -416,7 +414,7 @@ def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
         {name: (dump / name).read_bytes() for name in ("str1.bc", "sat.bsp")},
     )
     refused = 0
-    for n in range(200):
+    for n in range(80):
         name = ("str1.bc", "sat.bsp")[n % 2]
         raw = bytearray(whole[name])
         for _ in range(int(rng.integers(1, 4))):
@@ -429,4 +427,4 @@ def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
             refused += 1
             assert str(error)
         (dump / name).write_bytes(whole[name])
-    assert refused > 20
+    assert refused > 8

@@ -13,7 +13,7 @@ from boresight.pipeline.run.settings import read_settings
 
 
 @seed(20261120)
-@settings(max_examples=300, deadline=None, database=None)
+@settings(max_examples=100, deadline=None, database=None)
 @given(st.text(max_size=40) | st.lists(st.sampled_from(["..", ".", "a", "", "\\", "C:", "~"])).map("/".join))
 def test_path_of_a_manifest_stays_inside_or_is_refused(name: str) -> None:
     root = Path("/nonexistent/dump")

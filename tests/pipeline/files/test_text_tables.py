@@ -52,9 +52,7 @@ def test_table_without_rows_and_numbers_of_a_stated_format() -> None:
     assert table_csv(pd.DataFrame({"x": [-1.0 / 3.0]}), "%.3g") == "x\n-0.333\n"
 
 
-def test_names_of_images_are_no_formulas_in_what_identify_and_centroids_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_of_images_are_no_formulas_in_what_identify_and_centroids_write(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pixels = np.random.default_rng(1).poisson(50.0, (64, 64)).astype(np.uint8)
     pixels[30:33, 40:43] = 200

@@ -62,9 +62,7 @@ def test_folder_that_becomes_a_link_during_a_run_is_not_followed(tmp_path: Path)
     assert not list(outside.iterdir())
 
 
-def test_temporary_file_of_another_machine_stays_for_a_day(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_temporary_file_of_another_machine_stays_for_a_day(tmp_path, monkeypatch):
     left = killed_while_writing(tmp_path / "unit")
     monkeypatch.setattr(whole_file.platform, "node", lambda: "another")
     remove_abandoned(tmp_path)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command_line import app
+from command_line import ran
 from handmade import ATTITUDE_HEAD
 from pytest import approx
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.table_files import list_values
@@ -44,8 +43,7 @@ def of_attitudes(finished, tmp_path_factory) -> Path:
     for name in ("star_camera", "installation", "exposures"):
         text = text.replace(f'{name} = "{name}', f'# {name} = "{name}')
     (dump / "dump.toml").write_text(text + HEAD)
-    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
-    assert ran.exit_code == 0, ran.output
+    ran("calibrate", dump, "--out", result, "--workers", 1)
     return result
 
 

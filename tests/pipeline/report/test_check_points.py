@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran
 from fixture_strips import FIXTURE
 from pyproj import Geod
 from pytest import approx
-from typer.testing import CliRunner
 
 from boresight.pipeline.report.check_points import check_points_on_map
 from boresight.pipeline.report.saved import read_saved
@@ -23,9 +22,7 @@ def validated(finished, tmp_path_factory) -> Path:
     shutil.copytree(finished[0], folder / "dump")
     shutil.copytree(FIXTURE / "truth", folder / "dump" / "truth", dirs_exist_ok=True)
     shutil.copytree(finished[1], folder / "result")
-    command = ["validate", str(folder / "result"), "--dump", str(folder / "dump")]
-    ran = CliRunner().invoke(app, command)
-    assert ran.exit_code == 0, ran.output
+    ran("validate", folder / "result", "--dump", folder / "dump")
     return folder / "result"
 
 

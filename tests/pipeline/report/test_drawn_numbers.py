@@ -79,9 +79,7 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
         (0.5, 3.5, False, ["1", "2", "3"]),
     ],
 )
-def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(
-    low: float, high: float, is_log: bool, texts: list[str]
-) -> None:
+def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(low, high, is_log, texts):
     at, found, label = Axis("x", low, high, is_log=is_log).numbers(5)
     factor = float(label[3:-1]) if "(" in label else 1.0
     written = [float(text.replace("−", "-")) * factor for text in found]
@@ -158,23 +156,6 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
     assert star.name == "HIP 17499, strip sky01, CCD 2" and star.key == "used" and star.printed
 
 
-def test_scenes_stand_beside_one_another_each_in_a_cell_of_its_own() -> None:
-    box = [-1000.0, -500.0, 11_000.0, 8_500.0]
-    scene = {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": "s01", "outlines_m": []}]}
-    names = ("east_m", "north_m", "residual_east_m", "residual_north_m", "residual_m")
-    ground = {name: [5000.0, 5000.0, 5000.0] for name in names} | {"scene": [0, 1, 2]}
-    context = {"scenes": [scene | {"strips": [{"id": f"s{n}", "outlines_m": []}]} for n in range(3)]}
-    saved = SimpleNamespace(context=context, ground=pa.table(ground), map=pa.table({}), validation={})
-    view = map_view(saved, [card(n) for n in range(3)])  # type: ignore[arg-type]
-    assert view is not None
-    columns, _ = _layout(3, np.array([12_000.0, 9_000.0]))
-    places = {spot.row.row: (spot.x, spot.y) for spot in view.spots}
-    assert columns > 1
-    for n in range(3):
-        assert n % columns * WIDTH / columns < places[n][0] < (n % columns + 1) * WIDTH / columns
-    assert all(0.0 < y < view.height for _, y in places.values())
-
-
 def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> None:
     boxes = [[-1e3, -5e2, 11e3, 85e2], [3e3, 4e3, 7e3, 5e3], [-9e3, 2e2, 1e3, 5e3], [0.0, 0.0, 5e2, 3e3]]
     scenes = [
@@ -200,9 +181,7 @@ def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> Non
 
 
 @pytest.mark.parametrize(("snr", "r"), [(0.3, 0.6), (10.0, 0.9), (251.19, 1.32), (1000.0, 1.5), (1e7, 1.5)])
-def test_the_mark_of_a_star_grows_by_0_3_for_ten_times_the_signal_to_noise_ratio(
-    snr: float, r: float
-) -> None:
+def test_the_mark_of_a_star_grows_by_0_3_for_ten_times_the_signal_to_noise_ratio(snr, r):
     mark = star_detection(12.0, 7.0, snr, "used", {"used": "identified"}, "HIP 5")
     assert mark.r == pytest.approx(r, abs=1e-9)
 

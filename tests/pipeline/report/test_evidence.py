@@ -14,12 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.sightings import StarSightings, isotropic_covariance
-from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.match_pictures import Places, match_pictures
@@ -54,10 +52,9 @@ class OtherMachines:
         return InOrder()
 
 
-def test_quicklooks_alone_are_made_on_other_machines(finished, tmp_path):
+def test_quicklooks_alone_are_made_on_other_machines(finished, calibration, tmp_path):
     dump, others = open_dump(finished[0]), OtherMachines()
-    found = calibrate_dump(dump, store=store_of(finished[1].resolve()))
-    write_evidence(tmp_path, dump, found, Settings(), others)
+    write_evidence(tmp_path, dump, calibration, Settings(), others)
     assert len(others.sent) == sum(len(strip.images.ccds) for strip in dump.strips)
     for path in sorted((tmp_path / "evidence").iterdir()):
         assert path.read_bytes() == (finished[1] / "evidence" / path.name).read_bytes(), path.name

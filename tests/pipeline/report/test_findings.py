@@ -15,18 +15,15 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.input_findings import heights
 from boresight.pipeline.diagnosis.losses import _excluded, lost_strip, lost_targets
 from boresight.pipeline.diagnosis.suspects import single_targets
-from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.findings import (
     clouds,
     spread,
 )
 from boresight.pipeline.report.unmatched import pictures_at
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
 
 NAMES = [f"t{n}" for n in range(12)]
@@ -220,10 +217,8 @@ def test_displacements_are_told_by_the_compass():
     assert compass(0.0, -0.25) == "0.25 m south"
 
 
-def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(finished):
-    dump, result = finished
-    found = calibrate_dump(open_dump(dump), store=store_of(result))
-    task, matched = found.tasks[0], found.matched[0]
+def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(calibration):
+    task, matched = calibration.tasks[0], calibration.matched[0]
     model, name, ccd = pushbroom_of(task), str(matched.target_id[0]), int(matched.ccd[0])
     (p_e,) = [target.p_e for target in task.targets if target.target_id == name]
     lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
@@ -236,10 +231,8 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(finished):
     assert _displaced_m(task, refusal) == approx((60.0, -25.0), abs=0.05)  # m: the ground is not a plane
 
 
-def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allows(finished):
-    dump, result = finished
-    found = calibrate_dump(open_dump(dump), store=store_of(result))
-    task, matched = found.tasks[0], found.matched[0]
+def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allows(calibration):
+    task, matched = calibration.tasks[0], calibration.matched[0]
     model, name, ccd = pushbroom_of(task), str(matched.target_id[0]), int(matched.ccd[0])
     sample, line = matched.xy_px[0].tolist()
     pictures = pictures_at(task, model, name, ccd, matched.xy_px[0], surface_of(task.terrain))

@@ -1,7 +1,7 @@
 """Labels beside marks."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boresight.pipeline.report.marks import line_boxes, mark_boxes, place_labels
@@ -10,6 +10,7 @@ FRAME = np.array([0.0, 0.0, 100.0, 60.0])
 NOTHING = np.zeros((0, 4))
 
 
+@settings(deadline=None)  # machines may be busy
 @given(st.integers(0, 2**32 - 1), st.integers(0, 60))
 def test_no_label_covers_a_label_a_mark_or_a_line_or_leaves_the_picture(seed, count):
     rng = np.random.default_rng(seed)

@@ -4,9 +4,8 @@ import re
 import shutil
 
 import pytest
-from command_line import app
+from command_line import ran
 from pypdf import PdfReader
-from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report import pdf
@@ -22,11 +21,8 @@ def test_without_a_browser_the_message_says_what_is_needed(tmp_path, monkeypatch
 
 
 @pytest.mark.skipif(pdf.chromium() is None, reason="NO CHROMIUM FOUND: nothing was printed")
-def test_the_report_is_printed_on_a4(finished, tmp_path):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result, ignore=shutil.ignore_patterns("work"))
-    ran = CliRunner().invoke(app, ["report", str(result), "--pdf"])
-    assert ran.exit_code == 0 and "report.pdf" in ran.output
+def test_the_report_is_printed_on_a4(result):
+    assert "report.pdf" in ran("report", result, "--pdf").output
     content = (result / "report.pdf").read_bytes()
     assert content.startswith(b"%PDF-")
     sizes = re.findall(rb"/MediaBox\s*\[\s*0 0 ([\d.]+) ([\d.]+)", content)
@@ -44,10 +40,7 @@ def test_the_report_is_printed_on_a4(finished, tmp_path):
 
 
 def test_a_run_without_a_result_leaves_a_page_that_names_the_cause(handmade, tmp_path):
-    ran = CliRunner().invoke(
-        app, ["calibrate", str(handmade), "--out", str(tmp_path / "r"), "--workers", "1"]
-    )
-    assert ran.exit_code == 1 or ran.exception is not None
+    ran("calibrate", handmade, "--out", tmp_path / "r", "--workers", 1, status=1)
     text = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
     assert "<strong>No result.</strong>" in text and "None of 4 exposures can be used" in text
     assert text.count("<td>exposure</td>") == 4

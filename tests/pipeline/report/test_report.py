@@ -12,10 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from command_line import app
+from command_line import ran
 from matplotlib.path import Path as MplPath
 from pytest import approx
-from typer.testing import CliRunner
 
 from boresight.pipeline.console import report_command
 from boresight.pipeline.console.program import errors_reported
@@ -236,12 +235,9 @@ def test_settings_and_checksums_of_every_input_are_listed(page: Page, finished):
     assert "calibration.sigma_position_m" in text and "match." in text and "packages.numpy" in text
 
 
-def test_the_command_draws_the_same_page_again(finished, tmp_path):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result)
+def test_the_command_draws_the_same_page_again(result):
     before = (result / "report.html").read_bytes()
-    ran = CliRunner().invoke(app, ["report", str(result)])
-    assert ran.exit_code == 0 and "report.html" in ran.output
+    assert "report.html" in ran("report", result).output
     assert (result / "report.html").read_bytes() == before
 
 
@@ -249,9 +245,7 @@ TABLES = [f"evidence/{name}" for name in EVIDENCE] + ["sightings/stars", "sighti
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_a_table_of_others_is_refused_with_its_column(name, finished, tmp_path):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result)
+def test_a_table_of_others_is_refused_with_its_column(name, result):
     file = result / f"{name}.parquet"
     sound, kept = pq.read_table(file), (EVIDENCE | COLUMNS)[name.rpartition("/")[2]]
     assert dict(zip(sound.schema.names, sound.schema.types)) == kept
@@ -266,9 +260,7 @@ def test_a_table_of_others_is_refused_with_its_column(name, finished, tmp_path):
                 read_saved(result)
 
 
-def test_what_is_no_number_in_a_result_of_others_is_refused(finished, tmp_path):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result)
+def test_what_is_no_number_in_a_result_of_others_is_refused(result):
     file = result / "installation.json"
     text = file.read_text()
     for word in ("NaN", "-Infinity"):
@@ -321,19 +313,16 @@ def cross_hairs(saved: Saved) -> tuple[int, int, int]:
     return kinds.count("matched"), kinds.count("predicted"), told
 
 
-def test_required_accuracy_is_kept_and_compared_with_each_axis(finished, tmp_path):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result, ignore=shutil.ignore_patterns("work"))
-    ran = CliRunner().invoke(app, ["report", str(result), "--require-arcsec", "0.6", "--require-m", "100"])
-    assert ran.exit_code == 0
+def test_required_accuracy_is_kept_and_compared_with_each_axis(result):
+    told = ran("report", result, "--require-arcsec", 0.6, "--require-m", 100).stdout
     assert json.loads((result / "requirement.json").read_text()) == {"arcsec": 0.6, "m": 100.0}
     covariance = np.array(json.loads((result / "installation.json").read_text())["covariance_rad2"])
     sigma = np.degrees(np.sqrt(np.diag(covariance))) * 3600.0
     missed = ", ".join(axis for axis, one in zip("XYZ", sigma) if one > 0.6)
     assert "Z" in missed
     numbers = ", ".join(f"{axis} {one:.4g}" for axis, one in zip("XYZ", sigma) if one > 0.6)
-    assert f"0.6 arcsec about each axis: not met about {numbers}\n" in ran.stdout
-    assert "100 m on the ground: met\n" in ran.stdout
+    assert f"0.6 arcsec about each axis: not met about {numbers}\n" in told
+    assert "100 m on the ground: met\n" in told
     text = Page((result / "report.html").read_text(encoding="utf-8")).texts[0]
     assert f"Required: 0.6″ about every axis: not met (about {missed})" in text
     assert "Required: 100 m on the ground: met" in text
@@ -361,12 +350,9 @@ def test_names_of_a_mission_cannot_become_markup(finished):
 
 
 def test_a_folder_without_a_result_gets_a_report_of_what_is_missing(tmp_path):
-    ran = CliRunner().invoke(app, ["report", str(tmp_path)])
-    assert ran.exit_code != 0
-    assert "installation.json" in str(ran.exception)
+    assert "installation.json" in str(ran("report", tmp_path, status=1).exception)
 
 
-def test_a_result_made_without_report_says_how_to_get_one(finished, tmp_path):
-    shutil.copytree(finished[1], tmp_path / "result", ignore=shutil.ignore_patterns("work", "evidence"))
-    ran = CliRunner().invoke(app, ["report", str(tmp_path / "result")])
-    assert ran.exit_code != 0 and "run it again" in str(ran.exception)
+def test_a_result_made_without_report_says_how_to_get_one(result):
+    shutil.rmtree(result / "evidence")
+    assert "run it again" in str(ran("report", result, status=1).exception)

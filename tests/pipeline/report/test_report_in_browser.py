@@ -23,11 +23,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
 from fixture_strips import stopped_run, strip_of_fixture
 from PIL import Image
 from tornado.websocket import websocket_connect
-from typer.testing import CliRunner
 
 from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
@@ -38,7 +37,6 @@ CHROMIUM = next(
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="NO CHROMIUM FOUND: the report was not looked at in a browser"
 )
-SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 SWITCHES = (
     "--headless=new",
     "--no-sandbox",
@@ -47,8 +45,8 @@ SWITCHES = (
     "--remote-debugging-port=0",
     "--host-resolver-rules=MAP * ~NOTFOUND",
 )
-# Colours depend on the scheme and layout on the width: axe, which takes most of the time, sees each once.
-LOOKED_AT_BY_AXE = {(400, "light"): True, (1280, "dark"): True, (2560, "light"): False}  # colours, too?
+# Colours depend on the scheme, layout on the width: each is seen once; by axe, with its colours or without.
+SCREENS = [(400, "light", True), (1280, "dark", True), (2560, "light", False)]
 LONGEST_S = 120.0  # for one answer of the browser, on a machine that does much else
 AXE = importlib.util.find_spec("axe_core_python")
 FACTS = """(() => {
@@ -170,8 +168,7 @@ def faulty(finished, tmp_path_factory) -> Path:
         content = change(dump / row[8])
         (dump / row[8]).write_bytes(content)
     stopped_run(result, [dump], finished[1])
-    ran = CliRunner().invoke(app, ["calibrate", str(dump), "--out", str(result), "--workers", "1"])
-    assert ran.exit_code == 5, ran.output  # findings
+    ran("calibrate", dump, "--out", result, "--workers", 1, status=5)  # findings
     return result
 
 
@@ -211,25 +208,25 @@ def check_facts(facts: dict[str, Any], width: int, scheme: str) -> None:
     assert facts["label"] == facts["ink"]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1280, 2560])
-def test_the_page_fits_speaks_to_nobody_and_complains_of_nothing(address, faulty, width, scheme):
+@pytest.mark.parametrize(("width", "scheme", "colours"), SCREENS)
+def test_the_page_fits_speaks_to_nobody_and_complains_of_nothing(address, faulty, width, scheme, colours):
     page = faulty / "report.html"
 
-    async def look() -> tuple[dict[str, Any], Browser, list[str]]:
+    async def look() -> tuple[dict[str, Any], Browser, list[str], list[float]]:
         browser = await opened(address)
         facts = await browser.go(page, width, scheme)
+        bar = await browser.value(BARS)
         await browser.value(
             "location.hash = document.querySelector('tr.chosen, tbody tr[data-link]').dataset.link"
         )
-        colours = LOOKED_AT_BY_AXE.get((width, scheme))
-        return facts, browser, [] if colours is None else await violations(browser, colours)
+        return facts, browser, await violations(browser, colours), bar
 
-    facts, browser, found = asyncio.run(look())
+    facts, browser, found, (bar, drawn) = asyncio.run(look())
     assert browser.complaints() == []
     assert browser.requests() == {page.as_uri()}
     check_facts(facts, width, scheme)
     assert found == []
+    assert bar == pytest.approx(drawn, rel=0.01, abs=1.0)  # px: as long as its distance on the map
 
 
 async def violations(browser: Browser, colours: bool = True) -> list[str]:
@@ -249,6 +246,7 @@ def test_the_print_holds_the_whole_tables_cards_settings_and_checksums(address, 
     async def look() -> tuple[dict[str, Any], list[int], Browser, list[str]]:
         browser = await opened(address)
         facts = await browser.go(faulty / "report.html", 794, "light", "print")  # 210 mm at 96 px an inch
+        facts["bar"] = await browser.value(BARS)
         await browser.value("dispatchEvent(new Event('beforeprint'))")
         shown = "[...document.querySelectorAll('{}')].filter((e) => e.offsetHeight).length"
         parts = ("#target-table tbody tr", "#cards .card", "#provenance details tr", ".buttons")
@@ -256,7 +254,7 @@ def test_the_print_holds_the_whole_tables_cards_settings_and_checksums(address, 
         return facts, counts, browser, await violations(browser)
 
     facts, (rows, cards, lines, buttons), browser, found = asyncio.run(look())
-    assert found == []
+    assert found == [] and facts["bar"][0] == pytest.approx(facts["bar"][1], rel=0.01, abs=1.0)  # px
     ground = pq.read_table(faulty / "evidence/ground.parquet")
     inputs = pq.read_table(faulty / "evidence/inputs.parquet")
     assert browser.complaints() == [] and buttons == 0
@@ -289,19 +287,6 @@ def test_a_print_leaves_matrix_and_budget_to_the_sheets_that_are_signed_where_th
         return list(await browser.value(ids))
 
     assert asyncio.run(look()) == [not signed] * 2
-
-
-@pytest.mark.parametrize(
-    ("width", "media"), [(400, "screen"), (1280, "screen"), (2560, "screen"), (794, "print")]
-)
-def test_the_bar_of_the_map_is_as_long_as_its_distance_on_the_map(address, faulty, width, media):
-    async def look() -> list[float]:
-        browser = await opened(address)
-        await browser.go(faulty / "report.html", width, "light", media)
-        return list(await browser.value(BARS))
-
-    bar, drawn = asyncio.run(look())
-    assert bar == pytest.approx(drawn, rel=0.01, abs=1.0)  # px
 
 
 def test_a_rejected_target_leads_from_table_to_card_map_and_plot_and_back(address, faulty):
@@ -544,13 +529,10 @@ def brightness(colour: str) -> float:
     return 0.3 * red + 0.6 * green + 0.1 * blue
 
 
-def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, tmp_path):
-    told = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(tmp_path), "--workers", "1"])
-    assert told.exit_code == 0, told.output
-
+def test_names_on_the_sky_cover_neither_each_other_nor_a_star(address, sky_result):
     async def look() -> tuple[list[str], list[list[float]], list[list[float]]]:
         browser = await opened(address)
-        await browser.go(tmp_path / "report.html", 1280, "light")
+        await browser.go(sky_result / "report.html", 1280, "light")
         await browser.value("panel = document.querySelector('#strips-on-sky-words').closest('svg'); 0")
         texts = "[...panel.querySelectorAll('text')]"
         box = "(e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; }"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -25,9 +24,7 @@ def test_a_bar_is_round_and_nearly_as_long_as_there_is_room(metres: float) -> No
     assert f"{length_m:.0e}"[0] in "125"
 
 
-def test_a_dump_has_a_map_with_its_targets_and_one_without_evidence_has_none(
-    finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_dump_has_a_map_with_its_targets_and_one_without_evidence_has_none(finished, tmp_path):
     for name in ("a", "b"):
         shutil.copytree(finished[1], tmp_path / name, ignore=shutil.ignore_patterns("work"))
     (tmp_path / "b" / "report.html").unlink()

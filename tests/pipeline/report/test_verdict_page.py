@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -97,9 +96,7 @@ def test_refuted_data_say_by_what_and_where_to_look_the_least_likely_first(finis
         lambda content: content["verdict"]["checks"][2].pop("is_caution"),
     ],
 )
-def test_a_result_whose_verdict_is_damaged_is_refused_with_its_file(finished, tmp_path, damage):
-    result = tmp_path / "result"
-    shutil.copytree(finished[1], result)
+def test_a_result_whose_verdict_is_damaged_is_refused_with_its_file(result, damage):
     content = json.loads((result / "installation.json").read_text())
     damage(content)
     (result / "installation.json").write_text(json.dumps(content))

@@ -3,12 +3,10 @@
 import datetime
 import hashlib
 import json
-import shutil
 from pathlib import Path
 
 import pytest
-from command_line import app
-from typer.testing import CliRunner
+from command_line import ran
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report.page import report_html
@@ -45,9 +43,7 @@ def test_a_result_of_an_older_version_is_known_by_its_id_alone(tmp_path: Path) -
         (f'remark = "{"x" * 201}"\n', "remark", ""),
     ],
 )
-def test_what_an_operator_may_not_say_is_refused_by_its_key(
-    text: str, field: str, found: str, tmp_path: Path
-) -> None:
+def test_what_an_operator_may_not_say_is_refused_by_its_key(text, field, found, tmp_path):
     (tmp_path / "about.toml").write_text(text)
     with pytest.raises(RawDataError) as error:
         write_about(tmp_path, tmp_path / "about.toml")
@@ -55,21 +51,16 @@ def test_what_an_operator_may_not_say_is_refused_by_its_key(
     assert saved_about(tmp_path) == {}
 
 
-def test_page_and_exports_carry_the_identity_and_what_the_operator_says(
-    finished: tuple[Path, Path], tmp_path: Path
-) -> None:
-    dump = finished[0]
-    result = shutil.copytree(finished[1], tmp_path / "result", ignore=shutil.ignore_patterns("work"))
+def test_page_and_exports_carry_the_identity_and_what_the_operator_says(finished, result, tmp_path):
     about = tmp_path / "about.toml"
     about.write_text(SAID)
-    assert CliRunner().invoke(app, ["report", str(result), "--about", str(about)]).exit_code == 0
+    ran("report", result, "--about", about)
     own = identity_of_result(result)
     page = report_html(read_saved(result))
     for text in (own.result, own.inputs, own.finished, "GA-CAL-12", "R. &lt;b&gt;Viewer&lt;/b&gt;"):
         assert page.count(text) >= 2, text  # on the sheet that is signed, and among settings and inputs
     out = tmp_path / "exports"
-    asked = ["export", str(result), "--format", "spice,kml", "--dump", str(dump), "--out", str(out)]
-    assert CliRunner().invoke(app, asked).exit_code == 0
+    ran("export", result, "--format", "spice,kml", "--dump", finished[0], "--out", out)
     for path in out.iterdir():
         written = path.read_text()
         for text in (own.result, own.inputs, "GA-CAL-12", "Gallus"):

@@ -43,9 +43,7 @@ def test_nees_is_in_the_whole_covariance(known: tuple[Dump, SavedResult]) -> Non
 
 
 @pytest.mark.parametrize(("axis", "along"), [("y", True), ("x", False)])
-def test_errors_on_the_ground_are_told_along_and_across_the_track(
-    axis: str, along: bool, known: tuple[Dump, SavedResult]
-) -> None:
+def test_errors_on_the_ground_are_told_along_and_across_the_track(axis, along, known):
     # Frame c: x along the motion, y along the CCDs. 1e-4 rad at 530 km or more is above 50 m; yaw of the
     # Earth's rotation puts less than a tenth of it into the other direction.
     dump, true = known
@@ -71,9 +69,7 @@ def test_ground_is_computed_with_the_effects_on_light_of_the_dump(known: tuple[D
     assert abs(np.mean(fewer.across_m - all_effects.across_m)) < 0.1 * moved
 
 
-def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(
-    known: tuple[Dump, SavedResult],
-) -> None:
+def test_exposures_around_a_strip_are_those_of_the_margin_of_the_result(known):
     dump, true = known
     first, last = dump.span_s(dump.strips[0])
     t = true.t_exposures_s
@@ -98,9 +94,7 @@ def test_check_points_of_rows_without_attitude_have_no_error(known: tuple[Dump, 
     assert part.without == whole.without + len(whole.after.point_id) - seen
 
 
-def test_products_of_a_whole_strip_need_exposures_over_all_of_its_rows(
-    finished: tuple[Path, Path], known: tuple[Dump, SavedResult]
-) -> None:
+def test_products_of_a_whole_strip_need_exposures_over_all_of_its_rows(finished, known):
     dump, true = known
     calibrated = open_calibrated(finished[1], finished[0])
     strip_id = dump.strips[0].strip_id

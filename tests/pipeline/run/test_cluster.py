@@ -112,9 +112,7 @@ def test_no_worker_within_the_time_is_an_error(scheduler: Processes) -> None:
             on.map(abs, [1], lambda n, outcome: None)
 
 
-def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(
-    scheduler: Processes, tmp_path: Path
-) -> None:
+def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(scheduler, tmp_path):
     """First no worker at all; then one of other code, one with another library and a blind one; then two
     that can do the work."""
     scheduler.stop_workers()
@@ -202,9 +200,7 @@ def test_in_flight_are_eight_units_a_thread(two_workers: Processes) -> None:
         on.client.cancel(list(run.running))
 
 
-def test_unit_of_a_killed_worker_is_done_by_another_and_errors_of_units_are_raised(
-    two_workers: Processes, tmp_path: Path
-) -> None:
+def test_unit_of_a_killed_worker_is_done_by_another_and_errors_of_units_are_raised(two_workers, tmp_path):
     marker = tmp_path / "died once"
 
     def fragile(number: int) -> int:
@@ -263,9 +259,7 @@ def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_p
     assert len(list(begun.iterdir())) == 2
 
 
-def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(tmp_path, monkeypatch):
     """Each needs a scheduler of its own: TLS, few deaths that are allowed, a scheduler that dies."""
     monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")  # workers killed by one unit
     if shutil.which("openssl") is None:

@@ -52,9 +52,7 @@ def test_nothing_is_made_again_of_a_dump_with_other_times_of_change(copied: tupl
     ],
     ids=["run", "match", "stars"],
 )
-def test_changed_settings_make_again_what_depends_on_them(
-    settings: dict, made: int, copied: tuple[Path, Path]
-) -> None:
+def test_changed_settings_make_again_what_depends_on_them(settings, made, copied):
     count = units_made(*copied, settings)
     # Exposures are always first; strips are made again if the stars' attitudes come out different.
     assert count == made or (made == EXPOSURES and count == EXPOSURES + STRIPS)
@@ -88,9 +86,7 @@ def test_changed_pixels_make_again_their_exposure_or_strip(copied: tuple[Path, P
         ("a library", {EXPOSURES + STRIPS}),
     ],
 )
-def test_other_code_or_libraries_make_again_what_depends_on_them(
-    changed: str, made: set[int], copied: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_code_or_libraries_make_again_what_depends_on_them(changed, made, copied, monkeypatch):
     """One byte more in the source of a module, or another version of a library, as digests read them."""
     read, versions = digests._module.__wrapped__, program_key.library_versions()
 

@@ -18,7 +18,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.run import digests, program_key
 from boresight.pipeline.run.digests import _module, digest
-from boresight.pipeline.run.executor import Executor, InOrder
+from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.processes import Processes
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.run_inputs import inputs_of
@@ -99,9 +99,7 @@ def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch:
     assert program_digest("outer_package") != before
 
 
-def test_program_follows_imports_and_knows_data_and_libraries(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_program_follows_imports_and_knows_data_and_libraries(tmp_path, monkeypatch):
     root = tmp_path / "made_package"
     (root / "data").mkdir(parents=True)
     for name, text in {
@@ -195,9 +193,7 @@ def test_no_rows_keep_their_shape() -> None:
 
 
 @pytest.mark.parametrize("executor, by_this_process", [(InOrder(), 1), (Processes(2), 0)])
-def test_a_run_reads_each_exposure_once(
-    one_strip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, executor: Executor, by_this_process: int
-) -> None:
+def test_a_run_reads_each_exposure_once(one_strip, tmp_path, monkeypatch, executor, by_this_process):
     """For key, image and digest of the inputs; what other processes have read is not read once more."""
     dump, own = open_dump(one_strip), content.open_regular
     content._digests.clear()

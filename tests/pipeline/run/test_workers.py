@@ -11,9 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
-from command_line import app
+from command_line import ran
 from fixture_strips import begun
-from typer.testing import CliRunner
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run.executor import InOrder
@@ -28,13 +27,6 @@ def of_run(dump: Path, out: Path, *how: str) -> list[str]:
     return ["calibrate", str(dump), "--out", str(out), *how, "--no-report"]
 
 
-def ran(*arguments: str) -> str:
-    """Standard output of `boresight`, run by this process."""
-    outcome = CliRunner().invoke(app, list(arguments))
-    assert outcome.exit_code == 0, outcome.output
-    return outcome.stdout
-
-
 @pytest.fixture
 def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     """One strip of the fixture and the installation.json that one process makes of it."""
@@ -42,9 +34,7 @@ def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
     return dump, (result / "installation.json").read_bytes()
 
 
-def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
-    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(undisturbed, finished, tmp_path):
     dump, expected = undisturbed
     begun(tmp_path, finished, exposures=11)
     command = of_run(dump, tmp_path, "--workers", "1")
@@ -58,13 +48,11 @@ def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(
     ran(*command)
     assert (tmp_path / "installation.json").read_bytes() == expected
     assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
-    status = ran("status", str(tmp_path))
+    status = ran("status", tmp_path).stdout
     assert "star exposures            14 done" in status and "\nfinished" in status
 
 
-def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(
-    undisturbed: tuple[Path, bytes], finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(undisturbed, finished, tmp_path):
     # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
     dump, expected = undisturbed
     begun(tmp_path, finished, exposures=13)

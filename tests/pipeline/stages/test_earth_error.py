@@ -7,9 +7,8 @@ from types import SimpleNamespace
 import erfa
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.calib.budget import uncertainty_budget
 from boresight.calib.calibration import calibrate_strips
@@ -25,12 +24,10 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
+from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.files import dump_parts
-from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.results.earth_error import common_covariance
-from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.ground_moves import ground_moves
 from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -39,12 +36,6 @@ from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbro
 UT1_S = 2e-3  # a change of UT1: 0.9 m on the equator
 POLE_RAD = 1e-6
 UT1_RAD_S = 2.0 * np.pi / 86_164.0989  # rotation of the Earth, IAU 2000
-
-
-@pytest.fixture(scope="module")
-def calibration(finished: tuple[Path, Path]) -> DumpCalibration:
-    """The one-strip dump from its finished units."""
-    return calibrate_dump(open_dump(finished[0]), store=store_of(finished[1]))
 
 
 def old_table(days: float, orbit: Orbit, **changes: float) -> EarthOrientationTable:
@@ -79,9 +70,7 @@ def with_table(task: StripTask, table: EarthOrientationTable, frame: str = "GCRF
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 @pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
 @pytest.mark.parametrize("changes", [{"ut1_utc_s": UT1_S}, {"xp_rad": POLE_RAD}, {"yp_rad": POLE_RAD}])
-def test_directions_move_as_those_of_another_table(
-    frame: str, changes: dict[str, float], calibration: DumpCalibration
-) -> None:
+def test_directions_move_as_those_of_another_table(frame, changes, calibration):
     task, matched = calibration.tasks[0], calibration.matched[0]
     old, moved = (with_table(task, old_table(30.0, task.orbit, **one), frame) for one in ({}, changes))
     t_s = np.array([0.5 * sum(task.orbit.span_s)])
@@ -158,9 +147,7 @@ def of_ut1(task: StripTask, sigma_rad: float) -> StripTask:
 
 
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
-def test_of_an_earth_fixed_orbit_the_camera_turns_about_the_axis_of_the_earth(
-    calibration: DumpCalibration,
-) -> None:
+def test_of_an_earth_fixed_orbit_the_camera_turns_about_the_axis_of_the_earth(calibration):
     # Target and satellite turn together, and so does the matrix: its covariance gains the square of one
     # rotation about the Earth's axis, which ERFA and the strip's attitude give in frame c.
     task, strip = calibration.tasks[0], calibration.strips[0]
@@ -183,9 +170,7 @@ def test_of_an_earth_fixed_orbit_the_camera_turns_about_the_axis_of_the_earth(
 
 
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
-def test_of_an_inertial_orbit_the_covariance_gains_the_shift_by_another_table(
-    calibration: DumpCalibration,
-) -> None:
+def test_of_an_inertial_orbit_the_covariance_gains_the_shift_by_another_table(calibration):
     # For a small sigma the gain is that of the unchanged estimate: theta's own shift, squared.
     task, strip = calibration.tasks[0], calibration.strips[0]
     ut1_s = 1e-4  # 5 cm on the equator, a sixtieth of sigma in theta
@@ -203,9 +188,7 @@ def test_of_an_inertial_orbit_the_covariance_gains_the_shift_by_another_table(
 
 
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
-def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_budget(
-    calibration: DumpCalibration,
-) -> None:
+def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_budget(calibration):
     task, strip = calibration.tasks[0], calibration.strips[0]
     assert not strip.ground.earth_i.any()
     assert not any(map(is_earth, calibration.estimate.pairs.shared))
@@ -220,14 +203,11 @@ def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_b
 
 
 @pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
-def test_a_result_of_predicted_values_is_written_and_read(
-    finished: tuple[Path, Path], calibration: DumpCalibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_result_of_predicted_values_is_written_and_read(finished, calibration, tmp_path, monkeypatch):
     old = old_table(300.0, calibration.tasks[0].orbit)
     monkeypatch.setattr(dump_parts, "bundled_table", lambda: old)
     out = tmp_path / "result"
-    ran = CliRunner().invoke(app, ["calibrate", str(finished[0]), "--out", str(out), "--workers", "1"])
-    assert ran.exit_code == 0, ran.output
+    ran("calibrate", finished[0], "--out", out, "--workers", 1)
     saved = read_saved_result(out)
     assert np.all(np.diag(saved.cov_theta) > np.diag(calibration.estimate.cov_theta))
     mounting = read_mounting(out, "all")
@@ -324,9 +304,7 @@ def test_predictions_grow_apart_as_the_iers_states() -> None:
         assert abs(left @ C @ left) < 1e-9 * C.max()
 
 
-def test_a_located_date_that_was_not_calibrated_shares_what_is_correlated(
-    calibration: DumpCalibration,
-) -> None:
+def test_a_located_date_that_was_not_calibrated_shares_what_is_correlated(calibration):
     # Against draws of the errors of both dates: 200 000, each share good to 0.5 %.
     here, there = "60000/60020", "60000/60035"
     R = correlation_of_predictions((here, there), (here, there))

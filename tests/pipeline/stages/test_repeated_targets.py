@@ -5,10 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import app
-from typer.testing import CliRunner
-
-runner = CliRunner()
+from command_line import ran
 
 
 @pytest.fixture
@@ -20,12 +17,9 @@ def doubled(one_strip: Path) -> Path:
     return one_strip
 
 
-def test_targets_listed_under_several_ids_are_counted_once(
-    doubled: Path, finished: tuple[Path, Path], tmp_path: Path
-) -> None:
-    command = ["calibrate", str(doubled), "--out", str(tmp_path / "out"), "--workers", "1", "--no-report"]
-    ran = runner.invoke(app, command)
-    assert "24 targets: 24 given twice" in ran.output, ran.output
+def test_targets_listed_under_several_ids_are_counted_once(doubled, finished, tmp_path):
+    told = ran("calibrate", doubled, "--out", tmp_path / "out", "--workers", 1, "--no-report").output
+    assert "24 targets: 24 given twice" in told, told
     content, once = (
         json.loads((folder / "installation.json").read_text()) for folder in (tmp_path / "out", finished[1])
     )

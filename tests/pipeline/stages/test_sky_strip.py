@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
 from ledgers import ledger_of_cells
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
@@ -36,29 +35,20 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    """What the command itself makes of the dump."""
-    folder = tmp_path_factory.mktemp("result")
-    told = CliRunner().invoke(app, ["calibrate", str(SKY), "--out", str(folder)])
-    assert told.exit_code == 0, told.output
-    return folder
-
-
-@pytest.fixture(scope="module")
-def calibration(result, tmp_path_factory):
+def calibration(sky_result, tmp_path_factory):
     """The same once more, from the units of the command."""
-    work = shutil.copytree(result / "work", tmp_path_factory.mktemp("store") / "work")
+    work = shutil.copytree(sky_result / "work", tmp_path_factory.mktemp("store") / "work")
     again = calibrate_dump(open_dump(SKY), store=UnitStore(work))
     assert again.n_computed == 0 and again.n_reused == 13
-    written = json.loads((result / "installation.json").read_text())
+    written = json.loads((sky_result / "installation.json").read_text())
     assert again.estimate.R_cs.as_matrix().tolist() == written["R_cs"]
     return again
 
 
 @pytest.fixture(scope="module")
-def units(result, tmp_path_factory):
+def units(sky_result, tmp_path_factory):
     """Units that are kept: what a test leaves as it was is not made again."""
-    return UnitStore(shutil.copytree(result / "work", tmp_path_factory.mktemp("units") / "work"))
+    return UnitStore(shutil.copytree(sky_result / "work", tmp_path_factory.mktemp("units") / "work"))
 
 
 @pytest.fixture
@@ -98,7 +88,7 @@ def test_a_dump_of_the_sky_alone_gives_the_matrix_with_an_honest_covariance(cali
     assert calibration.verdict.outcome.value == "consistent"
 
 
-def test_each_star_has_a_card_with_strip_trace_and_difference(calibration, result):
+def test_each_star_has_a_card_with_strip_trace_and_difference(calibration, sky_result):
     for picture in star_pictures(calibration.sky.tasks[0], calibration.named[0]):
         found, fitted = (
             cv2.imdecode(np.frombuffer(png, np.uint8), -1).astype(float)
@@ -106,7 +96,7 @@ def test_each_star_has_a_card_with_strip_trace_and_difference(calibration, resul
         )
         assert np.corrcoef(found.ravel(), fitted.ravel())[0, 1] > 0.8  # of the faintest star, SNR 9
     stars = len(calibration.strips[0].ground.target_id)
-    page = (result / "report.html").read_text()
+    page = (sky_result / "report.html").read_text()
     assert page.count("trace, as fitted</figcaption>") + page.count("trace, as fitted\\u003c") == stars
 
 
@@ -186,15 +176,13 @@ def test_a_wrong_kind_and_a_missing_image_are_errors_of_the_table(dump, old, new
         open_dump(dump)
 
 
-def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(result):
-    page = (result / "report.html").read_text()
+def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(sky_result):
+    page = (sky_result / "report.html").read_text()
     assert page.count('data-link="s') == 6 * 15  # each on the sky, in four panels of residuals, in the table
     assert 'id="targets"' not in page and "No strip has a footprint" not in page
     assert "</data> strip with" in page and "15</data> stars." in page
-    status = CliRunner().invoke(app, ["status", str(result)])
-    assert status.exit_code == 0 and "strips of the sky" in status.output
-    checked = CliRunner().invoke(app, ["dump", "check", str(SKY)])
-    assert checked.exit_code == 0 and "1 strips of the sky" in checked.output
+    assert "strips of the sky" in ran("status", sky_result).output
+    assert "1 strips of the sky" in ran("dump", "check", SKY).output
 
 
 def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump, units):

@@ -4,7 +4,6 @@ import io
 import struct
 import tracemalloc
 import zlib
-from collections.abc import Callable
 from contextlib import suppress
 
 import cv2
@@ -71,9 +70,7 @@ def test_any_mixture_of_the_three_filters_gives_the_image(dtype: type, shape: tu
 
 @pytest.mark.parametrize("write", [by_opencv, by_pillow, png_of_noise])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_images_of_noise_are_read_whoever_wrote_them(
-    write: Callable[[np.ndarray], bytes], dtype: type
-) -> None:
+def test_images_of_noise_are_read_whoever_wrote_them(write, dtype):
     image = np.clip(np.random.default_rng(6).normal(30.0, 4.0, (900, 1300)), 0, 255).astype(dtype)
     content = write(image)
     read = png_rows(content)
