@@ -70,6 +70,9 @@ class Background:
     unusable: Bools | None = array(
         "H, W", "pixels that show no light of stars: hot, masked, on dead lines; None: none", default=None
     )
+    rounding_dn: float = scalar(
+        "standard deviation, DN, that the rounding of JPEG adds to the pixels of stars alone", default=0.0
+    )
     correlation: float = scalar(
         "noise_dn over the scatter of single pixels: more than 1 where their noise is correlated", default=1.0
     )

@@ -205,7 +205,7 @@ def _stars_of(fit: _Fit, windows: StarWindows, pixels: Ints, psf: Psf, *, settle
     cov = _safe_inverse(fit.normal)
     chi2 = np.einsum("nm,nm,nm->n", fit.residual, fit.residual, fit.weight).astype(float)
     dof = np.maximum(np.count_nonzero(fit.weight, axis=1) - 4.0, 1.0)
-    sky_information = np.einsum("nm,nm,nm->n", fit.value, fit.value, fit.good) / windows.noise2
+    sky_information = np.einsum("nm,nm,nm->n", fit.value, fit.value, fit.good) / windows.sky2
     flux_sigma = 1.0 / np.sqrt(np.maximum(sky_information, 1e-30))
     inflation = covariance_inflation(chi2, dof, np.maximum(fit.state[:, 2] / flux_sigma, 1.0))
     cov = cov[:, :2, :2] * inflation[:, None, None]

@@ -5,7 +5,8 @@ the factor 1.3 in a JPEG image of quality 90, by 10 at quality 40, where most bl
 Where adjacent pixels are more alike than pixels some distance apart, this scatter is measured in the filtered
 image itself: how far it reaches below the sky, which no star does. The noise that the image is then treated
 with is that of independent pixels which would disturb a star as much. A block that was rounded until it is
-flat holds no star; its level, rounded as well, would look like one where it is a step above the others.
+flat holds no star; its level, rounded as well, would look like one where it is a step above the others. The
+blocks with stars were rounded as coarsely, which adds to the noise of their pixels alone.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from boresight.geometry.record import Bools, Floats
 from boresight.star_id.beyond_chance import CLIP_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
 from boresight.star_id.finding.cut_sky import UNCUT
@@ -45,24 +47,48 @@ _BLOCK_PX, _MANY_FLAT, _AROUND = 8, 0.3, 5
 _LEAST_FACTOR = 1.15
 
 
-def without_block_levels(image: NDArray[Any]) -> NDArray[Any]:
-    """The image (H, W) with flat blocks of JPEG at the level of those around them; itself if few are flat."""
+def without_block_levels(image: NDArray[Any]) -> tuple[NDArray[Any], float]:
+    """The image (H, W) with flat blocks of JPEG at the level of those around them, and the standard
+    deviation, DN, that rounding adds to a pixel of the other blocks; itself and 0 if few are flat.
+
+    The mean of a block is its first cosine coefficient over 8. Coefficients that hold a star's light are
+    rounded by about the same step, and an error of all 64 has the same variance in pixels.
+    """
     rows, columns = (side // _BLOCK_PX for side in image.shape)
     whole = (slice(rows * _BLOCK_PX), slice(columns * _BLOCK_PX))
     blocks = image[whole].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
     corner, beside, across = blocks[:, 0, :, 0], blocks[:, 0, :, -1], blocks[:, -1, :, -1]
     if np.mean((corner == beside) & (corner == across)) < _MANY_FLAT:  # of flat ones they are equal
-        return image
+        return image, 0.0
     least = blocks.min(axis=(1, 3))
     flat = least == blocks.max(axis=(1, 3))
     if np.mean(flat) < _MANY_FLAT:
-        return image
+        return image, 0.0
+    step_dn = _step_of_means(least, flat, blocks.mean(axis=(1, 3))[~flat])
     level = cv2.medianBlur(least.astype(np.float32), _AROUND).astype(image.dtype)
     clean = image.copy()
     clean[whole] = np.where(flat[:, None, :, None], level[:, None, :, None], blocks).reshape(
         clean[whole].shape
     )
-    return clean
+    return clean, _BLOCK_PX * step_dn / 12.0**0.5
+
+
+def _step_of_means(level_dn: NDArray[Any], flat: Bools, mean_dn: Floats) -> float:
+    """Step, DN, to which JPEG rounds the means of blocks; 0 where none is seen.
+
+    Flat blocks (R, C) beside one another have levels that differ by it, in whole counts; the means of the
+    other blocks (N,) by it to a twentieth of a count."""
+    before, after = level_dn[:, :-1], level_dn[:, 1:]
+    seen = flat[:, :-1] & flat[:, 1:] & (before != after)
+    levels = np.unique(np.append(before[seen], after[seen]))
+    if not len(levels):
+        return 0.0
+    rough = float(np.median(np.diff(levels)))
+    mean_dn = np.sort(mean_dn)
+    cluster = np.append(0, np.cumsum(np.diff(mean_dn) > 0.5 * rough))[: len(mean_dn)]
+    apart = np.diff(np.bincount(cluster, mean_dn) / np.bincount(cluster))
+    single = apart[np.rint(apart / rough) == 1.0]
+    return float(np.median(single)) if len(single) else rough
 
 
 def as_independent_noise(image: NDArray[Any], background: Background) -> Background:

@@ -141,7 +141,8 @@ class StarList:
     def in_units(self, unit: float, zero: float) -> StarList:
         """The list of the image whose values are `zero` and so many units more."""
         sky = self.background
-        sky = replace(sky, level_dn=zero + unit * sky.level_dn, noise_dn=unit * sky.noise_dn)
+        scaled = {name: unit * getattr(sky, name) for name in ("level_dn", "noise_dn", "rounding_dn")}
+        sky = replace(sky, **scaled | {"level_dn": zero + scaled["level_dn"]})
         return replace(
             self,
             flux_dn=unit * self.flux_dn,
@@ -215,8 +216,10 @@ def _stars_of_counts(
 ) -> StarList:
     """Stars of an image (H, W) of counts, its dark frame subtracted."""
     if not has_mosaic(image):
-        image, no_stars = without_lines(without_block_levels(image), saturation)
+        image, rounding_dn = without_block_levels(image)
+        image, no_stars = without_lines(image, saturation)
         background = estimate_background(image).without(no_stars).without(unusable)
+        background = replace(background, rounding_dn=rounding_dn)
         return _list_stars(_Frame(image, background, settings, saturation))
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))

@@ -132,7 +132,7 @@ def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
     scale = by_parameter(fits.state[fits.good], 5)
     covariance = np.linalg.inv(fits.normal[fits.good]) * scale[:, :, None] * scale[:, None, :]
     leverage = (np.matmul(covariance.astype(np.float32), unit) * unit).sum(axis=1) / in_fits
-    noise2 = in_fits / correlation**2
+    noise2 = fits.windows.sky2[fits.good, None] / correlation**2 + fits.windows.rounding2
     model = np.maximum(fits.state[fits.good, 2:3] * fits.images.value[fits.good], 0.0)
     freedom = np.clip(1.0 - leverage, 0.1, 1.0)
     residual2 = _without_common_misfit(fits).astype(float) ** 2

@@ -54,12 +54,12 @@ def newton_step(
     residual -= state[:, 3:4].astype(np.float32)
     unit = images.columns
     if windows.above_cut is not None:
-        noise = np.sqrt(windows.noise2)[:, None]
+        noise = np.sqrt(windows.sky2)[:, None]
         above = windows.above_cut[:, None]
         mean, share, slope = after_cut(above + (signal + state[:, 3:4]) / noise)
         residual = (windows.data - noise * (mean - after_cut(above)[0])).astype(np.float32)
         less = 1.0 - np.maximum(share, _LEAST_SHARE)
-        variance = (variance - less * windows.noise2[:, None]).astype(np.float32)
+        variance = (variance - less * windows.sky2[:, None]).astype(np.float32)
         unit = unit * slope[:, None].astype(np.float32)
     weight = windows.good / variance
     weighted = unit * weight[:, None, :]

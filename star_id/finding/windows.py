@@ -22,7 +22,8 @@ class StarWindows:
     radius: int = scalar("pixels from the middle to the edge")
     data: NDArray[np.float32] = array("N, M", "above the background, DN")
     good: NDArray[np.float32] = array("N, M", "weight, 1 where all pixels are alike; 0 for masked pixels")
-    noise2: Floats = array("N", "variance of a background pixel, DN^2")
+    noise2: Floats = array("N", "variance of a pixel without the star's photons, DN^2")
+    rounding2: float = scalar("part of it that pixels of the sky do not have, DN^2", default=0.0)
     saturated: Bools = array("N", "whether some pixel is saturated")
     above_cut: Floats | None = array(
         "N", "sigmas from the least value up to the sky; None: nothing of it is cut off", default=None
@@ -33,6 +34,11 @@ class StarWindows:
         names = ("corner", "data", "good", "noise2", "saturated")
         above = None if self.above_cut is None else self.above_cut[index]
         return replace(self, above_cut=above, **{name: getattr(self, name)[index] for name in names})
+
+    @property
+    def sky2(self) -> Floats:
+        """(N,) variances of a pixel of the sky, DN^2."""
+        return self.noise2 - self.rounding2
 
     @property
     def middles(self) -> Ints:
@@ -87,7 +93,8 @@ def star_windows(
         radius=radius,
         data=data,
         good=good.reshape(n, side * side),
-        noise2=noise**2,
+        noise2=noise**2 + background.rounding_dn**2,
+        rounding2=background.rounding_dn**2,
         saturated=saturated,
         above_cut=background.above_cut_at(pixels.astype(float)),
     )
