@@ -15,20 +15,28 @@ from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.ledger import Entry, Kind, Ledger
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.rounds import Round
-from boresight.pipeline.diagnosis.causes import examined, wrong_convention
-from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
-from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
-from boresight.pipeline.diagnosis.left_out import searched_alone, with_left_out
+from boresight.pipeline.diagnosis.input_findings import (
+    EarthTableCheck,
+    assumed_motion,
+    check_earth_table,
+    earth_findings,
+    input_findings,
+)
 from boresight.pipeline.diagnosis.losses import (
     OF_STARS,
     OF_TARGETS,
+    displaced_stars,
     ground_ledger,
     lost_ccds,
     lost_groups,
     lost_stars,
     lost_targets,
+    named_alone,
+    searched_alone,
+    star_ledger,
+    with_left_out,
 )
-from boresight.pipeline.diagnosis.missing import targets_out_of_view
+from boresight.pipeline.diagnosis.missing import examined, targets_out_of_view, wrong_convention
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
 from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.diagnosis.readings import (
@@ -37,10 +45,9 @@ from boresight.pipeline.diagnosis.readings import (
     exchanged_strips,
     strips_without_stars,
 )
-from boresight.pipeline.diagnosis.sky_losses import displaced_stars, named_alone, star_ledger
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
-from boresight.pipeline.stages.basis import Basis
+from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.sky_side import SkySide, named_sightings
 from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.strip import contradicting_targets

@@ -23,7 +23,7 @@ from boresight.geometry.epoch import GPS_MINUS_TAI_S, tai_minus_utc_s
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Ledger, Subject
 from boresight.geometry.record import Bools, Floats
-from boresight.pipeline.diagnosis.sky_losses import (
+from boresight.pipeline.diagnosis.losses import (
     Crossings,
     as_bright_as_named,
     crossings,

@@ -9,7 +9,7 @@ from typing import Any
 from boresight.geometry.ledger import Entry
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
-from boresight.pipeline.calibration.matchings import is_settled
+from boresight.pipeline.calibration.rounds import is_settled
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table

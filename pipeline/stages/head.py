@@ -9,10 +9,12 @@ Attitudes that a head has solved become exposures without stars, so that all lev
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
 from boresight.geometry.attitude_smoother import smoothed_track
@@ -29,6 +31,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import (
     centroid_tasks,
     in_order,
@@ -36,15 +39,8 @@ from boresight.pipeline.stages.exposure import (
     sight_exposure_centroids,
     star_tasks,
 )
-from boresight.pipeline.stages.head_rows import rows_of_heads
 
-__all__ = [
-    "HeadSightings",
-    "around_strips",
-    "before_calibration",
-    "covered_instants",
-    "sight_head",
-]
+__all__ = ["Basis", "HeadSightings", "around_strips", "before_calibration", "covered_instants", "sight_head"]
 
 UNKNOWN_ALIGNMENT_RAD = 0.1  # 1-sigma of alignments that the rows themselves tell better
 
@@ -145,3 +141,19 @@ def covered_instants(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
             continue
         covered[k] = True
     return covered
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What every round and every test of a calibration rests on, the same for all of them."""
+
+    dump: Dump
+    heads: tuple[HeadSightings, ...]  # its star cameras with their attitudes; the first defines frame s
+    settings: Settings
+    errors: CalibrationSettings  # of the estimate, with the errors that the dump states
+    runner: StageRunner
+
+    @property
+    def reference(self) -> str:
+        """Name of the star camera that defines frame s."""
+        return self.heads[0].head.name

@@ -24,6 +24,7 @@ from boresight.pipeline.stages.coverage import (
     carriers,
     covered_strips,
     stated_mountings,
+    strip_sightings,
     turn_to_reference,
 )
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
@@ -35,7 +36,6 @@ from boresight.pipeline.stages.sky_strip import (
     sky_sightings,
 )
 from boresight.pipeline.stages.strip import orbit_around
-from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "named_sightings", "scatter_px"]

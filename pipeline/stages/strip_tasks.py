@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
@@ -25,7 +24,13 @@ from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
+from boresight.pipeline.stages.coverage import (
+    attitudes_in_s,
+    carriers,
+    covered_strips,
+    stated_mountings,
+    strip_sightings,
+)
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
@@ -35,7 +40,6 @@ from boresight.pipeline.stages.strip import (
     pushbroom_of,
     targets_near,
 )
-from boresight.pipeline.stages.strip_sightings import strip_sightings
 
 __all__ = [
     "before_launch",
@@ -46,7 +50,6 @@ __all__ = [
     "strips_with_stars",
 ]
 
-Array = NDArray[np.float64]
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
 
 
@@ -54,7 +57,7 @@ def strip_tasks(
     dump: Dump,
     heads: Sequence[HeadSightings],
     R_cs: Rotation,
-    sigma_rad: Array,
+    sigma_rad: Floats,
     mountings: Mapping[str, Rotation],
     settings: Settings,
     *,
