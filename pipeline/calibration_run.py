@@ -135,9 +135,7 @@ def run_dump(
 def run_dumps(
     out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
 ) -> RunOutcome:
-    """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
-    counted and does not stop the others.
-    """
+    """Calibrate dumps of one mission, each and jointly; one whose data do not suffice is only counted."""
     roots = list(dict.fromkeys(one.dump.root for one in dumps))
     with claimed(out, roots, request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)

@@ -170,9 +170,7 @@ def _target_findings(
     told: Sequence[Finding],
     ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
-    """Targets and stars that contradict the rest or were not found, and that no common cause
-    `told` explains.
-    """
+    """Targets and stars that contradict the rest or were not found, and that no cause `told` explains."""
     targets, stars = ledgers
     noise = reliability.scatter  # larger errors lose no observation
     explained = [subject for finding in told if finding is not noise for subject in finding.subjects]

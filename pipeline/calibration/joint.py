@@ -35,7 +35,7 @@ from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.same_content import same_exposure
+from boresight.pipeline.files.repeats import same_exposure
 from boresight.pipeline.files.star_side import Exposure, SolvedAttitudes, StarImages
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
@@ -278,9 +278,7 @@ def _check_nothing_twice(dumps: Sequence[NamedDump]) -> None:
 
 
 def _check_one_mission(mission: NamedDump, first: NamedDump, other: NamedDump, settings: Settings) -> None:
-    """`RawDataError` with file and field where a dump is not of the mission's star cameras, or another of the
-    `first` one's remote-sensing camera.
-    """
+    """`RawDataError` where star cameras are not the mission's, or the remote camera not the `first` one's."""
     head = read_toml(other.dump.root / "dump.toml", DumpFile, "dump.toml")
     files, a, b = head.files, first.dump, other.dump
     of_a, of_b = (calibration_settings(settings, dump.errors, dump.line_camera) for dump in (a, b))

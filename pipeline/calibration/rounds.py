@@ -172,9 +172,7 @@ def _one_round(
     start: tuple[Rotation, Floats],
     mountings: Mapping[str, Rotation],
 ) -> Round:
-    """Round `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
-    `before` is the round before.
-    """
+    """Round `number` from the matrix `start`, its 1-sigma (3,), those of all heads; `before`: the last."""
     dump, heads, settings = basis.dump, basis.heads, basis.settings
 
     def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Floats] | None:

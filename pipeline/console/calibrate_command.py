@@ -50,9 +50,8 @@ from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.results.requirement import Requirement
-from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.executor import Executor, executor_for
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.workers import executor_for
 from boresight.version import commit
 
 __all__ = ["calibrate_command"]

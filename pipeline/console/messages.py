@@ -27,7 +27,7 @@ import typer
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
-from boresight.pipeline.files.json_text import json_text
+from boresight.pipeline.files.whole_file import json_text
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
 __all__ += [
@@ -163,9 +163,7 @@ def say(text: str) -> None:
 
 
 def shows_bars() -> bool:
-    """Whether a terminal shows progress as bars: not with --quiet, and not with --verbose, whose lines say
-    more.
-    """
+    """Whether a terminal shows progress as bars: not with --quiet, nor beside the lines of --verbose."""
     return any(isinstance(handler, _Console) and handler.remarks == logging.INFO for handler in log.handlers)
 
 

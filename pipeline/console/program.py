@@ -16,7 +16,7 @@ from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, p
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
-__all__ = ["errors_reported", "function_at", "program"]
+__all__ = ["SPINE", "errors_reported", "function_at", "program"]
 
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
@@ -139,3 +139,38 @@ class _ByJob(TyperGroup):
 
 def _listed() -> None:
     """A command of which only the summary is shown."""
+
+
+_CONSOLE = "pipeline.console"  # module below `boresight` with the spine's commands
+# The commands of the spine, in the form of a feature, each with a line of help.
+SPINE = Feature(
+    commands=(
+        Command(
+            "calibrate",
+            Job.CALIBRATE,
+            "Estimate the installation matrix from raw images.",
+            f"{_CONSOLE}.calibrate_command:calibrate_command",
+            with_json=True,
+        ),
+        Command(
+            "validate",
+            Job.CALIBRATE,
+            "Compare a result with a simulated dump's truth.",
+            f"{_CONSOLE}.validate_command:validate_command",
+            with_json=True,
+        ),
+        Command(
+            "status",
+            Job.CALIBRATE,
+            "Show what of a run is finished, and what is unused.",
+            f"{_CONSOLE}.status_command:status_command",
+            with_json=True,
+        ),
+        Command(
+            "report",
+            Job.CALIBRATE,
+            "Draw one HTML page about a result.",
+            f"{_CONSOLE}.report_command:report_command",
+        ),
+    ),
+)

@@ -221,9 +221,7 @@ def _assumed_noise(head: Head) -> Finding:
 
 
 def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Iterator[Finding]:
-    """That no strip without a gyro has exposures enough to show how the satellite moves between them;
-    `strips` with fitted attitudes.
-    """
+    """That no strip, with fitted attitudes and no gyro, has exposures enough to show its motion."""
     strips = [strip for strip in strips if strip.gyro is None]
     if settings.sigma_motion_rad and strips and not motion_is_shown(strips):
         most = max(len(strip.exposures) for strip in strips)

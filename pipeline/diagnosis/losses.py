@@ -92,22 +92,20 @@ class Group:
 
 
 def ground_ledger(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], R_cs: Rotation) -> Ledger:
-    """Targets in view of strips of the ground: those matched, and those that were not, at the places where
-    the matrix `R_cs` expects them.
-    """
+    """Targets in view of strips of the ground, matched or not, the latter where `R_cs` expects them."""
     rows: list[tuple[int, int, str, float, float, int]] = []
     for n, (task, strip) in enumerate(zip(tasks, matched)):
         ends = [(task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0) for ccd in range(task.camera.n_ccds)]
         missing = [entry for entry in strip.omissions if entry.subject.ccd >= 0]
-        p_e = {target.target_id: target.p_e for target in task.targets} if missing else {}
+        places = task.places
         model = pushbroom_of(replace(task, R_cs=R_cs)) if missing else None
         for name, ccd, xy_px in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
             rows.append((n, ccd, name, xy_px[0] / ends[ccd][0], xy_px[1] / ends[ccd][1], 0))
         for entry in missing:
             ccd, name = entry.subject.ccd, entry.subject.id
             place: Floats = np.full(2, np.nan)
-            if model is not None and name in p_e:
-                place = np.concatenate(model.pixels_from_ground(ccd, p_e[name][None])) / ends[ccd]
+            if model is not None and name in places:
+                place = np.concatenate(model.pixels_from_ground(ccd, places[name].p_e[None])) / ends[ccd]
             rows.append((n, ccd, name, float(place[0]), float(place[1]), entry.reason.number))
     numbers, ccds, names, part, along, reasons = zip(*rows) if rows else ((),) * 6
     return Ledger(
@@ -269,9 +267,7 @@ def lost_ccds(ledger: Ledger, limits: LossLimits = OF_TARGETS) -> list[int]:
 
 
 def _by_ccd(ledger: Ledger) -> dict[int, tuple[int, int]]:
-    """Found, and all, of each CCD over the strips that show any: a strip that shows nothing says nothing of
-    its CCDs.
-    """
+    """Found, and all, of each CCD over the strips that show any: others say nothing of their CCDs."""
     shown = ledger.take(np.isin(ledger.strip, ledger.strip[ledger.found]))
     return {
         ccd: (int(shown.found[here].sum()), int(here.sum()))
@@ -334,9 +330,7 @@ def _dead_ccds(images: Mapping[str, StripFiles], ledger: Ledger) -> dict[int, li
 def lost_stars(
     images: Mapping[str, StripFiles], ledger: Ledger, explained: Sequence[Subject]
 ) -> Iterator[Finding]:
-    """CCDs in which too many bright stars of strips of the sky are missing without those that `explained`
-    concern.
-    """
+    """CCDs that lack too many bright stars of the sky without those that `explained` concern."""
     left = ledger.take(~ledger.within(explained))
     cells, dark = left.cells(), dict[int, list[str]]()
     for strip_id in left.strips:
@@ -554,9 +548,7 @@ def stars_found(dump: Dump, task: SkyTask, found: StripStars, expected: Crossing
 
 
 def _near_px(dump: Dump, task: SkyTask) -> float:
-    """How far a star may lie from where a right matrix places it: by the errors of the attitudes, the stated
-    scatter and what is not stated.
-    """
+    """How far a star may lie from its place by a right matrix: attitudes, stated scatter, the unstated."""
     variance = np.einsum("kaka->ka", task.covariance_c)  # rad², axes of c
     attitude = np.sqrt(np.max(variance[:, :2].max(axis=1) + variance[:, 2] * _reach(task) ** 2))
     sigma_px = (scatter_px(dump, task), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)

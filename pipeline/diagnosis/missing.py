@@ -192,9 +192,7 @@ def targets_out_of_view(
 
 
 def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
-    """How far the nearest target lies outside a strip's footprint, across and along the track (m, 0 where
-    inside), the second as time (s), and its id.
-    """
+    """Of the nearest target what `misses` says (m), the second as time, too (s), and its id."""
     outside, speed_m_s = misses(task, targets)
     n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
     across_m, along_m = outside[n].tolist()
@@ -242,9 +240,7 @@ def in_view(task: StripTask, p_e: Floats) -> Bools:
 
 
 def uncertainty_m(task: StripTask) -> float:
-    """How far targets in a strip may lie from their predicted places on the ground, m: the half-width of the
-    search by the installation matrix' sigma.
-    """
+    """How far targets may lie from predicted places on the ground, m: the search's half-width."""
     t_s = pushbroom_of(task).instants(np.array([0.5 * (task.strip.lines - 1.0)]))
     height_m = float(np.linalg.norm(task.orbit.positions_e(t_s)[0])) - WGS84.semi_major_m
     return task.settings.sigmas * float(task.sigma_installation_rad.max()) * height_m
@@ -253,9 +249,7 @@ def uncertainty_m(task: StripTask) -> float:
 def cause_of_no_result(
     basis: Basis, sky: SkySide, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
 ) -> Finding | None:
-    """Why strips do not determine a matrix: a convention, or what the hypotheses tell of all observations
-    together, none rejected.
-    """
+    """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
     if of_attitudes := against_own_motion(basis.heads):
         return of_attitudes[0]
     if reversed_strip := next(reversed_strips(basis.dump, sky), None):
@@ -312,9 +306,7 @@ def _pivots(camera: LineSensor) -> dict[tuple[str, int], float]:
 
 
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:
-    """Strips of a dump with another convention than that of `basis` that see their stars or targets by the
-    pre-launch matrices.
-    """
+    """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices."""
     runner, settings = StageRunner(None, InOrder()), basis.settings
     fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     heads = [

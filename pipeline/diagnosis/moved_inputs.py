@@ -73,9 +73,7 @@ def _attitudes(strip: StripSightings) -> Floats:
 
 
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
-    """Exposures dated late, all alike or more and more over a strip: attitudes of an earlier instant, at the
-    rate of rotation of the strip.
-    """
+    """Exposures dated late, alike or ever more over a strip: attitudes of an earlier instant."""
     solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
     by_strip: dict[
         str, tuple[Floats, Floats]
@@ -240,9 +238,7 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
 
 
 def _by_precession(years: float, ground: GroundSightings) -> Floats:
-    """Change (N, 3) of stated directions a year, if they are of an equinox so many years from that of the
-    ICRS.
-    """
+    """Change (N, 3) of directions a year, if of an equinox so many years from that of the ICRS."""
     return (ground.u_i - ground.u_i @ erfa.pmat06(erfa.DJ00, years * erfa.DJY)) / years
 
 
@@ -259,8 +255,8 @@ def _of_ground(
     light, higher = {key: dict[str, Floats]() for key in EFFECTS}, dict[str, Floats]()
     for strip in strips:
         task = tasks[strip.strip_id]
-        place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
-        p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
+        place = task.places
+        p_e = np.array([place[n].p_e for n in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
         for key in EFFECTS:
             switched: tuple[dict[str, Any], ...] = {key: True}, {key: False}
             on, off = (seen(p_e, strip, replace(task.effects, **one)) for one in switched)

@@ -161,9 +161,7 @@ def _beyond_chance(fits: Mapping[int, tuple[float, float]]) -> float:
 
 
 def _lag(of_head: Attitudes) -> float:
-    """By how many seconds rows must be later than stated to turn as the gyro does; NaN where that does not
-    explain them.
-    """
+    """How many seconds late rows must be to turn as the gyro does; NaN where that does not explain them."""
     stated = of_head.against_gyro()
 
     def gain(late_s: float) -> float:
@@ -400,9 +398,7 @@ def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
 
 
 def _even_instants(of_head: Attitudes) -> list[Floats]:
-    """Instants (K,) that are evenly spaced along every stretch: with rows missing where a step is long, and
-    with none missing.
-    """
+    """Evenly spaced instants (K,) along every stretch: with rows missing in long steps, and with none."""
     found = [of_head.t_s.copy(), of_head.t_s.copy()]
     for part in of_head.stretches(np.arange(len(of_head.t_s))):
         steps = np.diff(part.t_s)
@@ -476,9 +472,7 @@ def _common_step(t_s: Floats, scatter_s: float) -> float:
 
 
 def _two_groups(parts: Sequence[Stretch], spread_s: float) -> tuple[Ints, float, float] | None:
-    """Rows that are dated early, by how much against the others, and its 1-sigma, s; none where instants are
-    not in two groups.
-    """
+    """Rows that are dated early, against the others by how much, its 1-sigma, s; None: not in two groups."""
     known = [part.instants(spread_s) for part in parts]
     early_s = np.concatenate([np.linalg.solve(F + np.eye(len(x)) / spread_s**2, x) for F, x in known])
     order = np.sort(early_s)

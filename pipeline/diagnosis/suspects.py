@@ -65,9 +65,7 @@ class MeasuredTargets:
         stated_m = np.array(displaced_m(task, subject.id, subject.ccd, xy_px))
         ccd, line = np.array([subject.ccd]), np.array([xy_px[1]])
         t_s = np.asarray(pushbroom_of(task).instants_of_lines(ccd, line))
-        every = (*task.targets, *task.points.targets)
-        p_e = next(target.p_e for target in every if target.target_id == subject.id)
-        lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
+        lat, lon, _ = geodetic_from_ecef(task.places[subject.id].p_e[None], WGS84)
         axes_i = task.orbit.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
         off_m, covariance = suspect.displaced_m(
             stated_m, (task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i)[:, :2]

@@ -71,9 +71,7 @@ def rows_used(
 
 
 def rows_of_cameras(views: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
-    """Rows of the tables of one dump, from those of its cameras: they have its targets and exposures in
-    common, and each its own strips and points.
-    """
+    """Rows of the tables of one dump: its cameras share targets and exposures, not strips and points."""
     joined: dict[str, Rows] = {}
     for one in (row for rows in views for row in rows):
         before = joined.get(one.name, Rows(one.name, 0, 0))

@@ -23,11 +23,13 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.inertial_frames import AttitudeFrame, InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
-from boresight.pipeline.files.attitude_kinds import (
+from boresight.pipeline.files.acm_text import (
     ANGLES,
     EULER,
     QUATERNION,
+    AcmAttitudes,
+    is_acm,
+    read_acm,
     rotation_sequence,
     rotations_of,
 )
@@ -345,9 +347,7 @@ def _is_euler(meta: Mapping[str, str]) -> bool:
 
 
 def _xml_angles(state: Element, meta: Mapping[str, str], file: str, where: str) -> list[float]:
-    """The Euler angles of a state: ANGLE_1 to ANGLE_3, in version 1.0 rotation1 to rotation3, whose attribute
-    names the axis, too.
-    """
+    """The Euler angles of a state; in version 1.0 an attribute of rotation1 to rotation3 names the axis."""
     found = {one.tag: (one.text or "").strip() for one in state.iter() if one.tag in ANGLES}
     axes = rotation_sequence(meta.get(EULER), file, where + EULER)
     for name, axis, one in zip(ANGLES, axes, state.iterfind(".//rotationAngles/*")):

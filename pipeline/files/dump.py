@@ -115,9 +115,7 @@ class Dump:
         return {target.target_id: target for target in (*self.targets, *measured)}
 
     def of_strips(self, wanted: Sequence[str]) -> Dump:
-        """The dump with these strips only; the others are among its omissions. `ValueError` where one is not
-        known, and for none.
-        """
+        """The dump with these strips only, others in its omissions; `ValueError`: unknown ones or none."""
         names = [strip.strip_id for strip in (*self.strips, *self.sky_strips)]
         if not wanted or (unknown := set(wanted) - set(names)):
             found = "no ids" if not wanted else repr(min(unknown))

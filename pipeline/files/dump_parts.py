@@ -174,8 +174,7 @@ class DumpParts:
 
     @cached_property
     def orbit_covers(self) -> str:
-        """What the orbit covers, for messages; an error if it, or all exposures, are of other times than the
-        strips."""
+        """What the orbit covers, for messages; an error if it, or all exposures, miss the times of strips."""
         ephemeris, file = self.ephemeris
         epoch, t_s = ephemeris.epoch, ephemeris.t_s
         covers = orbit_covers(epoch, t_s, ephemeris.time_system, file, self.spans)

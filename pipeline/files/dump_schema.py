@@ -32,6 +32,7 @@ __all__ = [
     "LookCameraFile",
     "LookRow",
     "NoiseFile",
+    "PixelRow",
     "PointRow",
     "RemoteCameraFile",
     "StarCameraFile",
@@ -436,8 +437,7 @@ class DumpFile(_Strict):
 
 
 class SmoothDistortionFile(_Strict):
-    """Displacement of image points by Legendre polynomials, as `star-camera-calibrate` fits it to foreign
-    lenses."""
+    """Displacement by Legendre polynomials, as `star-camera-calibrate` fits it to foreign lenses."""
 
     degree: Annotated[int, Field(ge=2, le=12, description="largest sum of the orders of a term")]
     columns_px: Annotated[list[ShiftPx], Field(max_length=100, description="coefficients along columns, px")]
@@ -658,3 +658,12 @@ class _Measured(_Identified):
 
 class PointRow(_Surveyed, _Measured):
     """points.csv: ground points whose image positions are measured"""
+
+
+class PixelRow(BaseModel):
+    """One line of the file of pixels. (0, 0) is the centre of the first pixel."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+    ccd: Annotated[int, Field(ge=0)]
+    sample: float
+    line: float

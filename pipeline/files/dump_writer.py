@@ -14,7 +14,7 @@ from rasterio.windows import Window
 from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.images.png import png_of_noise
 from boresight.pipeline.files.images.tiff import TILES, tiff_opened, write_tiff
-from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.orbit_file import orbit_message
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml

@@ -1,4 +1,4 @@
-"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM 1.0 to 3.0, CCSDS 502.0-B), KVN or XML."""
+"""The orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM 1.0 to 3.0, CCSDS 502.0-B), KVN or XML."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ __all__ = [
     "check_time_system",
     "covered_by",
     "joined_segments",
+    "orbit_message",
     "read_oem",
     "read_segments",
     "tai_seconds",
@@ -413,9 +414,7 @@ def check_components(values: Floats, file: str) -> None:
 
 
 def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, least: int = 8) -> None:
-    """`RawDataError` for fewer than `least` states, for times (N,) that do not increase, and for positions
-    (N, 3), m, of no orbit.
-    """
+    """`RawDataError` for too few states, times (N,) not increasing, positions (N, 3), m, of no orbit."""
     if len(t_s) < max(least, 2):
         raise RawDataError(file, "states", str(len(t_s)), f"at least {max(least, 2)}")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):
@@ -425,3 +424,41 @@ def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, 
     if len(bad := np.flatnonzero((radius < 6.4e6) | (radius > 5e7))):
         found = f"{radius[bad[0]] / 1e3:.1f} km from the centre"
         raise RawDataError(file, f"state {bad[0] + 1}, position", found, "6400 to 50000 km (unit km)")
+
+
+def orbit_message(
+    object_name: str,
+    frame: str,
+    interpolation: tuple[str, int],
+    utc: Sequence[str],
+    positions_m: Floats,
+    velocities_m_s: Floats,
+    object_id: str = "",
+) -> str:
+    """Text of the message, one segment of N states: positions (N, 3) to the micrometre, velocities (N, 3) to
+    the nanometre per second, in `frame` (GCRF or ITRF), with the name and degree of their interpolation.
+    Where the international designator `object_id` ("2015-028A") is empty, the name stands for it.
+    """
+    utc = [text.rstrip("Z") for text in utc]
+    lines = [
+        "CCSDS_OEM_VERS = 2.0",
+        f"CREATION_DATE = {utc[0][:19]}",
+        "ORIGINATOR = BORESIGHT",
+        "",
+        "META_START",
+        f"OBJECT_NAME = {object_name.upper()}",
+        f"OBJECT_ID = {object_id or object_name.upper()}",
+        "CENTER_NAME = EARTH",
+        f"REF_FRAME = {frame}",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {utc[0]}",
+        f"STOP_TIME = {utc[-1]}",
+        f"INTERPOLATION = {interpolation[0].upper()}",
+        f"INTERPOLATION_DEGREE = {interpolation[1]}",
+        "META_STOP",
+        "",
+    ]
+    for instant, p, v in zip(utc, positions_m / 1e3, velocities_m_s / 1e3):
+        numbers = [f"{x:.9f}" for x in p] + [f"{x:.12f}" for x in v]
+        lines.append(f"{instant} " + " ".join(numbers))
+    return "\n".join(lines) + "\n"

@@ -34,8 +34,7 @@ from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.gyro_file import read_gyro
-from boresight.pipeline.files.spice_attitudes import read_ck
-from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel
+from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
 from boresight.star_id.centroids import Centroids
 
@@ -287,9 +286,7 @@ def check_attitudes(
 def _contradiction(
     head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]
 ) -> tuple[RawDataError, bool] | None:
-    """What is wrong with a head's attitudes or its line of sight, and whether the attitudes contradict the
-    orbit without a usual mistake that explains it.
-    """
+    """What is wrong with attitudes or line of sight, and if no usual mistake explains it."""
     source = head.source
     if not isinstance(source, SolvedAttitudes):
         return None

@@ -19,9 +19,7 @@ __all__ = ["noise_keys", "state_noise"]
 
 
 def noise_keys(noise: AttitudeNoise, with_white: bool) -> dict[str, list[float] | str]:
-    """Keys of a table [star_cameras.noise] of estimated noise; without its white part, where rows or stars
-    give it.
-    """
+    """Keys of [star_cameras.noise], estimated; without the white part where rows or stars give it."""
 
     def listed(values: Floats) -> list[float]:
         return [float(f"{value:.4g}") for value in values.tolist()]

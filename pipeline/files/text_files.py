@@ -208,9 +208,7 @@ def each_once(ids: Sequence[str], file: str) -> None:
 def csv_rows(
     path: Path, required: Sequence[str], optional: Sequence[str], file: str
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV file as ("line N", cells by column); `RawDataError` for other columns, or other numbers
-    of cells than the header has.
-    """
+    """Rows as ("line N", cells by column); `RawDataError` for other columns or numbers of cells."""
     rows = csv.reader(_lines(read_text(path, file), file), strict=True)
     count = 0
     try:

@@ -28,17 +28,13 @@ _ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-
 
 
 def read_xml(path: Path, file: str) -> Element:
-    """The root element of an XML file, plain or compressed with gzip; `RawDataError` for anything else, and
-    for a DTD.
-    """
+    """The root of an XML file, plain or compressed with gzip; `RawDataError` for anything else, or a DTD."""
     raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
     return xml_of_bytes(unpacked(raw, file, MAX_TEXT_BYTES) if raw.startswith(GZIP) else raw, file)
 
 
 def xml_of_bytes(raw: bytes, file: str) -> Element:
-    """The root element of XML in UTF-8, in UTF-16 with a byte-order mark, or in the encoding that its first
-    line states; otherwise as `xml_root`.
-    """
+    """The root of XML in UTF-8, UTF-16 with a mark, or the stated encoding; otherwise as `xml_root`."""
     stated = _ENCODING.match(raw)
     is_other = stated is not None and stated[1].upper() not in (b"UTF-8", b"UTF8")
     is_other |= raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))

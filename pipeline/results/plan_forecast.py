@@ -36,9 +36,7 @@ OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rota
 
 
 def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> CalibrationSettings:
-    """Calibration settings whose priors are the errors that the plan states; those of CCDs by themselves need
-    the cameras.
-    """
+    """Calibration settings with the plan's errors as priors; those of CCDs need the cameras."""
     shift, slope, bend = plan.sigma_ccd_rad
     return CalibrationSettings(
         sigma_position_m=plan.sigma_position_m,

@@ -119,9 +119,7 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
 
 
 def read_installation(result: Path) -> dict[str, Any]:
-    """Content of a result's installation.json. `RawDataError` for one that is not there, or whose verdict is
-    not as the program writes it.
-    """
+    """Content of installation.json; `RawDataError` if it is missing, or its verdict not as written here."""
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
     verdict = content.get("verdict")
@@ -167,8 +165,7 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
 
 
 def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, Any]:
-    """What a result's installation.json says of one of several cameras; of a single one, all.
-    `RawDataError` for another camera."""
+    """What installation.json says of one of several cameras, or the only one; `RawDataError` for another."""
     matrices = {str(one.get("name")): one for one in content.get("cameras") or ()}
     if not camera and not matrices:
         return content
@@ -179,17 +176,13 @@ def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, A
 
 
 def matrix_in(content: dict[str, Any], camera: str, result: Path) -> tuple[Rotation, Floats, Floats]:
-    """R_cs, theta (3,), rad, and its covariance (3, 3), rad², of a result's installation.json, of several
-    cameras those of `camera`.
-    """
+    """R_cs, theta (3,), rad, covariance (3, 3), rad², of an installation.json, or of one `camera` in it."""
     file, matrix = str(result / "installation.json"), of_camera(content, camera, result)
     return *_matrix(matrix, file), _numbers(matrix, "covariance_rad2", (3, 3), file)
 
 
 def read_matrices(result: Path) -> tuple[tuple[str, ...], Rotation, Floats, Floats]:
-    """Names of the C cameras, their matrices, theta (3 C,), rad, and its covariance (3 C, 3 C), rad²; a
-    single camera has no name.
-    """
+    """Names of C cameras ("": the only one), matrices, theta (3 C,), rad, covariance (3 C, 3 C), rad²."""
     file = str(result / "installation.json")
     content = read_json(result / "installation.json", file)
     if not (cameras := content.get("cameras")):

@@ -88,9 +88,7 @@ def terrain_sigma_m(dump: Dump) -> float:
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
-    """The model of one strip. `RawDataError` for a strip that is not in the dump, `DataNotSufficientError`
-    for one whose rows the result's star exposures do not cover.
-    """
+    """The model of a strip; `RawDataError`: not in the dump, `DataNotSufficientError`: rows not covered."""
     dump, result = calibrated.dump, calibrated.result
     strips = {strip.strip_id: strip for strip in dump.strips}
     if strip_id not in strips:
@@ -123,9 +121,7 @@ def attitude_track(result: SavedResult, dump: Dump, near: Ints) -> AttitudeTrack
 def attitude_errors_s(
     track: AttitudeTrack, result: SavedResult, dump: Dump, near: Ints, t_s: Floats
 ) -> Floats:
-    """Rotation (N, 3, A) about the axes of s, at instants (N,), by independent errors, 1 sigma, of the
-    attitudes of exposures (K,) through which a track goes.
-    """
+    """Rotation (N, 3, A) about axes of s at instants (N,) by independent 1-sigma errors of attitudes (K,)."""
     covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
     each = np.arange(len(near))
     covariance[each, :, each, :] += result.covariance_s[near]

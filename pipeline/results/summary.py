@@ -113,9 +113,7 @@ def kind_of(cause: str) -> str:
 
 
 def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Floats) -> list[str]:
-    """The kinds of error with most effect that the data cannot show at all, in one line; `sigma_rad` (T,) is
-    the 1-sigma of theta.
-    """
+    """The errors with most effect that data cannot show at all, in one line; 1-sigma of theta (T,), rad."""
     kinds: dict[str, Mapping[str, Any]] = {}
     for one in spots:
         if one["is_unseen"] and np.abs(one["effect_rad"]).max() >= LEAST_EFFECT_RAD:

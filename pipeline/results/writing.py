@@ -359,9 +359,7 @@ def _target_groups(
 
 
 def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
-    """One row for each strip of the estimate: time, position in the orbit and the Sun's height over its plane
-    in the middle, ground track, camera.
-    """
+    """A row for each strip of the estimate: time, place in orbit, height of the Sun, track, camera."""
     used = {strip.strip_id for strip in calibration.strips}
     every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]
     tasks = [task for task in every if task.strip.strip_id in used]

@@ -76,9 +76,7 @@ class Settings:
 
 
 def read_settings(path: Path | None) -> Settings:
-    """Settings from a TOML file; `RawDataError` names an unknown section or key, or a value of the wrong
-    type.
-    """
+    """Settings from a TOML file; `RawDataError` names an unknown section or key, or a wrong value."""
     if path is None:
         return Settings()
     return settings_from_tables(toml_tables(path, str(path)), str(path))

@@ -60,9 +60,7 @@ def carriers(
 def covered_strips(
     strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Entry]
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
-    """Strips with what `carriers` found for them, head and rows (K,) of its exposures, and the omissions of
-    all others.
-    """
+    """Strips with head and rows (K,) of exposures that `carriers` found, and omissions of the others."""
     pairs = [(strip, covering[strip.strip_id]) for strip in strips]
     omitted = [carrier for _, carrier in pairs if isinstance(carrier, Entry)]
     return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Entry)], omitted

@@ -28,15 +28,12 @@ from boresight.geometry.sightings import (
     solved_attitudes,
 )
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import (
-    centroid_tasks,
-    in_order,
     sight_exposure,
-    sight_exposure_centroids,
     star_tasks,
 )
 
@@ -65,13 +62,10 @@ def sight_head(
     if isinstance(head.source, SolvedAttitudes):
         return _solved(dump, head, head.source, settings.run.exposure_margin_s)
     folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
-    if isinstance(head.source, StarCentroids):
-        lists, uncovered = centroid_tasks(dump, head.source, settings.stars)
-        outcomes, computed = runner.run(sight_exposure_centroids, lists, folder=folder)
-    else:
-        tasks, uncovered = star_tasks(dump, head.source, settings.stars)
-        outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
-    stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
+    tasks, uncovered = star_tasks(dump, head.source, settings.stars)
+    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    stars = [one for one in outcomes if isinstance(one, StarSightings)]
+    stars.sort(key=lambda one: (one.t_s, one.exposure_id))  # the order in which sums are made
     failed = [one for one in outcomes if isinstance(one, Entry)]
     return HeadSightings(
         head=head,
@@ -118,9 +112,7 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
 def before_calibration(
     dump: Dump, t_s: Floats, mountings: Mapping[str, Rotation], carrier: str, nominal: NominalMotion
 ) -> AttitudeTrack:
-    """Attitudes at those of a carrier (K,), in frame s, by the rows of all heads and the gyro, while only the
-    rows tell their alignments.
-    """
+    """Attitudes at a carrier's (K,), frame s, by all heads and the gyro; only rows tell their alignments."""
     rows = rows_of_heads(dump, t_s, mountings, carrier, nominal)
     gyro = dump.heads[0].gyro_around(t_s, nominal)
     return smoothed_track(rows, nominal, UNKNOWN_ALIGNMENT_RAD, gyro)

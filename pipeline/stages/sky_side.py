@@ -96,9 +96,7 @@ def name_in_sky_strips(
 
 
 def scatter_px(dump: Dump, task: SkyTask) -> float:
-    """1-sigma of what displaces one star of a strip against another: distortion, vibration and, where two
-    exposures do not show it, motion.
-    """
+    """1-sigma of one star against another: distortion, vibration, and motion if not shown by 3 exposures."""
     motion = dump.errors.motion_arcsec if len(task.t_attitude_s) < FEWEST_SHOW else 0.0
     moved = np.hypot(dump.errors.vibration_arcsec, motion) * ARCSEC / dump.line_camera.pixel_rad
     return float(np.hypot(dump.errors.look_px, moved))

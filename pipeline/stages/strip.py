@@ -102,6 +102,11 @@ class StripTask:
         """Kind, id and file of what is processed, without a reason."""
         return Entry(self.strip.subject)
 
+    @property
+    def places(self) -> dict[str, Target]:
+        """Its targets and measured points by id."""
+        return {target.target_id: target for target in (*self.targets, *self.points.targets)}
+
 
 @record(kw_only=True)
 class MatchedTargets:
@@ -277,9 +282,7 @@ class _Chips(Sequence[Chip]):
 def strip_matches(
     task: StripTask, parts: Executor = IN_ORDER, keep: Callable[[TargetMatch], TargetMatch] = keep_whole
 ) -> tuple[StripMatches | None, list[Entry]]:
-    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. `keep`
-    returns what is kept of a match.
-    """
+    """The matcher's outcome (None: damaged images), and unreadable files; `keep`: what is kept of a match."""
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
     readable, omitted = [], []
     for n, file in enumerate(task.chips):
@@ -312,9 +315,9 @@ def strip_matches(
 
 def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
     """The matched targets of a strip, with the positions that the matrix of the task predicts."""
-    place = {target.target_id: target.p_e for target in task.targets}
+    place = task.places
     n = len(matched.ccd) - len(task.points.ccd)  # points measured by others come last: see `with_points`
-    p_e = np.array([place[name] for name in matched.target_id[:n].tolist()], dtype=float).reshape(n, 3)
+    p_e = np.array([place[name].p_e for name in matched.target_id[:n].tolist()], dtype=float).reshape(n, 3)
     off_px, _ = displacements(pushbroom_of(task), p_e, matched.ccd[:n], matched.xy_px[:n])
     predicted_px = matched.predicted_px.copy()
     predicted_px[:n] = matched.xy_px[:n] - off_px
@@ -365,12 +368,9 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
 
 
 def _displaced_m(task: StripTask, refusal: Entry) -> tuple[float, float]:
-    """How far the stated place of an inconsistent target lies east and north of the one that the strip
-    shows, m.
-    """
+    """How far the stated place of an inconsistent target lies east and north of the one shown, m."""
     name, ccd = refusal.subject.id, refusal.subject.ccd
-    p_e = next(target.p_e for target in task.targets if target.target_id == name)
-    sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[None])
+    sample, line = pushbroom_of(task).pixels_from_ground(ccd, task.places[name].p_e[None])
     off_x, off_y = refusal.more
     return displaced_m(task, name, ccd, (float(sample[0]) + off_x, float(line[0]) + off_y))
 
@@ -379,8 +379,7 @@ def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, .
     """How far the stated place of a target lies east and north of the one that the strip shows at a
     (sample, line), by the matrix of the task, m.
     """
-    every = (*task.targets, *task.points.targets)
-    p_e = next(one.p_e for one in every if one.target_id == target_id)
+    p_e = task.places[target_id].p_e
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
     there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)
@@ -399,7 +398,7 @@ def compass(east_m: float, north_m: float) -> str:
 def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSightings:
     """Directions of the matched targets: measured by the camera, and computed from ground and orbit."""
     model = pushbroom_of(task)
-    place = {target.target_id: target for target in (*task.targets, *task.points.targets)}
+    place = task.places
     rows = [place[name] for name in matched.target_id.tolist()]
     p_e = np.array([target.p_e for target in rows], dtype=float).reshape(-1, 3)
     sigma_m = np.array([target.sigma_m for target in rows], dtype=float).reshape(-1, 3)
@@ -488,17 +487,12 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
     spare = orbit.nodes_needed + 2
     first = max(int(np.searchsorted(orbit.t_s, t_first_s)) - spare, 0)
     last = min(int(np.searchsorted(orbit.t_s, t_last_s)) + spare, len(orbit.t_s))
-    velocities = None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last]
     usual_step = float(np.median(np.diff(orbit.t_s)))
-    return Orbit(
-        epoch=orbit.epoch,
+    return replace(
+        orbit,
         t_s=orbit.t_s[first:last],
         positions_m=orbit.positions_m[first:last],
-        velocities_m_s=velocities,
-        frame=orbit.frame,
-        degree=orbit.degree,
-        earth=orbit.earth,
-        method=orbit.method,
+        velocities_m_s=None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last],
         max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
         begins=tuple(n - first for n in orbit.begins if first < n < last),
     )

@@ -191,9 +191,7 @@ def _check_deflated(tiff: Any, image: ImageFile) -> None:
 
 
 def _check_photometric(image: ImageFile) -> None:
-    """`RawDataError` unless a TIFF states once whether black is zero: of another number of values programs
-    take none, or the first.
-    """
+    """`RawDataError` unless a TIFF states once whether black is zero: programs differ on other numbers."""
     head = image.head
     order, is_big = ("<" if head[:2] == b"II" else ">"), head[2:4] in (b"+\0", b"\0+")
     counts, entry = (order + "Q", order + "HHQ8x") if is_big else (order + "H", order + "HHI4x")

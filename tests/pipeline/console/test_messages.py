@@ -23,7 +23,7 @@ from boresight.features.table import features
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.console.feature import Job
 from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
-from boresight.pipeline.console.spine import SPINE
+from boresight.pipeline.console.program import SPINE
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.stages.cached import StageRunner, log_unit
 
