@@ -57,15 +57,7 @@ from boresight.version import commit
 __all__ = ["calibrate_command"]
 
 # Distributions whose versions run.json states.
-REPORTED_PACKAGES = (
-    "numpy",
-    "scipy",
-    "opencv-python-headless",
-    "astropy",
-    "astropy-iers-data",
-    "pyerfa",
-    "pyproj",
-)
+REPORTED_PACKAGES = "numpy scipy opencv-python-headless astropy astropy-iers-data pyerfa pyproj".split()
 
 
 def _folder(text: str) -> Path:

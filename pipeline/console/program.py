@@ -71,31 +71,30 @@ def errors_reported() -> Iterator[None]:
     """Report errors that a user can act on as one line; anything else is a fault of the program."""
     try:
         yield
-    except (RawDataError, DataNotSufficientError, WorkerError) as error:
-        log.error("error: %s", error)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except UnicodeEncodeError as error:
-        if "surrogates" not in error.reason:
+    except Exception as error:
+        if not (text := _words(error)):
             raise
-        name = printable(str(error.object))
-        log.error("error: %s: a name that is not text in UTF-8; rename the file or folder", name)
+        log.error("%s", text)
         sys.exit(DATA_DID_NOT_ALLOW)
-    except MemoryError as error:
-        log.error("error: memory: %s", str(error) or "no more of it; what is finished is on disk")
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except RuntimeError as error:
-        if str(error) != NO_THREAD:
-            raise
-        log.error("%s", NO_PROCESS)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except BlockingIOError as error:
-        if error.filename is not None:
-            raise
-        log.error("%s", NO_PROCESS)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except OSError as error:  # disk full, no permission: what is finished is on disk
-        log.error("error: %s: %s", error.filename or "file", error.strerror or error)
-        sys.exit(DATA_DID_NOT_ALLOW)
+
+
+def _words(error: Exception) -> str:
+    """An error for the user, who can act on it; empty for a fault of the program."""
+    match error:
+        case RawDataError() | DataNotSufficientError() | WorkerError():
+            return f"error: {error}"
+        case UnicodeEncodeError() if "surrogates" in error.reason:
+            name = printable(str(error.object))
+            return f"error: {name}: a name that is not text in UTF-8; rename the file or folder"
+        case MemoryError():
+            return f"error: memory: {str(error) or 'no more of it; what is finished is on disk'}"
+        case RuntimeError():
+            return NO_PROCESS if str(error) == NO_THREAD else ""
+        case BlockingIOError():
+            return NO_PROCESS if error.filename is None else ""
+        case OSError():  # disk full, no permission: what is finished is on disk
+            return f"error: {error.filename or 'file'}: {error.strerror or error}"
+    return ""
 
 
 def _program_options(

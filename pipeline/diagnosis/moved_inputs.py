@@ -63,10 +63,6 @@ def _times(strip: StripSightings) -> Floats:
     return np.array([exposure.t_s for exposure in strip.exposures])
 
 
-def _middle_s(strips: Sequence[StripSightings]) -> Floats:
-    return np.array([float(strips[0].ground.t_s[0])])
-
-
 def _attitudes(strip: StripSightings) -> Floats:
     assert strip.attitudes is not None
     return strip.attitudes.R_si
@@ -74,10 +70,8 @@ def _attitudes(strip: StripSightings) -> Floats:
 
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Exposures dated late, alike or ever more over a strip: attitudes of an earlier instant."""
-    solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
-    by_strip: dict[
-        str, tuple[Floats, Floats]
-    ] = {}  # instants (K,) from the first on, and the rate of rotation
+    solved, (file, field) = isinstance(head.source, SolvedAttitudes), head.times_in
+    by_strip: dict[str, tuple[Floats, Floats]] = {}  # instants (K,) from the first on, rate of rotation
     for strip in strips:
         seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
         if seen.sum() > 1:
@@ -93,8 +87,8 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterato
             subjects=(head.subject,) if solved else (),
             unit=unit,
             words=("too late", "too early") if unit == "ms" else ("too fast", "too slow"),
-            file=solved or "exposures.csv",
-            field="utc" if solved else "utc_mid",
+            file=file,
+            field=field,
             usual=usual,
             turns_s={name: np.outer(late(t_s), omega) for name, (t_s, omega) in by_strip.items()},
         )
@@ -201,7 +195,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             words=words,
             file="orbit",
             field="velocity, date and frame",
-            most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
+            most=2.0 * float(np.linalg.norm(dump.orbit.states_i(strips[0].ground.t_s[:1])[1])) / KM_S,
             usual=1e-3,
             directions_i=directions,
             turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},

@@ -188,37 +188,19 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
     }
     write_toml(root / "installation.toml", installation)
     write_toml(root / "scenario.toml", {"seed": truth.seed, "scenario": scenario_to_dict(mission.scenario)})
-    columns = ["strip", "ccd", "sample", "line", "lat_deg", "lon_deg", "height_m"]
     for name, points in (("check_points", truth.check_points), ("targets", truth.targets)):
-        rows = [
-            [
-                p.point_id,
-                p.strip_id,
-                p.ccd,
-                f"{p.sample:.6f}",
-                f"{p.line:.6f}",
-                f"{p.lat_deg:.11f}",
-                f"{p.lon_deg:.11f}",
-                f"{p.height_ellipsoidal_m:.5f}",
-            ]
-            for p in points
-        ]
-        write_csv(root / f"{name}.csv", ["id", *columns], rows)
+        rows = []
+        for p in points:
+            place = f"{p.lat_deg:.11f}", f"{p.lon_deg:.11f}", f"{p.height_ellipsoidal_m:.5f}"
+            rows.append([p.point_id, p.strip_id, p.ccd, f"{p.sample:.6f}", f"{p.line:.6f}", *place])
+        columns = "id strip ccd sample line lat_deg lon_deg height_m".split()
+        write_csv(root / f"{name}.csv", columns, rows)
     if truth.sky_stars:
-        stars = [
-            [
-                s.strip_id,
-                s.ccd,
-                s.hip,
-                f"{s.sample:.6f}",
-                f"{s.line:.6f}",
-                f"{s.charge_e:.1f}",
-                f"{s.v_mag:.2f}",
-            ]
-            for s in truth.sky_stars
-        ]
-        columns = ["strip", "ccd", "hip", "sample", "line", "charge_e", "v_mag"]
-        write_csv(root / "sky_stars.csv", columns, stars)
+        stars = []
+        for s in truth.sky_stars:
+            numbers = f"{s.sample:.6f}", f"{s.line:.6f}", f"{s.charge_e:.1f}", f"{s.v_mag:.2f}"
+            stars.append([s.strip_id, s.ccd, s.hip, *numbers])
+        write_csv(root / "sky_stars.csv", "strip ccd hip sample line charge_e v_mag".split(), stars)
     strips = [
         [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
     ]

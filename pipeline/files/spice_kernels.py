@@ -179,7 +179,9 @@ def read_spk(path: Path, file: str, kernels: Kernels) -> Ephemeris:
     spice = toolkit(file)
     with loaded(path, file, kernels) as spk:
         body = _body(spice, spk, kernels, file)
-        et = _instants(_cover(spice, spk, body), file)
+        cover = spice.spkcov(spk, body)
+        ends = np.array([spice.wnfetd(cover, n) for n in range(spice.wncard(cover))]).reshape(-1, 2)
+        et = _instants(ends, file)
         states = np.array([spice.spkgeo(body, one, "J2000", EARTH)[0] for one in et.tolist()])
     states = states.reshape(-1, 6)
     check_components(states, file)
@@ -214,14 +216,8 @@ def _body(spice: Any, spk: str, kernels: Kernels, file: str) -> int:
     raise RawDataError(file, "objects", ", ".join(map(str, bodies[:16])), expected)
 
 
-def _cover(spice: Any, spk: str, body: int) -> Floats:
-    """Begin and end (N, 2), ephemeris time, of the intervals that the SPK covers."""
-    cover = spice.spkcov(spk, body)
-    return np.array([spice.wnfetd(cover, n) for n in range(spice.wncard(cover))]).reshape(-1, 2)
-
-
 def _instants(cover: Floats, file: str) -> Floats:
-    """Ephemeris times (N,), increasing, at equal steps over each interval, ends included."""
+    """Ephemeris times (N,), increasing, at equal steps over each interval `cover` (K, 2), ends included."""
     lengths = cover[:, 1] - cover[:, 0]
     if not np.isfinite(lengths).all() or (longest := lengths.sum()) > MAX_STATES * STEPS_OF_SPK_S[-1]:
         days = f"{lengths.sum() / 86_400.0:.0f} days"

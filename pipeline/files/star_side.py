@@ -138,6 +138,12 @@ class Head:
         return Subject(Kind.HEAD, head=self.name)
 
     @property
+    def times_in(self) -> tuple[str, str]:
+        """File and field of the dump that state the times of its attitudes, or exposures."""
+        source = self.source
+        return (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
+
+    @property
     def line_of_sight_s(self) -> Floats:
         """Unit vector (3,) along the middle of its field of view, axes of s: z of a camera."""
         source = self.source

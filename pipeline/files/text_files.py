@@ -305,35 +305,28 @@ def expected_of(error: Mapping[str, Any]) -> str:
         case "literal_error":
             return str(limits["expected"]).replace(" or ", ", ").replace("'", '"')
         case "too_short" | "too_long":
-            some = (
-                f"at least {limits['min_length']}"
-                if "min_length" in limits
-                else f"at most {limits['max_length']}"
-            )
+            least = "min_length" in limits
+            some = f"at least {limits['min_length']}" if least else f"at most {limits['max_length']}"
             return f"{some} values, not {limits['actual_length']}"
         case "string_too_short":
             return f"text of at least {limits['min_length']} characters"
         case "string_too_long":
             return f"text of at most {limits['max_length']} characters"
-        case "int_type" | "int_parsing" | "int_from_float":
-            return "an integer without quotes"
-        case "float_type" | "float_parsing":
-            return "a number without quotes and unit"
-        case "finite_number":
-            return "a finite number"
-        case "string_type":
-            return "text in quotes"
-        case "bool_type":
-            return "true or false"
-        case "string_pattern_mismatch":
-            return "text of this form"
         case "value_error":
             return str(limits.get("error", message))
-        case "list_type" | "tuple_type":
-            return "a list: [.., ..]"
-        case "model_type" | "dict_type" | "model_attributes_type":
-            return "a table"
-    return message[0].lower() + message[1:]
+    return OF_KINDS.get(error["type"], message[0].lower() + message[1:])
+
+
+OF_KINDS = {  # what other kinds of pydantic's errors ask for
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "an integer without quotes"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number without quotes and unit"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list: [.., ..]"),
+    **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "a table"),
+    "finite_number": "a finite number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "string_pattern_mismatch": "text of this form",
+}
 
 
 def _description(model: type[BaseModel], location: Sequence[int | str]) -> str:

@@ -47,29 +47,11 @@ ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns:
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
 # Keys of the verdict in installation.json, and of each of its checks.
-VERDICT_KEYS = {
-    "outcome",
-    "sentence",
-    "checks",
-    "findings",
-    "probability_false_alarm",
-    "weakest_axis_c",
-    "weakest_sigma_rad",
-}
-CHECK_KEYS = {
-    "kind",
-    "statistic",
-    "expected",
-    "n",
-    "p_value",
-    "p_plain",
-    "limit",
-    "holds",
-    "fails",
-    "is_caution",
-    "look_at",
-    "names",
-}
+VERDICT_KEYS = set("outcome sentence checks findings probability_false_alarm".split())
+VERDICT_KEYS |= {"weakest_axis_c", "weakest_sigma_rad"}
+CHECK_KEYS = set(
+    "kind statistic expected n p_value p_plain limit holds fails is_caution look_at names".split()
+)
 
 
 @record(kw_only=True)

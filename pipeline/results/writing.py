@@ -57,22 +57,8 @@ __all__ = [
 
 # Of installation.json, in their order (docs/result-format.md).
 FIELDS = (
-    "verdict",
-    "blind_spots",
-    "R_cs",
-    "quaternion",
-    "theta_rad",
-    "euler_zxy_deg",
-    "covariance_rad2",
-    "ground_m_per_rad",
-    "frames",
-    "stars",
-    "targets",
-    "rows",
-    "chi2",
-    "dof",
-    "settings",
-    "version",
+    *"verdict blind_spots R_cs quaternion theta_rad euler_zxy_deg covariance_rad2 ground_m_per_rad".split(),
+    *"frames stars targets rows chi2 dof settings version".split(),
 )
 OF_CAMERAS = ("cameras", "between_cameras", "cameras_covariance_rad2")  # of several, in place of a matrix
 

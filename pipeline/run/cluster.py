@@ -137,9 +137,7 @@ class _Run:
         self.cluster, self.call, self.items, self.done = cluster, call, items, done
         self.checker = ThreadPoolExecutor(max_workers=8)  # a worker may take seconds to load the libraries
         self.waiting = deque(range(len(items)))
-        self.running: dict[
-            Any, tuple[int, frozenset[str] | None]
-        ] = {}  # unit, and the workers it is bound to
+        self.running: dict[Any, tuple[int, frozenset[str] | None]] = {}  # unit, workers it is bound to
         self.outcomes: dict[int, Any] = {}
         self.failures: Counter[int] = Counter()
         self.checks: dict[str, Any] = {}  # of workers that have joined: futures of the reason to refuse them
@@ -251,10 +249,7 @@ class _Run:
             self._again(n, f"worker {address} cannot do it: {reason}")
         except KilledWorker as error:
             raise WorkerError(f"unit {n + 1} of {len(self.items)}: {error}") from error
-        except (
-            ImportError,
-            CancelledError,
-        ) as error:  # a worker without boresight; a scheduler that restarts
+        except (ImportError, CancelledError) as error:  # a worker without boresight; a restarted scheduler
             self._again(n, f"{type(error).__name__}: {error}")
         else:
             future.release()

@@ -43,16 +43,10 @@ FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite 
 class RunSettings:
     """How the stages are put together."""
 
-    exposure_margin_s: float = (
-        1.0  # exposures this far before the first and after the last row belong to a strip
-    )
+    exposure_margin_s: float = 1.0  # exposures so far before the first and after the last row are a strip's
     rematch_sigma_rad: float = 5e-6  # 1-sigma of the search in the second matching: position and clock errors
-    rounds: int = (
-        2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
-    )
-    settled_px: float = (
-        2.0  # a strip whose targets are all this close to where they were predicted is not matched again
-    )
+    rounds: int = 2  # matchings: the first from the pre-launch matrix, each later one from the last result
+    settled_px: float = 2.0  # a strip whose targets are all predicted so closely is not matched again
 
     def __post_init__(self) -> None:
         if self.rounds < 1:
@@ -92,14 +86,12 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
             raise RawDataError(file, section, content, "a table")
     calibration = tables.get("calibration", {})
     settings_from_values(CalibrationSettings, calibration, file, "calibration")
-    return Settings(
-        stars=settings_from_values(StarSettings, tables.get("stars", {}), file, "stars"),
-        match=settings_from_values(MatchSettings, tables.get("match", {}), file, "match"),
-        calibration=tuple(sorted(calibration.items())),
-        run=settings_from_values(RunSettings, tables.get("run", {}), file, "run"),
-        verdict=settings_from_values(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
-        sky_strips=settings_from_values(StripStarSettings, tables.get("sky_strips", {}), file, "sky_strips"),
-    )
+    kinds: dict[str, type] = {"stars": StarSettings, "match": MatchSettings, "run": RunSettings}
+    kinds |= {"verdict": VerdictSettings, "sky_strips": StripStarSettings}
+    parts = {
+        name: settings_from_values(kind, tables.get(name, {}), file, name) for name, kind in kinds.items()
+    }
+    return Settings(calibration=tuple(sorted(calibration.items())), **parts)
 
 
 def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor) -> CalibrationSettings:
