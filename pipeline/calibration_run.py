@@ -64,6 +64,9 @@ from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
 
+# Called with the folder and the names of several dumps, returns lines to print.
+_AfterJoint = Callable[[Path, list[str]], str]
+
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
 
@@ -78,10 +81,7 @@ class RunRequest:
     requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
     about: Path | None = scalar("TOML file of what the operator says of the result", default=None)
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
-    after_joint: tuple[Callable[[Path, list[str]], str], ...] = scalar(
-        "of several dumps: called with the folder and the names of the dumps, returns lines to print",
-        default=(),
-    )
+    after_joint: tuple[_AfterJoint, ...] = scalar("called at the end, of several dumps", default=())
 
 
 @record
@@ -100,9 +100,8 @@ def going_on(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         command, folder = shlex.join(["boresight", *sys.argv[1:]]), shlex.quote(str(out))
-        log.info(
-            "%s", f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}"
-        )
+        look = f"look at it with: boresight status {folder}"
+        log.info("%s", f"{kept_units(out)}\ngo on with: {command}\n{look}")
         raise
 
 

@@ -40,14 +40,7 @@ from boresight.pipeline.files.star_side import Exposure, SolvedAttitudes, StarIm
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 
-__all__ = [
-    "JointCalibration",
-    "NamedDump",
-    "calibrate_jointly",
-    "dump_names",
-    "named_cameras",
-    "open_dumps",
-]
+__all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "named_cameras", "open_dumps"]
 
 # Difference up to which numbers of two dumps are the same, of the largest number of their array, and in SI
 # units: files with ten digits, and conversions of units, round. Of a look direction it is 2e-4 arcsec.

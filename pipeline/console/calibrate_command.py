@@ -84,8 +84,7 @@ WorkerTimeout = Annotated[
 ]
 WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
 Accept = Annotated[
-    list[Accepted] | None,
-    typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
+    list[Accepted] | None, typer.Option(help="Do not fail for this: exit with 0. May be given several times.")
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")

@@ -171,5 +171,5 @@ SPINE = Feature(
             "Draw one HTML page about a result.",
             f"{_CONSOLE}.report_command:report_command",
         ),
-    ),
+    )
 )

@@ -87,9 +87,8 @@ def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:
     """Images that several rows name, and different images of one time."""
     for kind, table in TABLES.items():
         for reason, text in CONTRADICTIONS.items():
-            subjects = tuple(
-                entry.subject for entry in entries if (entry.subject.kind, entry.reason) == (kind, reason)
-            )
+            those = [entry.subject for entry in entries if entry.reason is reason]
+            subjects = tuple(subject for subject in those if subject.kind == kind)
             if subjects:
                 names = [subject.name for subject in subjects]
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""

@@ -377,13 +377,10 @@ def _dead_ccd(ccd: int, strips: Sequence[str], targets: tuple[Subject, ...] = ()
 
 def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) -> Finding:
     """A strip of which nothing was matched, not even alone."""
-    if all_flat:
-        cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
-    else:
-        cause = "images, cloud or clock"
-        text = (
-            "not even alone do they agree: check for cloud, mirrored or exchanged images, and utc_first_row"
-        )
+    cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
+    if not all_flat:
+        cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored "
+        text += "or exchanged images, and utc_first_row"
     return Finding(
         cause=cause,
         item=strip.words,
@@ -461,12 +458,11 @@ def searched_alone(
     `sigma_rad` (3,), the 1-sigma of the matrix, axes of c.
     """
     found: list[MatchedTargets] = []
+    sigma = np.asarray(sigma_rad, dtype=float)
     for ccd in ccds[:MOST_SEARCHES]:
-        for task in [one for one in tasks if ccd in one.strip.images.ccds][
-            : max(1, MOST_SEARCHES // len(ccds))
-        ]:
+        having = [task for task in tasks if ccd in task.strip.images.ccds]
+        for task in having[: max(1, MOST_SEARCHES // len(ccds))]:
             strip = replace(task.strip, images=task.strip.images.of([ccd]))
-            sigma = np.asarray(sigma_rad, dtype=float)
             wide = replace(task, strip=strip, sigma_installation_rad=sigma, is_known=False)
             one = match_strip_targets(wide)
             if not isinstance(one, Entry) and len(one.target_id) >= FEWEST:
@@ -562,25 +558,21 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
         return Ledger.without_rows(Kind.STAR, strips)
     bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
     every = [crossings(task, bright, R_cs) for task in side.tasks]
-    found = [
-        stars_found(dump, task, stars.found, expected)
-        for task, stars, expected in zip(side.tasks, named, every)
-    ]
+    found, part, along = [], [], []
+    for task, stars, expected in zip(side.tasks, named, every):
+        found.append(stars_found(dump, task, stars.found, expected))
+        last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
+        part.append(expected.xy_px[:, 0] / last[expected.ccd])
+        along.append(expected.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0))
     star = np.concatenate([expected.star for expected in every])
-    last = [
-        np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)]) for task in side.tasks
-    ]
-    parts = [expected.xy_px[:, 0] / ends[expected.ccd] for ends, expected in zip(last, every)]
     return Ledger(
         kind=Kind.STAR,
         strips=strips,
         strip=np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every]),
         ccd=np.concatenate([expected.ccd for expected in every]),
         id=np.array([f"{bright.name} {n}" for n in bright.places.hip[star].tolist()], dtype=str),
-        part=np.concatenate(parts),
-        along=np.concatenate(
-            [each.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0) for task, each in zip(side.tasks, every)]
-        ),
+        part=np.concatenate(part),
+        along=np.concatenate(along),
         magnitude=bright.places.v_mag[star],
         reason=np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number),
     )
@@ -625,15 +617,8 @@ def displaced_stars(
             pairs += _of_brightness(expected, lost, one.found, free, bright, level)
         if pairs:
             row, star = np.array(pairs).T
-            every.append(
-                replace(
-                    one,
-                    rows=row,
-                    places=bright.take(star),
-                    probability_wrong=np.zeros(len(row)),
-                    omissions=(),
-                )
-            )
+            of_none = {"probability_wrong": np.zeros(len(row)), "omissions": ()}
+            every.append(replace(one, rows=row, places=bright.take(star), **of_none))
     return every
 
 

@@ -80,18 +80,13 @@ def what_is_missing(
     if n_stars and not reference.attitudes.usable.any():
         return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
-    if (
-        tasks
-        and dump.targets
-        and n_targets == 0
-        and not any(entry.subject.kind is Kind.TARGET for entry in every)
-    ):
+    of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
+    if tasks and dump.targets and n_targets == 0 and not of_targets:
         return f"{_no_target(dump, tasks)}; {counts}"
     of_strips = [one for one in omissions if one.subject.kind is Kind.STRIP and one.reason in NOTHING]
     if of_strips and len({entry.subject for entry in of_strips}) == len(dump.strips) + len(dump.sky_strips):
         more = f" and {len(of_strips) - 1} more" if len(of_strips) > 1 else ""
         return f"no strip can be used: {of_strips[0].line}{more}; {counts}"
-    of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
     hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:
         text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "
@@ -116,8 +111,7 @@ def _unused_stars(stars: Sequence[Entry]) -> str:
     if reasons[0][0] is Reason.NAME_UNSURE:
         first = next(entry for entry in stars if entry.reason is Reason.NAME_UNSURE)
         text += f"; {first.subject.name}: {first.text}; state that error as small as it is, or raise "
-        text += "max_name_error "
-        text += "under [sky_strips] of the settings"
+        text += "max_name_error under [sky_strips] of the settings"
     return f"; stars in them that are not used: {text}"
 
 
@@ -185,7 +179,6 @@ def targets_out_of_view(
             text=f"none of {len(dump.targets)} comes into view of a strip, {nearest}: "
             f"check the orbit, utc_first_row in strips.csv, targets.csv.",
             file="targets.csv",
-            field="",
             refutes=True,
         )
     ]

@@ -175,9 +175,8 @@ def _line_of_sight(
 def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Velocity of the satellite in its orbital frame: stars show it by their aberration alone."""
     source = head.source
-    in_attitudes = (
-        not isinstance(source, SolvedAttitudes) or source.aberration_removed != "annual and orbital"
-    )
+    removed = source.aberration_removed if isinstance(source, SolvedAttitudes) else ""
+    in_attitudes = removed != "annual and orbital"
     for axis, (name, words) in enumerate(AXES):
 
         def velocity(t_s: Floats, axis: int = axis) -> Floats:

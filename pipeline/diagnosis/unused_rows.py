@@ -65,9 +65,8 @@ def rows_used(
         "strips": {strip_id for strip_id, _ in seen},
         "exposures": {one.exposure_id for strip in strips for one in strip.exposures},
     }
-    return tuple(
-        Rows(name, len(used[name]), n, frozenset(used[name])) for name, n in dump.listed.items() if n
-    )
+    listed = ((name, frozenset(used[name]), n) for name, n in dump.listed.items() if n)
+    return tuple(Rows(name, len(ids), n, ids) for name, ids, n in listed)
 
 
 def rows_of_cameras(views: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
@@ -113,8 +112,7 @@ def unseen_targets(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[Mat
     if not unseen:
         return []
     if not tasks:
-        reason = "no strip can be used"
-        return [_of_chip(chip, Reason.OUT_OF_VIEW, reason) for _, chip in unseen]
+        return [_of_chip(chip, Reason.OUT_OF_VIEW, "no strip can be used") for _, chip in unseen]
     off_m = np.array([np.hypot(*misses(task, [target for target, _ in unseen])[0].T) for task in tasks])
     contradicted, others = list[Entry](), list[Entry]()
     for n in np.argsort(off_m.min(axis=0), kind="stable").tolist():

@@ -63,9 +63,7 @@ class AttitudeRows:
 
     t_s: Floats = array("N", "TAI seconds since the dump's epoch, strictly increasing")
     R_si: Rotation = scalar("(N,) GCRS to star camera, aberration as the head has it")
-    covariance_s: Floats | None = array(
-        "N, 3, 3", "rad², of a small rotation about the axes of s; None: not stated", default=None
-    )
+    covariance_s: Floats | None = array("N, 3, 3", "rad², axes of s; None: not stated", default=None)
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
     is_earth_fixed: bool = scalar("whether `R_si` is from ITRS axes so far", default=False)
@@ -76,14 +74,12 @@ class AttitudeRows:
         """
         if not self.is_earth_fixed:
             return self
+        first_s, last_s = float(self.t_s[0]), float(self.t_s[-1])
         try:  # whether old tables are allowed is decided where the orbit is opened
-            earth = EarthRotation.over(
-                epoch, float(self.t_s[0]), float(self.t_s[-1]), table, allow_stale_eop=True
-            )
+            earth = EarthRotation.over(epoch, first_s, last_s, table, allow_stale_eop=True)
         except ValueError as error:
-            raise RawDataError(
-                file, "times", str(error), "dates within the Earth-orientation table"
-            ) from error
+            expected = "dates within the Earth-orientation table"
+            raise RawDataError(file, "times", str(error), expected) from error
         R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
         return replace(self, R_si=R_si, is_earth_fixed=False)
 
@@ -132,9 +128,8 @@ def read_attitudes(
         raise RawDataError(file, f"line {line}", start.splitlines()[0][:64], MESSAGES)
     for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
-            raise RawDataError(
-                "dump.toml", f"{key} of {file}", value, "no such key: a message states its own"
-            )
+            expected = "no such key: a message states its own"
+            raise RawDataError("dump.toml", f"{key} of {file}", value, expected)
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
     root = xml_root(start, file) if start.startswith("<") else None
@@ -180,9 +175,8 @@ def _from_csv(
         times.append(row[clock].strip())
         values.append([check_number(row[name], file, f"{line}, {name}") for name in names])
     if not times:
-        raise RawDataError(
-            file, "rows", f"none valid, {invalid} marked invalid", "at least two valid attitudes"
-        )
+        found = f"none valid, {invalid} marked invalid"
+        raise RawDataError(file, "rows", found, "at least two valid attitudes")
     since, t_s = tai_seconds(times, time_scale, file, clock)
     table = np.array(values, dtype=float).reshape(len(times), len(names))
     column = {name: table[:, n] for n, name in enumerate(names)}

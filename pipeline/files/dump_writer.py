@@ -45,13 +45,7 @@ Rendered = RenderedStrip | RenderedExposure
 Each = Callable[[Callable[[Rendered], None], Sequence[Rendered]], Iterable[None]]
 
 
-def write_dump(
-    mission: Mission,
-    root: Path,
-    *,
-    created_by: str,
-    each: Each = map,
-) -> None:
+def write_dump(mission: Mission, root: Path, *, created_by: str, each: Each = map) -> None:
     """Write the dump to `root`. `FileExistsError` if not empty.
 
     `each` applies a function to the images, one after another or in forked processes: a mission cannot be

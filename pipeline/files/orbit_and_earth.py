@@ -68,11 +68,7 @@ def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
 
 
 def orbit_of(
-    ephemeris: Ephemeris,
-    file: str,
-    table: EarthOrientationTable,
-    *,
-    allow_stale_eop: bool,
+    ephemeris: Ephemeris, file: str, table: EarthOrientationTable, *, allow_stale_eop: bool
 ) -> Orbit:
     """The orbit through the states of an ephemeris.
 

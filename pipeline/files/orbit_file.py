@@ -16,12 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.geometry.inertial_frames import (
-    FrameOfDate,
-    InertialFrame,
-    of_date_to_gcrs,
-    rotation_to_gcrs,
-)
+from boresight.geometry.inertial_frames import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
@@ -83,9 +78,7 @@ _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones
 class Ephemeris:
     """States of one segment of an OEM."""
 
-    epoch: Epoch = scalar(
-        "zero of `t_s`: the whole TAI second at or before the first state of the first segment"
-    )
+    epoch: Epoch = scalar("zero of `t_s`: whole TAI second at or before the first segment's first state")
     t_s: Floats = array("N", "TAI seconds since `epoch`, strictly increasing")
     positions_m: Floats = array("N, 3", "m, axes of `frame`")
     velocities_m_s: Floats = array("N, 3", "m/s, axes of `frame`")

@@ -20,13 +20,7 @@ import pyarrow as pa
 from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
 from boresight.pipeline.files.table_files import arrow_array, column, fixed_list, list_values
 
-__all__ = [
-    "columns_of",
-    "plain",
-    "record_from_columns",
-    "record_from_table",
-    "table_from_record",
-]
+__all__ = ["columns_of", "plain", "record_from_columns", "record_from_table", "table_from_record"]
 
 _hints = cache(get_type_hints)  # evaluates every annotation
 # Arrow type of a column by the annotation of a record's field.

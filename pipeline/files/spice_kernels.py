@@ -284,8 +284,7 @@ def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -
     if not np.isfinite(matrices).all():
         raise RawDataError(file, "attitudes", "one that is not finite", "quaternions")
     rows = AttitudeRows(
-        t_s=seconds_from_ephemeris_time(epoch, et),
-        R_si=R_sf * Rotation.from_matrix(matrices),
+        t_s=seconds_from_ephemeris_time(epoch, et), R_si=R_sf * Rotation.from_matrix(matrices)
     )
     check_rows(rows, file)
     return rows

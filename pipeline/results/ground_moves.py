@@ -37,9 +37,7 @@ class GroundMoves:
     by_position: Floats = array("N, 2, 3", "by the satellite's position, axes of ITRS")
     by_clock: Floats = array("N, 2", "by the instants of the rows, m/s")
     by_height: Floats = array("N, 2", "by the height of the ground")
-    by_earth: Floats = array(
-        "N, 2, 3", "by rotations of the Earth of the 1-sigma of its prediction, axes of ITRS"
-    )
+    by_earth: Floats = array("N, 2, 3", "by 1-sigma rotations of the Earth's prediction, axes of ITRS")
 
 
 def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> GroundMoves:

@@ -38,15 +38,10 @@ OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rota
 def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> CalibrationSettings:
     """Calibration settings with the plan's errors as priors; those of CCDs need the cameras."""
     shift, slope, bend = plan.sigma_ccd_rad
+    same = "sigma_position_m sigma_clock_s sigma_vibration_rad sigma_motion_rad motion_time_s".split()
+    same += "sigma_distortion_rad distortion_length_px distortion_pixel_rad".split()
     return CalibrationSettings(
-        sigma_position_m=plan.sigma_position_m,
-        sigma_clock_s=plan.sigma_clock_s,
-        sigma_vibration_rad=plan.sigma_vibration_rad,
-        sigma_motion_rad=plan.sigma_motion_rad,
-        motion_time_s=plan.motion_time_s,
-        sigma_distortion_rad=plan.sigma_distortion_rad,
-        distortion_length_px=plan.distortion_length_px,
-        distortion_pixel_rad=plan.distortion_pixel_rad,
+        **{name: getattr(plan, name) for name in same},
         sigma_ccd_shift_rad=shift,
         sigma_ccd_slope_rad=slope,
         sigma_ccd_bend_rad=bend,
@@ -58,9 +53,8 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
 def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = PLAN_DRAWS) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan, cameras), robust=False)
-    return forecast_from_strips(
-        _drawn(plan, draws, cameras, np.random.default_rng(0)), cameras.R_cs, settings
-    )
+    strips = _drawn(plan, draws, cameras, np.random.default_rng(0))
+    return forecast_from_strips(strips, cameras.R_cs, settings)
 
 
 def _drawn(

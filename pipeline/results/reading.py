@@ -17,11 +17,7 @@ from boresight.calib.distortion import MODES
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import BIASES, bias_prior
 from boresight.calib.predicted_earth import is_earth, predictions_of, prior_of_predictions
-from boresight.calib.shared_unknowns import (
-    SIGMA_ALIGNMENT_RAD,
-    coordinate_covariance,
-    coordinate_names,
-)
+from boresight.calib.shared_unknowns import SIGMA_ALIGNMENT_RAD, coordinate_covariance, coordinate_names
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
@@ -81,7 +77,7 @@ class SavedResult:
     covariance_s: Floats = array("K, 3, 3", "covariance of their errors, frame s, rad²")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
     earth: SavedEarth = scalar(
-        "errors of predicted Earth orientation; none where it was measured", default=NO_EARTH
+        "errors of predicted Earth orientation, if it was not measured", default=NO_EARTH
     )
 
 
@@ -108,9 +104,8 @@ def read_installation(result: Path) -> dict[str, Any]:
     checks = verdict.get("checks") if isinstance(verdict, dict) else None
     parts = [(verdict, VERDICT_KEYS), *((one, CHECK_KEYS) for one in checks or ())]
     if not all(isinstance(one, dict) and keys <= one.keys() for one, keys in parts):
-        raise RawDataError(
-            name, "verdict", "missing or incomplete", "what `calibrate` writes; calibrate again"
-        )
+        expected = "what `calibrate` writes; calibrate again"
+        raise RawDataError(name, "verdict", "missing or incomplete", expected)
     return content
 
 
@@ -192,9 +187,8 @@ def _earth(content: dict[str, Any], file: str) -> SavedEarth:
     try:
         predictions = predictions_of(names)
     except (TypeError, ValueError, AttributeError) as error:
-        raise RawDataError(
-            file, "predicted_earth.unknowns", names, f"names of rotations ({error})"
-        ) from error
+        expected = f"names of rotations ({error})"
+        raise RawDataError(file, "predicted_earth.unknowns", names, expected) from error
     n = 3 * len(predictions)
     return SavedEarth(
         predictions=predictions,
@@ -214,9 +208,7 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         joint = read_saved_result(result, camera)
         folders = [name for name in dumps_in(result) if name in (camera, f"{dump and dump.name}-{camera}")]
         if not folders:
-            raise RawDataError(
-                str(result), "--dump", "nothing" if dump is None else str(dump), "one of its dumps"
-            )
+            raise RawDataError(str(result), "--dump", str(dump or "nothing"), "one of its dumps")
         folder = result / folders[0]
         if dump is not None:
             check_dump_of(folder, dump)
@@ -231,12 +223,10 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         origin = origin_of(result / name)
         if origin is not None and origin.dump == identity:
             joint, own = read_saved_result(result), read_saved_result(result / name)
-            matrix = {
-                key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation", "earth")
-            }
-            return result / name, dataclasses.replace(own, **matrix)
+            of_joint = ("R_cs", "theta", "cov_theta", "installation", "earth")
+            return result / name, dataclasses.replace(own, **{key: getattr(joint, key) for key in of_joint})
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
-    raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
+    raise RawDataError(str(result), "--dump", str(dump or "nothing"), expected)
 
 
 def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Floats:
@@ -295,9 +285,8 @@ def read_mounting(
     earth = tuple(unknown for unknown in own if is_earth(unknown))
     offsets = tuple(unknown for unknown in own if unknown.startswith("reference/"))
     others = tuple(unknown for unknown in own if unknown.startswith("camera/"))
-    coordinates = [
-        unknown for unknown in own if unknown not in alignments + biases + earth + offsets + others
-    ]
+    named = {*alignments, *biases, *earth, *offsets, *others}
+    coordinates = [unknown for unknown in own if unknown not in named]
     targets = tuple(dict.fromkeys(unknown.removeprefix("target/")[:-2] for unknown in coordinates))
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")

@@ -203,9 +203,7 @@ def installation_facts(
     the `ground_m_per_rad` (3,) of each camera, `sigma_installation_rad` (3 C,) the 1-sigma before launch.
     """
     error_model, settings = given
-    used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
-        "calibration": dataclasses.asdict(error_model)
-    }
+    used = dataclasses.asdict(settings) | {"calibration": dataclasses.asdict(error_model)}
     values = {
         "verdict": verdict_json(verdict, rows),
         "blind_spots": blind_spots_json(verdict),
@@ -387,13 +385,8 @@ def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
     """One Parquet file, one row group a table, without dictionaries: few values repeat."""
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(
-            target,
-            groups[0].schema,
-            compression="zstd",
-            use_dictionary=False,
-            write_page_checksum=True,
-        ) as file:
+        how = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
+        with pq.ParquetWriter(target, groups[0].schema, **how) as file:
             for group in groups:
                 file.write_table(group, row_group_size=max(len(group), 1))
 

@@ -47,9 +47,7 @@ class Fingerprint:
 
     versions: dict[str, str] = scalar("of Python and of the libraries")
     code: str = scalar("digest of the program's source and data files")
-    files: dict[str, str] = scalar(
-        "SHA-256 of the probe files by path; a sentence for one that is not readable"
-    )
+    files: dict[str, str] = scalar("SHA-256 of the probe files by path; a sentence for unreadable ones")
 
     def difference(self, other: Fingerprint) -> str:
         """In what `other` differs, as one sentence; empty if in nothing."""
@@ -199,9 +197,8 @@ class _Run:
             self.cluster.say(f"waiting for workers at {self.cluster.address}: {missing}")
             self.said = missing
         if self.cluster.wait_s is not None and time.monotonic() - self.idle_since > self.cluster.wait_s:
-            raise WorkerError(
-                f"no usable worker at {self.cluster.address} for {self.cluster.wait_s:g} s: {missing}"
-            )
+            waited = f"no usable worker at {self.cluster.address} for {self.cluster.wait_s:g} s"
+            raise WorkerError(f"{waited}: {missing}")
 
     def _submit(self) -> None:
         bound = None if self.all_accepted else frozenset(self.threads)
@@ -264,9 +261,8 @@ class _Run:
     def _again(self, n: int, reason: str) -> None:
         self.failures[n] += 1
         if self.failures[n] == MAX_FAILURES:
-            raise WorkerError(
-                f"unit {n + 1} of {len(self.items)} failed {MAX_FAILURES} times; last: {reason}"
-            )
+            unit = f"unit {n + 1} of {len(self.items)}"
+            raise WorkerError(f"{unit} failed {MAX_FAILURES} times; last: {reason}")
         self.waiting.appendleft(n)
 
 

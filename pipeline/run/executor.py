@@ -139,11 +139,7 @@ def _return_free_memory() -> None:
 class _Process:
     """A process that computes one unit after another, and the pipe to it. No daemon: it may start others."""
 
-    def __init__(
-        self,
-        function: Callable[[Any], Any],
-        items: Sequence[Any],
-    ) -> None:
+    def __init__(self, function: Callable[[Any], Any], items: Sequence[Any]) -> None:
         self.pipe, other_end = multiprocessing.Pipe()
         ends = other_end, self.pipe
         self.process = START.Process(target=_serve, args=(*ends, function, items))
@@ -163,10 +159,7 @@ class _Process:
 
 
 def _serve(
-    pipe: Connection,
-    far_end: Connection,
-    function: Callable[[Any], Any],
-    items: Sequence[Any],
+    pipe: Connection, far_end: Connection, function: Callable[[Any], Any], items: Sequence[Any]
 ) -> None:
     """Compute the units received over the connection, until the other end closes."""
     far_end.close()  # or this process itself would keep the pipe open

@@ -26,13 +26,7 @@ from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
-__all__ = [
-    "RunSettings",
-    "Settings",
-    "calibration_settings",
-    "read_settings",
-    "settings_from_tables",
-]
+__all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
 
 Record = TypeVar("Record")
 RENAMED = {"run.passes": "rounds"}  # keys of before, which are read with a remark

@@ -97,11 +97,7 @@ def _observer(dump: Dump, exposure: Exposure) -> Observer | Entry:
 def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:
     """Raw image (H, W) of an exposure, counts. `RawDataError` where size or depth are not the camera's."""
     return read_exposure(
-        exposure.path,
-        exposure.file,
-        width=camera.width_px,
-        height=camera.height_px,
-        bit_depth=bit_depth,
+        exposure.path, exposure.file, width=camera.width_px, height=camera.height_px, bit_depth=bit_depth
     )
 
 

@@ -32,10 +32,7 @@ from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import rows_of_heads
-from boresight.pipeline.stages.exposure import (
-    sight_exposure,
-    star_tasks,
-)
+from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 
 __all__ = ["Basis", "HeadSightings", "around_strips", "before_calibration", "covered_instants", "sight_head"]
 
@@ -47,9 +44,7 @@ class HeadSightings:
     """Exposures of one head with their attitudes."""
 
     head: Head = scalar("the head")
-    stars: tuple[StarSightings, ...] = array(
-        "K", "in order of time; without stars where the head solved them"
-    )
+    stars: tuple[StarSightings, ...] = array("K", "in order of time; none where the head solved attitudes")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     omissions: tuple[Entry, ...] = scalar("what cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")

@@ -253,9 +253,8 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
 def as_matched(named: NamedStars) -> MatchedTargets:
     """The named stars as targets measured in a strip."""
     found = named.found.take(named.rows)
-    return measured_points(
-        named.strip_id, named.names, found.ccd, found.xy_px, found.cov_px, named.probability_wrong
-    )
+    places = found.ccd, found.xy_px, found.cov_px
+    return measured_points(named.strip_id, named.names, *places, named.probability_wrong)
 
 
 def strip_motion(task: SkyTask, R_cs: Rotation) -> StripMotion:

@@ -122,10 +122,7 @@ class MatchedTargets:
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
     omissions: tuple[Entry, ...] = scalar("chips that could not be read, targets that were rejected")
-    farthest_px: float = scalar(
-        "largest distance along an axis of a position from where its template was predicted; 0: no template",
-        default=0.0,
-    )
+    farthest_px: float = scalar("largest distance on an axis from a prediction; 0: no template", default=0.0)
 
     def told(self) -> list[str]:
         """Lines of the log: counts, and each reason why something is not used."""
@@ -352,9 +349,8 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     strip, subject = task.strip, refusal.subject
     detail, slip = "", ""
     if refusal.reason is Reason.INCONSISTENT:
-        detail = (
-            f"its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
-        )
+        off = compass(*_displaced_m(task, refusal))
+        detail = f"its chip or coordinates lie about {off} of the true place"
     elif refusal.reason is Reason.OUTSIDE_CHIP:
         n = next(n for n, target in enumerate(task.targets) if target.target_id == subject.id)
         detail, slip = contradiction(task.targets[n], task.chips[n], task.chips)

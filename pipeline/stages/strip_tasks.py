@@ -109,9 +109,7 @@ def strip_tasks(
 
 
 def matched_strips(
-    tasks: Sequence[StripTask],
-    matched: Sequence[MatchedTargets],
-    heads: Sequence[HeadSightings],
+    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
 ) -> list[StripSightings]:
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
     return [
@@ -139,9 +137,7 @@ def strips_to_match(
 
 
 def strips_with_stars(
-    dump: Dump,
-    settings: Settings,
-    shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]],
+    dump: Dump, settings: Settings, shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]]
 ) -> list[StripSightings]:
     """The strips of a dump with its star exposures and the image points that `shown` states for each, with
     the pre-launch installation matrix; without strips that show nothing.
@@ -184,9 +180,8 @@ def _without_hidden_points(task: StripTask, with_slips: bool) -> tuple[StripTask
     for n in np.flatnonzero(hidden).tolist():
         target = points.targets[n]
         slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n]) if with_slips else ""
-        where = (
-            "beyond the horizon" if beyond[n] else "so low that its refraction is not known, near the horizon"
-        )
+        low = "so low that its refraction is not known, near the horizon"
+        where = "beyond the horizon" if beyond[n] else low
         reason = f"{where} of the satellite{slip or '; correct points.csv'}"
         subject = Subject(Kind.TARGET, strip=task.strip.strip_id, id=target.target_id)
         found.append(Entry(subject, Reason.HIDDEN, reason, "points.csv"))

@@ -27,15 +27,15 @@ PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m w
 EARTH_RADIUS_M = 6.371e6
 MAX_COORDINATE = 1e9  # of a map, in its unit
 
+Affinity = tuple[float, float, float, float, float, float]
+
 
 @record
 class GridImage:
     """A georeferenced raster."""
 
     values: NDArray[np.float32] = array("H, W", "NaN where the file has no data")
-    transform: tuple[float, float, float, float, float, float] = scalar(
-        "(a, b, c, d, e, f): x = a column + b row + c"
-    )
+    transform: Affinity = scalar("(a, b, c, d, e, f): x = a column + b row + c")
     crs: str = scalar("coordinate reference system as WKT")
 
 
@@ -79,7 +79,7 @@ class GridPlace:
     """Where a georeferenced raster lies, by its header."""
 
     shape: tuple[int, int] = scalar("rows, columns")
-    transform: tuple[float, float, float, float, float, float] = scalar("as of `GridImage`")
+    transform: Affinity = scalar("as of `GridImage`")
     crs: str = scalar("coordinate reference system as WKT")
 
     @property
