@@ -9,10 +9,9 @@ bits in whatever order dumps are named.
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -309,10 +308,8 @@ def _of_references(a: Dump, b: Dump) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:
     """Where two records differ first: path of fields, and both values."""
-    if dataclasses.is_dataclass(a) and type(a) is type(b):
-        parts = [
-            (f".{f.name}", getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a) if f.init
-        ]
+    if is_dataclass(a) and type(a) is type(b):
+        parts = [(f".{f.name}", getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.init]
     elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
         parts = [(f".{n}", *both) for n, both in enumerate(zip(a, b))]
     elif isinstance(a, Rotation):

@@ -128,9 +128,8 @@ def with_messages(
     parameters = [one.replace(annotation=hints[one.name]) for one in own]
     for option, kind in options.items():
         default = None if option == "log_file" else False
-        parameters.append(
-            inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        )
+        by_name = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter(option, by_name, default=default, annotation=kind))
     run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run_and_print.__annotations__ = hints | options
     run_and_print.__doc__ = _with_example(inspect.getdoc(command) or "")

@@ -51,10 +51,8 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
         for command in feature.commands:
             group, _, name = command.name.rpartition(" ")
             if group and group not in groups:
-                about = feature.groups[group]
-                groups[group] = typer.Typer(
-                    help=about, no_args_is_help=True, cls=_ByJob, rich_markup_mode=None
-                )
+                form: dict[str, Any] = {"no_args_is_help": True, "cls": _ByJob, "rich_markup_mode": None}
+                groups[group] = typer.Typer(help=feature.groups[group], **form)
                 app.add_typer(groups[group], name=group)
             _add(groups.get(group, app), name, command, words is None or _named(command, words))
     return app

@@ -226,9 +226,8 @@ def _of_head(of_head: Attitudes) -> list[Finding]:
     if told and told[1] > gained + gain - price:
         return [told[0]]
     rest = np.setdiff1d(every, alone)
-    found = [
-        _finding(of_head, group, rest, "exchanged they fit, as stated they miss it by") for group in groups
-    ]
+    missed = "exchanged they fit, as stated they miss it by"
+    found = [_finding(of_head, group, rest, missed) for group in groups]
     if alone:
         found.append(_finding(of_head, alone, rest, "off the motion of the others, by up to"))
     return [*found, *([more[0]] if more else [])]
@@ -473,9 +472,8 @@ def _two_groups(parts: Sequence[Stretch], spread_s: float) -> tuple[Ints, float,
     order = np.sort(early_s)
     cut = order[int(np.argmax(np.diff(order)))]
     few = early_s <= cut
-    within = np.hypot(
-        *(np.std(part) * np.sqrt(part.size / few.size) for part in (early_s[few], early_s[~few]))
-    )
+    both = (early_s[few], early_s[~few])
+    within = np.hypot(*(np.std(part) * np.sqrt(part.size / few.size) for part in both))
     if float(early_s[~few].mean() - early_s[few].mean()) < APART * within:
         return None
     ends = np.cumsum([0, *(len(part.rows) for part in parts)])

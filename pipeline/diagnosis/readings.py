@@ -362,10 +362,8 @@ def _reversed(axis: int, side: SkySide) -> SkySide:
     """Detections of one strip of the sky with samples (0) or rows (1) in reverse order."""
     (task,), (stars,) = side.tasks, side.found
     xy_px = stars.xy_px.copy()
-    last = (
-        [task.camera.n_px(ccd) - 1.0 for ccd in stars.ccd.tolist()] if axis == 0 else task.strip.lines - 1.0
-    )
-    xy_px[:, axis] = last - xy_px[:, axis]
+    length = [task.strip.lines if axis else task.camera.n_px(ccd) for ccd in stars.ccd.tolist()]
+    xy_px[:, axis] = np.array(length) - 1.0 - xy_px[:, axis]
     return replace(side, found=(replace(stars, xy_px=xy_px),))
 
 

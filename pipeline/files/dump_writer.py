@@ -57,9 +57,8 @@ def write_dump(mission: Mission, root: Path, *, created_by: str, each: Each = ma
     for folder in ("exposures", "strips", *ground, "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
-    write_toml(
-        root / "remote_camera.toml", remote_camera_table(mission.line_camera, mission.scenario.ground.bits)
-    )
+    remote = remote_camera_table(mission.line_camera, mission.scenario.ground.bits)
+    write_toml(root / "remote_camera.toml", remote)
     installation = {
         "quaternion_cs": mission.installation.R_cs.as_quat().tolist(),
         "sigma_rad": np.asarray(mission.installation.sigma_rad, dtype=float).tolist(),
@@ -195,8 +194,6 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
             numbers = f"{s.sample:.6f}", f"{s.line:.6f}", f"{s.charge_e:.1f}", f"{s.v_mag:.2f}"
             stars.append([s.strip_id, s.ccd, s.hip, *numbers])
         write_csv(root / "sky_stars.csv", "strip ccd hip sample line charge_e v_mag".split(), stars)
-    strips = [
-        [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
-    ]
+    strips = [[s.strip_id, repr(s.clock_offset_s), *s.position_error_m.tolist()] for s in truth.strips]
     columns = ["strip", "clock_offset_s", "error_x_m", "error_y_m", "error_z_m"]
     write_csv(root / "strips.csv", columns, strips)

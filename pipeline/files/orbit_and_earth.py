@@ -81,9 +81,8 @@ def orbit_of(
         if fault := find_orbit_fault(t[begin:end], positions, velocities, frame):
             if fault.fault.is_of_frame:
                 raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
-            expected = (
-                f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
-            )
+            expected = f"{frame} velocities in km/s that are the rate of change of the positions, "
+            expected += "and no jumps"
             raise RawDataError(file, f"state {begin + fault.state + 1}", str(fault), expected)
     try:
         earth = EarthRotation.over(

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.constants import DAY_S
 from boresight.geometry.ephemeris_time import seconds_from_ephemeris_time
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats, record, scalar
@@ -220,15 +221,12 @@ def _instants(cover: Floats, file: str) -> Floats:
     """Ephemeris times (N,), increasing, at equal steps over each interval `cover` (K, 2), ends included."""
     lengths = cover[:, 1] - cover[:, 0]
     if not np.isfinite(lengths).all() or (longest := lengths.sum()) > MAX_STATES * STEPS_OF_SPK_S[-1]:
-        days = f"{lengths.sum() / 86_400.0:.0f} days"
-        expected = (
-            f"at most {MAX_STATES * STEPS_OF_SPK_S[-1] / 86_400.0:.0f} days; cut it with NAIF's `spkmerge`"
-        )
-        raise RawDataError(file, "cover", days, expected)
+        days, most = (one / DAY_S for one in (lengths.sum(), MAX_STATES * STEPS_OF_SPK_S[-1]))
+        expected = f"at most {most:.0f} days; cut it with NAIF's `spkmerge`"
+        raise RawDataError(file, "cover", f"{days:.0f} days", expected)
     step = next(one for one in STEPS_OF_SPK_S if longest <= MAX_STATES * one)
-    parts = [
-        np.linspace(begin, end, int(np.ceil((end - begin) / step)) + 1) for begin, end in cover if end > begin
-    ]
+    filled = cover[lengths > 0.0].tolist()
+    parts = [np.linspace(begin, end, int(np.ceil((end - begin) / step)) + 1) for begin, end in filled]
     return np.unique(np.concatenate([np.zeros(0), *parts]))
 
 
@@ -283,9 +281,8 @@ def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -
         et = np.array([spice.sct2e(clock, tick) for tick in ticks.tolist()])
     if not np.isfinite(matrices).all():
         raise RawDataError(file, "attitudes", "one that is not finite", "quaternions")
-    rows = AttitudeRows(
-        t_s=seconds_from_ephemeris_time(epoch, et), R_si=R_sf * Rotation.from_matrix(matrices)
-    )
+    R_si = R_sf * Rotation.from_matrix(matrices)
+    rows = AttitudeRows(t_s=seconds_from_ephemeris_time(epoch, et), R_si=R_si)
     check_rows(rows, file)
     return rows
 
@@ -333,9 +330,8 @@ def _ticks(spice: Any, ck: str, instrument: int, file: str) -> Floats:
         spice.dafcls(handle)
     if not found:
         others = ", ".join(str(int(one)) for one in objects[:8])
-        raise RawDataError(
-            file, "objects", others, f"{instrument}, the object of the frame that is asked for"
-        )
+        expected = f"{instrument}, the object of the frame that is asked for"
+        raise RawDataError(file, "objects", others, expected)
     ticks = np.unique(np.concatenate(found))
     check_extent(file, "segments", ticks.shape, MAX_ROWS, "attitudes")
     return ticks
@@ -351,14 +347,12 @@ def _steps(spice: Any, ck: str, instrument: int, span: Floats, file: str) -> Flo
     clock = spice.ckmeta(instrument, "SCLK")
     lengths = np.diff([[spice.sct2e(clock, tick) for tick in pair] for pair in ends.tolist()]).ravel()
     if not np.isfinite(lengths).all() or (total := lengths.sum()) > STEPS_OF_CK_S[-1] * MOST_STEPS:
-        expected = (
-            f"at most {STEPS_OF_CK_S[-1] * MOST_STEPS / 3600.0:.0f} hours; cut it with NAIF's `ckslicer`"
-        )
-        raise RawDataError(file, "segment", f"{lengths.sum() / 3600.0:.0f} hours", expected)
+        hours, most = (one / 3600.0 for one in (lengths.sum(), STEPS_OF_CK_S[-1] * MOST_STEPS))
+        expected = f"at most {most:.0f} hours; cut it with NAIF's `ckslicer`"
+        raise RawDataError(file, "segment", f"{hours:.0f} hours", expected)
     step = next(one for one in STEPS_OF_CK_S if total <= one * MOST_STEPS)
-    parts = [
-        np.linspace(a, b, int(np.ceil(s / step - ROUNDING)) + 1) for (a, b), s in zip(ends, lengths.tolist())
-    ]
+    counts = [int(np.ceil(s / step - ROUNDING)) + 1 for s in lengths.tolist()]
+    parts = [np.linspace(a, b, count) for (a, b), count in zip(ends, counts)]
     return np.concatenate([np.zeros(0), *parts])
 
 
@@ -377,18 +371,14 @@ def _is_whole(kind: int, numbers: Floats) -> bool:
         return False
     places = np.asarray(numbers[int(places_at) : int(places_at + n_places)], dtype=float) - 1.0
     lengths = np.diff(places) - header
-    if not (
-        np.all(places == np.round(places))
-        and np.all(lengths >= FIRST)
-        and 0.0 <= places[0] <= places[-1] <= size
-    ):
+    whole = np.all(places == np.round(places)) and np.all(lengths >= FIRST)
+    if not (whole and 0.0 <= places[0] <= places[-1] <= size):
         return False
     codes = np.asarray(numbers[places[:-1].astype(np.int64) + FIRST - 1], dtype=float)
     counts = np.floor(codes[:, None] / float(BASE) ** np.arange(POLYNOMIALS)) % BASE
     known = (codes >= 0.0) & (codes < float(BASE) ** POLYNOMIALS) & (codes == np.round(codes))
-    return bool(
-        np.all(known & (counts.max(axis=1) <= MOST_COEFFICIENTS) & (counts.sum(axis=1) + FIRST <= lengths))
-    )
+    fits = (counts.max(axis=1) <= MOST_COEFFICIENTS) & (counts.sum(axis=1) + FIRST <= lengths)
+    return bool(np.all(known & fits))
 
 
 def _ticks_of_segment(spice: Any, handle: int, whole: list[int], file: str) -> Floats:

@@ -117,10 +117,8 @@ def utf8_text(raw: bytes, file: str) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte 0x{raw[error.start]:02x}"
-        raise RawDataError(
-            file, f"byte {error.start}", found, "text in UTF-8 (of a spreadsheet: CSV UTF-8)"
-        ) from error
+        found, expected = f"byte 0x{raw[error.start]:02x}", "text in UTF-8 (of a spreadsheet: CSV UTF-8)"
+        raise RawDataError(file, f"byte {error.start}", found, expected) from error
 
 
 def toml_tables(path: Path, file: str) -> dict[str, Any]:
@@ -245,9 +243,8 @@ def check_number(cell: str, file: str, field: str) -> float:
 def _check_header(header: Sequence[str], required: Sequence[str], optional: Sequence[str], file: str) -> None:
     expected = f"columns {', '.join(required)}" + (f" and perhaps {', '.join(optional)}" if optional else "")
     if len(header) == 1 and (other := [mark for mark in ";\t|" if mark in header[0]]):
-        raise RawDataError(
-            file, "header", f"columns separated by {other[0]!r}", "columns separated by commas"
-        )
+        found = f"columns separated by {other[0]!r}"
+        raise RawDataError(file, "header", found, "columns separated by commas")
     if missing := [name for name in required if name not in header]:
         raise RawDataError(file, f"column {missing[0]}", "no such column", expected)
     if unknown := [name for name in header if name not in (*required, *optional)]:

@@ -48,9 +48,8 @@ def xml_root(text: str | bytes, file: str) -> Element:
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise RawDataError(
-            file, "XML", type(error).__name__, "XML without DTD, entities or references"
-        ) from error
+        expected = "XML without DTD, entities or references"
+        raise RawDataError(file, "XML", type(error).__name__, expected) from error
     except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding of no known name
         raise RawDataError(file, "XML", str(error), "well-formed XML") from error
     assert isinstance(root, Element)
@@ -71,9 +70,8 @@ def text_of(root: Element, where: str, file: str, inside: str = "") -> str:
     """The text of the one element at a path; `RawDataError` for none, several or an empty one."""
     found = root.findall(where)
     if len(found) != 1 or not (found[0].text or "").strip():
-        raise RawDataError(
-            file, inside + where, f"{len(found)} such elements, or an empty one", "one element with text"
-        )
+        elements = f"{len(found)} such elements, or an empty one"
+        raise RawDataError(file, inside + where, elements, "one element with text")
     return (found[0].text or "").strip()
 
 

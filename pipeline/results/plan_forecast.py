@@ -142,15 +142,16 @@ def improvements(
     def sigma(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
         return forecast_from_strips(these, R_cs, model).sigma(n)
 
+    def half(name: str) -> CalibrationSettings:
+        return replace(model, **{name: 0.5 * getattr(model, name)})
+
     moved = [_with_targets_at_ends(strip, R_cs, camera) for strip in strips]
     cases = {
         "twice as many strips": now.sigma(2 * n),
         "twice as many targets in each strip": sigma([_with_targets_twice(strip) for strip in strips], model),
         "the same number of targets, all near the ends of the swath": sigma(moved, model),
-        "half the error of position": sigma(
-            strips, replace(model, sigma_position_m=0.5 * model.sigma_position_m)
-        ),
-        "half the error of the clock": sigma(strips, replace(model, sigma_clock_s=0.5 * model.sigma_clock_s)),
+        "half the error of position": sigma(strips, half("sigma_position_m")),
+        "half the error of the clock": sigma(strips, half("sigma_clock_s")),
     }
     return tuple(Improvement(change=text, sigma_ratio=after / before) for text, after in cases.items())
 

@@ -212,9 +212,8 @@ def _seen(estimate: InstallationEstimate, strips: Sequence[StripSightings]) -> s
 def _doubt_lines(estimate: InstallationEstimate) -> list[str]:
     """Groups of targets of which one is wrong, the likeliest first."""
     text = "is wrong; the data do not tell which: they have less weight."
-    return [
-        f"{'one target in doubt':26s}{group} {text}" for group in map(either_of, estimate.targets.doubtful)
-    ]
+    groups = map(either_of, estimate.targets.doubtful)
+    return [f"{'one target in doubt':26s}{group} {text}" for group in groups]
 
 
 def validation_summary(validation: TruthErrors) -> str:
@@ -286,6 +285,5 @@ def _causes(rows: Sequence[Mapping[str, Any]]) -> str:
     largest = float(np.sqrt(max(gross))) if gross else None
     sized = f" (up to {largest:.1f} sigma)" if largest is not None and counts["gross error"] > 1 else ""
     sized = f" ({largest:.1f} sigma)" if largest is not None and not sized else sized
-    return ", ".join(
-        f"{n} {cause}{sized if cause == 'gross error' else ''}" for cause, n in counts.most_common()
-    )
+    texts = {cause: f"{n} {cause}" for cause, n in counts.most_common()}
+    return ", ".join(text + (sized if cause == "gross error" else "") for cause, text in texts.items())

@@ -173,6 +173,5 @@ def _imports(source: bytes, package: str) -> Iterator[str]:
     for match in _IMPORT.finditer(source.decode("utf-8")):
         module, names, plain = match.groups()
         if (module or plain).partition(".")[0] == package:
-            yield from (
-                [plain] if plain else [module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
-            )
+            yield plain or module
+            yield from (f"{module}.{name}" for name in re.findall(r"\w+", names or ""))

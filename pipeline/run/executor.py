@@ -201,9 +201,8 @@ def executor_for(
         try:
             from boresight.pipeline.run.cluster import on_cluster  # dask is of the extra `cluster`
         except ImportError as error:
-            raise WorkerError(
-                f"a scheduler needs dask: pip install 'boresight[cluster]' ({error})"
-            ) from error
+            remedy = "pip install 'boresight[cluster]'"
+            raise WorkerError(f"a scheduler needs dask: {remedy} ({error})") from error
         with on_cluster(scheduler, probes, wait_s, say) as executor:
             yield executor
         return

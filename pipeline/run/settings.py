@@ -120,9 +120,8 @@ def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, 
             warnings.warn(f"{file}: {section}.{key} is called {section}.{new} now", stacklevel=2)
             key = new
         if key not in hints:
-            raise RawDataError(
-                file, f"{section}.{key}", "an unknown key", f"one of {', '.join(sorted(hints))}"
-            )
+            expected = f"one of {', '.join(sorted(hints))}"
+            raise RawDataError(file, f"{section}.{key}", "an unknown key", expected)
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
                 raise RawDataError(file, f"{section}.{key}", value, "a table")

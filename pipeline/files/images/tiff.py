@@ -174,9 +174,8 @@ def _check_deflated(tiff: Any, image: ImageFile) -> None:
     for band in bands:
         for (row, column), _ in tiff.block_windows(band):
             place = f"{column}_{row}"
-            start, size = (
-                tiff.get_tag_item(f"BLOCK_{key}_{place}", "TIFF", band) for key in ("OFFSET", "SIZE")
-            )
+            start = tiff.get_tag_item(f"BLOCK_OFFSET_{place}", "TIFF", band)
+            size = tiff.get_tag_item(f"BLOCK_SIZE_{place}", "TIFF", band)
             if start is None or size is None:
                 continue  # a block that is not there is zero
             stream = zlib.decompressobj()
