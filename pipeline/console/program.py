@@ -25,15 +25,8 @@ NO_PROCESS = "error: the system starts no further thread or process; use --worke
 
 
 def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> typer.Typer:
-    """The command line of these features.
-
-    Parameters
-    ----------
-    features : iterable of Feature
-        In the order of the help.
-    words : sequence of str, optional
-        What follows the program's name on the command line. Only the command that they name is imported, the
-        others are listed. Without it, all are imported.
+    """The command line of these features, in the order of the help. `words` follow the program's name on the
+    command line: only the command that they name is imported, the others are listed; None: all are imported.
     """
     features = tuple(features)
     app = typer.Typer(

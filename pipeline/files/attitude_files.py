@@ -100,25 +100,10 @@ def read_attitudes(
 ) -> AttitudeRows:
     """Attitudes of a CSV file, of an AEM or of an ACM, told apart by their first line.
 
-    Parameters
-    ----------
-    path, file : Path, str
-        The file, and its name in errors.
-    epoch : Epoch
-        Zero of the times.
-    frame : str or None
-        Axes of a CSV file: "GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF". A message states its own.
-    rotation : str or None
-        Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". A message states its
-        own.
-    time_scale : str or None
-        Time scale of a CSV file and name of its column of times: "UTC" (or None), "TAI", "GPS". A message
-        states its own.
-
-    Raises
-    ------
-    RawDataError
-        With file, line or field, found and expected.
+    Times count from `epoch`. A message states its own frame, sense and time scale. Of a CSV file, `frame` names
+    the axes ("GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF"), `rotation` the sense of its quaternions
+    ("head to inertial" or "inertial to head"), `time_scale` the scale and column of its times ("UTC", also
+    for None, "TAI", "GPS"). `RawDataError` names `file`, line or field, found and expected.
     """
     text = read_message(path, file)
     start = text.lstrip()

@@ -253,23 +253,9 @@ ROUNDING = 1e-3  # of a step, by which an interval may be longer than whole step
 
 
 def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -> AttitudeRows:
-    """Attitudes of a CK.
-
-    Parameters
-    ----------
-    path, file : Path, str
-        The CK, and its name in errors.
-    epoch : Epoch
-        Zero of the times.
-    frame : str
-        NAIF name of the head's frame, as the FK has it.
-    kernels : Kernels
-        SCLK and FK, and an LSK where the clock counts in TDT.
-
-    Raises
-    ------
-    RawDataError
-        With file, field, found and expected.
+    """Attitudes of a CK, `file` in errors, with times since `epoch`: of the head's `frame`, named as in the FK,
+    by SCLK and FK among the `kernels`, and an LSK where the clock counts in TDT. `RawDataError` with file,
+    field, found and expected.
     """
     spice = toolkit(file)
     with loaded(path, file, kernels) as ck:

@@ -110,29 +110,9 @@ class Improvement:
 def improvements(
     strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings, camera: LineSensor
 ) -> tuple[Improvement, ...]:
-    """What more or other data would change, from the information of the strips of a calibration.
-
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        The strips that were calibrated.
-    R_cs : Rotation
-        Their installation matrix.
-    settings : CalibrationSettings
-        Their error model.
-    camera : LineSensor
-        The remote-sensing camera, for the ends of its swath.
-
-    Returns
-    -------
-    tuple of Improvement
-        Twice as many strips, twice as many targets, targets at the ends of the swath, half the error of
-        position, half that of the clock; in this order.
-
-    Raises
-    ------
-    ValueError
-        If no strip has a target between usable star exposures.
+    """What more or other data would change in a calibration of `strips` by the model `settings`: twice as many
+    strips, twice as many targets, targets at the ends of the swath of `camera`, half the error of position,
+    half that of the clock; in this order. `ValueError` if no strip has a target between usable exposures.
     """
     model, n = replace(settings, robust=False), len(strips)
     strips = [carried(strip) for strip in strips]
