@@ -100,7 +100,7 @@ def read_attitudes(
 ) -> AttitudeRows:
     """Attitudes of a CSV file, of an AEM or of an ACM, told apart by their first line.
 
-    Times count from `epoch`. A message states its own frame, sense and time scale. Of a CSV file, `frame` names
+    Times count from `epoch`. A message states its own frame, sense and time scale; of a CSV file `frame` is
     the axes ("GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF"), `rotation` the sense of its quaternions
     ("head to inertial" or "inertial to head"), `time_scale` the scale and column of its times ("UTC", also
     for None, "TAI", "GPS"). `RawDataError` names `file`, line or field, found and expected.
