@@ -48,8 +48,7 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.sky_side import SkySide, named_sightings
-from boresight.pipeline.stages.sky_strip import NamedStars
+from boresight.pipeline.stages.sky_side import named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
 from boresight.pipeline.stages.strip_tasks import matched_strips
 
@@ -130,19 +129,14 @@ def _sighted(
     )
     more = [strip for of_tasks, matched in parts for strip in matched_strips(of_tasks, matched, heads)]
     more += named_sightings(last.sky, first.named, heads)
-    alone_in_sky = {one.strip_id: one for one in named_alone(dump, last.sky, stars)}
-    side = _of_strips(last.sky, list(alone_in_sky.values()))
-    more += named_sightings(side, [alone_in_sky[task.strip.strip_id] for task in side.tasks], heads)
-    displaced = displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs)
-    more += named_sightings(_of_strips(last.sky, displaced), displaced, heads)
+    for named in (
+        named_alone(dump, last.sky, stars),
+        displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
+    ):
+        of_named = {one.strip_id for one in named}
+        rows = [n for n, task in enumerate(last.sky.tasks) if task.strip.strip_id in of_named]
+        more += named_sightings(last.sky.only(rows), named, heads)
     return with_left_out(last.strips, more)
-
-
-def _of_strips(sky: SkySide, named: Sequence[NamedStars]) -> SkySide:
-    """The strips of the sky that are among `named`."""
-    ids = {one.strip_id for one in named}
-    rows = [n for n, task in enumerate(sky.tasks) if task.strip.strip_id in ids]
-    return replace(sky, tasks=tuple(sky.tasks[n] for n in rows), found=tuple(sky.found[n] for n in rows))
 
 
 def _explanations(
@@ -153,24 +147,13 @@ def _explanations(
     reliability: Reliability,
     ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
-    """A convention that is wrong; without one, what `_target_findings` says."""
-    convention = None
-    if any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
-        convention = wrong_convention(basis)
-    if convention:
+    """A convention that is wrong; without one, targets and stars that contradict the rest or were not found,
+    and that no common cause of the verdict explains.
+    """
+    start_fails = any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX)
+    if start_fails and (convention := wrong_convention(basis)):
         return [convention]
-    return _target_findings(basis, last, estimate, reliability, verdict.findings, ledgers)
-
-
-def _target_findings(
-    basis: Basis,
-    last: Round,
-    estimate: InstallationEstimate,
-    reliability: Reliability,
-    told: Sequence[Finding],
-    ledgers: tuple[Ledger, Ledger],
-) -> list[Finding]:
-    """Targets and stars that contradict the rest or were not found, and that no cause `told` explains."""
+    told = verdict.findings
     targets, stars = ledgers
     noise = reliability.scatter  # larger errors lose no observation
     explained = [subject for finding in told if finding is not noise for subject in finding.subjects]

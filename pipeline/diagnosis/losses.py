@@ -51,7 +51,6 @@ __all__ = [
     "lost_targets",
     "named_alone",
     "names",
-    "only",
     "searched_alone",
     "star_ledger",
     "stars_found",
@@ -651,10 +650,3 @@ def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:
 def names(dump: Dump, strip: SkySide) -> int:
     """How many stars of one strip of the sky have names by the pre-launch matrix."""
     return len(_named(dump, strip)[0].rows)
-
-
-def only(side: SkySide, n: int) -> SkySide:
-    """One strip of several."""
-    return replace(
-        side, tasks=(side.tasks[n],), found=(side.found[n],), computed=side.computed[n : n + 1], omissions=()
-    )

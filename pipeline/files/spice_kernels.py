@@ -253,7 +253,7 @@ ROUNDING = 1e-3  # of a step, by which an interval may be longer than whole step
 
 
 def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -> AttitudeRows:
-    """Attitudes of a CK, `file` in errors, with times since `epoch`: of the head's `frame`, named as in the FK,
+    """Attitudes of a CK, `file` in errors, times since `epoch`: of the head's `frame`, named as in the FK,
     by SCLK and FK among the `kernels`, and an LSK where the clock counts in TDT. `RawDataError` with file,
     field, found and expected.
     """

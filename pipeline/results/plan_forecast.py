@@ -110,7 +110,7 @@ class Improvement:
 def improvements(
     strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings, camera: LineSensor
 ) -> tuple[Improvement, ...]:
-    """What more or other data would change in a calibration of `strips` by the model `settings`: twice as many
+    """What more or other data would change in a calibration of `strips` with `settings`: twice as many
     strips, twice as many targets, targets at the ends of the swath of `camera`, half the error of position,
     half that of the clock; in this order. `ValueError` if no strip has a target between usable exposures.
     """

@@ -22,6 +22,8 @@ from boresight.pipeline.files.strip_table import Strip
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
 
+    Carrier = tuple[HeadSightings, Ints] | Entry  # head, rows (K,) of exposures; or why there is none
+
 __all__ = [
     "attitudes_around",
     "attitudes_in_s",
@@ -36,14 +38,12 @@ __all__ = [
 ]
 
 
-def carriers(
-    dump: Dump, heads: Sequence[HeadSightings], margin_s: float
-) -> dict[str, tuple[HeadSightings, Ints] | Entry]:
+def carriers(dump: Dump, heads: Sequence[HeadSightings], margin_s: float) -> dict[str, Carrier]:
     """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
     reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
     without that nothing ties its matrix to theirs.
     """
-    found: dict[str, tuple[HeadSightings, Ints] | Entry] = {}
+    found: dict[str, Carrier] = {}
     strips = (*dump.strips, *dump.sky_strips)
     by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
     able = heads if any(not isinstance(rows, Entry) for rows in by_reference) else heads[:1]
@@ -58,7 +58,7 @@ def carriers(
 
 
 def covered_strips(
-    strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Entry]
+    strips: Sequence[Strip], covering: Mapping[str, Carrier]
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
     """Strips with head and rows (K,) of exposures that `carriers` found, and omissions of the others."""
     pairs = [(strip, covering[strip.strip_id]) for strip in strips]
@@ -137,10 +137,8 @@ def _others_that_cover(dump: Dump, first: float, last: float) -> str:
 
 def covers(dump: Dump, strip: Strip) -> bool:
     """Whether the orbit has states for every row of a strip."""
-    label = np.array([0.0, strip.lines - 1.0]) * strip.row_period_s + strip.t_first_row_s
-    instants = label + dump.line_camera.delay_to_middle_s(strip.row_period_s)
     try:
-        dump.orbit.positions_i(instants)
+        dump.orbit.positions_i(np.array(dump.span_s(strip)))
     except ValueError:
         return False
     return True

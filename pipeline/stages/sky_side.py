@@ -50,6 +50,11 @@ class SkySide:
     omissions: tuple[Entry, ...] = scalar("strips that cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
 
+    def only(self, rows: Sequence[int]) -> SkySide:
+        """Some of the strips, without what was left out of them."""
+        tasks, found = (tuple(part[n] for n in rows) for part in (self.tasks, self.found))
+        return replace(self, tasks=tasks, found=found, omissions=(), computed=())
+
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
         """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head
         carries them, and not by those stated before launch.
