@@ -52,7 +52,7 @@ from boresight.pipeline.stages.sky_side import named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
 from boresight.pipeline.stages.strip_tasks import matched_strips
 
-__all__ = ["Assessment", "assessed"]
+__all__ = ["assessed"]
 
 
 @dataclass(frozen=True)

@@ -273,22 +273,13 @@ def fitted(text: str, terminal: bool) -> str:
     """`text` with lines longer than a terminal broken between words, and what follows indented."""
     if not terminal:
         return text
-    width, lines = shutil.get_terminal_size().columns, []
+    lines, width = list[str](), shutil.get_terminal_size().columns
+    wrap = textwrap.TextWrapper(
+        width, replace_whitespace=False, break_long_words=False, break_on_hyphens=False
+    )
     for line in text.split("\n"):
-        indent = " " * (len(line) - len(line.lstrip()) + 4)
-        lines += (
-            textwrap.wrap(
-                line,
-                width,
-                subsequent_indent=indent,
-                drop_whitespace=True,
-                replace_whitespace=False,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
-            if len(line) > width
-            else [line]
-        )
+        wrap.subsequent_indent = " " * (len(line) - len(line.lstrip()) + 4)
+        lines += wrap.wrap(line) if len(line) > width else [line]
     return "\n".join(lines)
 
 

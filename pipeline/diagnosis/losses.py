@@ -36,8 +36,6 @@ __all__ = [
     "OF_STARS",
     "OF_TARGETS",
     "Crossings",
-    "Group",
-    "LossLimits",
     "as_bright_as_named",
     "crossings",
     "displaced_ccds",

@@ -19,7 +19,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.rasters import GridPlace, grid_place
 
-__all__ = ["Slip", "contradiction", "likeliest", "slips"]
+__all__ = ["contradiction", "likeliest", "slips"]
 
 # Decimals of latitude and longitude, degrees, in messages: 1e-7 degree is a centimetre on the ground.
 DECIMALS = 7

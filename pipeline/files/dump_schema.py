@@ -23,7 +23,6 @@ from pydantic import (
 __all__ = [
     "DIRECTION_LENGTH",
     "LOOK_TABLES",
-    "CcdFile",
     "DumpFile",
     "EarthOrientationRow",
     "ExposureRow",

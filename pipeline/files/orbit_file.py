@@ -24,7 +24,6 @@ from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
 
 __all__ = [
-    "OF_DATE",
     "SAME_FRAME",
     "Ephemeris",
     "calendar_date",

@@ -40,13 +40,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "common_errors",
-    "equal_files",
     "grouped",
-    "has_one_grey_value",
     "heads_once",
     "points_once",
     "same_exposure",
-    "same_ground",
     "strips_once",
     "targets_once",
 ]

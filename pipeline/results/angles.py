@@ -19,7 +19,7 @@ from boresight.geometry.attitude import AttitudeTrack, NominalMotion, lagrange_w
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["CrossAngles", "MeasuredStrip", "cross_angles"]
+__all__ = ["MeasuredStrip", "cross_angles"]
 
 
 @record(kw_only=True)

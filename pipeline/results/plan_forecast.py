@@ -22,7 +22,6 @@ from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = [
     "PLAN_DRAWS",
-    "Improvement",
     "SkyPart",
     "compare_campaigns",
     "forecast_of_plan",

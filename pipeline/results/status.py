@@ -27,7 +27,7 @@ from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "saved_omissions", "status_lines"]
+__all__ = ["kept_units", "run_status", "saved_omissions", "status_lines"]
 
 OUTCOMES = (StarSightings, MatchedTargets, StripStars, Entry)  # records that a finished unit may hold
 

@@ -25,7 +25,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.program_key import library_versions, program_digest
 
-__all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
+__all__ = ["Fingerprint", "OnCluster", "fingerprint", "on_cluster"]
 
 PER_THREAD = 8  # units in flight for each thread of the workers: enough while answers travel
 # Time between two looks at the state of the cluster's workers, s.

@@ -30,7 +30,7 @@ from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.run.digests import digest, numerical_program
 from boresight.star_id.identification.triangle_index import StarIndex, build_index
 
-__all__ = ["cache_folder", "cached_index", "mapped_arrays", "write_arrays"]
+__all__ = ["cache_folder", "cached_index", "write_arrays"]
 
 # Start of the file: a number that marks the format and the length of the head in bytes, 32 bits each,
 # little-endian.

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     Carrier = tuple[HeadSightings, Ints] | Entry  # head, rows (K,) of exposures; or why there is none
 
 __all__ = [
-    "attitudes_around",
     "attitudes_in_s",
     "carriers",
     "covered_strips",

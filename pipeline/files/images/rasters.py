@@ -20,7 +20,7 @@ from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
 
-__all__ = ["GridImage", "GridPlace", "grid_place", "read_grid"]
+__all__ = ["GridPlace", "grid_place", "read_grid"]
 
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
 # Mean radius of the Earth, m: turns pixels in degrees into metres where only their size matters.
