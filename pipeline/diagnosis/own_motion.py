@@ -167,11 +167,8 @@ def _lag(of_head: Attitudes) -> float:
 
     def gain(late_s: float) -> float:
         fits = of_head.against_gyro(late_s)
-        return (
-            sum(none - stated[row][1] for row, (_, none) in fits.items())
-            if 2 * len(fits) > len(stated)
-            else 0.0
-        )
+        most = fits if 2 * len(fits) > len(stated) else {}
+        return sum((none - stated[row][1] for row, (_, none) in most.items()), start=0.0)
 
     tried = np.concatenate([-LAGS_S[::-1], [0.0], LAGS_S])
     best = int(np.clip(np.argmax([gain(size) for size in tried.tolist()]), 1, len(tried) - 2))
@@ -187,13 +184,12 @@ def _late(of_head: Attitudes, late_s: float) -> Finding:
 
 
 def _about_gyro(cause: str, text: str, field: str, size_ms: float = np.nan) -> Finding:
-    unit = "ms" if np.isfinite(size_ms) else ""
     return Finding(
         cause=cause,
         item="gyro",
         text=text,
         value=size_ms,
-        unit=unit,
+        unit="ms" if np.isfinite(size_ms) else "",
         file="dump.toml",
         field=f"gyro.{field}",
         refutes=True,

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.predicted_earth import correlation_of_predictions
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
@@ -56,19 +57,12 @@ def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> Grou
     lever = sight if orbit.frame == "ITRF" else p_e
     R_ec = np.swapaxes(orbit.earth.matrices_ie(t_s), 1, 2) @ np.swapaxes(R_ci.as_matrix(), 1, 2)
     return GroundMoves(
-        distance[:, None, None] * by_position @ _cross_matrices(u) @ R_ec,
+        distance[:, None, None] * by_position @ -cross_matrices(u) @ R_ec,
         by_position,
         np.einsum("nia,na->ni", by_position, motion_e),
         np.einsum("nia,na->ni", to_track, fall - up),
-        by_position @ _cross_matrices(-lever) * orbit.earth.sigma_e_rad,
+        by_position @ cross_matrices(lever) * orbit.earth.sigma_e_rad,
     )
-
-
-def _cross_matrices(u: Floats) -> Floats:
-    """(N, 3, 3): matrices that map a small rotation delta to the change delta x u of a direction."""
-    x, y, z = u.T
-    o = np.zeros_like(x)
-    return np.array([[o, z, -y], [-z, o, x], [y, -x, o]]).transpose(2, 0, 1)
 
 
 def common_covariance(result: SavedResult, earth: EarthRotation) -> Floats:

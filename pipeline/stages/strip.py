@@ -233,11 +233,8 @@ def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
     names = np.array([target.target_id for target in points.targets], dtype=str)
     measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
     columns = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
-    rows = {
-        name: np.concatenate([getattr(matched, name), getattr(measured, name)])
-        for name in columns
-        if name != "pictures"
-    }
+    columns.remove("pictures")
+    rows = {name: np.concatenate([getattr(matched, name), getattr(measured, name)]) for name in columns}
     return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
 
 
@@ -281,13 +278,7 @@ def strip_matches(
 ) -> tuple[StripMatches | None, list[Entry]]:
     """The matcher's outcome (None: damaged images), and unreadable files; `keep`: what is kept of a match."""
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
-    readable, omitted = [], []
-    for n, file in enumerate(task.chips):
-        try:
-            read(n)
-            readable.append(n)
-        except RawDataError as error:
-            omitted.append(_unreadable(file, error))
+    readable, omitted = _readable(task.chips, read)
 
     def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
         return parts.map(function, items, lambda n, outcome: None)
@@ -323,17 +314,20 @@ def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
 
 def unreadable_chips(files: Sequence[ChipFile]) -> list[Entry]:
     """Chips that cannot be read, with the reasons."""
-    omitted = []
-    for file in files:
+    return _readable(files, lambda n: read_chip(files[n]))[1]
+
+
+def _readable(files: Sequence[ChipFile], read: Callable[[int], Chip]) -> tuple[list[int], list[Entry]]:
+    """Numbers of the chips that can be read, and entries for the others."""
+    readable, omitted = [], []
+    for n, file in enumerate(files):
         try:
-            read_chip(file)
+            read(n)
+            readable.append(n)
         except RawDataError as error:
-            omitted.append(_unreadable(file, error))
-    return omitted
-
-
-def _unreadable(file: ChipFile, error: RawDataError) -> Entry:
-    return Entry(Subject(Kind.CHIP, id=file.target_id), Reason.UNREADABLE, str(error), file.file)
+            chip = Subject(Kind.CHIP, id=file.target_id)
+            omitted.append(Entry(chip, Reason.UNREADABLE, str(error), file.file))
+    return readable, omitted
 
 
 def read_chip(file: ChipFile) -> Chip:
