@@ -93,9 +93,7 @@ def open_dumps(
 
 
 def named_cameras(views: Sequence[Dump], name: str = "") -> list[NamedDump]:
-    """A dump called `name` as its cameras see it, each with its own name behind that of the dump.
-    `RawDataError` for the name of a folder that every result has.
-    """
+    """A dump as its cameras see it, each named behind `name`; `RawDataError` for names of result folders."""
     if any(view.camera in OF_RESULTS for view in views):
         raise RawDataError("dump.toml", "cameras.id", "a name of a result's folders", "another name")
     return [NamedDump("-".join(filter(None, (name, view.camera))), view) for view in views]

@@ -201,12 +201,10 @@ def _run(
             several = tuple(named_cameras(views))
         else:
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-    if len(several) == 1:
-        (one,) = (named.dump for named in several)
-        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
-            return run_dump(out, one, str(dumps[0]), request, executor, progress)
     opened = [named.dump for named in several]
     with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
+        if len(opened) == 1:
+            return run_dump(out, opened[0], str(dumps[0]), request, executor, progress)
         return run_dumps(out, several, request, executor, progress)
 
 

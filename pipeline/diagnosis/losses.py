@@ -576,9 +576,7 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
 
 
 def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
-    """Stars of CCDs in which too many are missing, named by those CCDs alone: all such together or, where
-    they do not agree, each by itself.
-    """
+    """Stars of CCDs with too many missing, named by those alone: all together, else each by itself."""
     if not (lost := lost_ccds(ledger, OF_STARS)):
         return []
     for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):

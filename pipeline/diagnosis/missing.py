@@ -193,9 +193,7 @@ def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, flo
 
 
 def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
-    """How far targets lie outside a strip's footprint, (N, 2) across and along the track (m, 0 where inside),
-    and the speed of the strip on the ground (m/s).
-    """
+    """How far targets (N, 2) lie across and along the track outside a footprint, m; its ground speed, m/s."""
     seen_e = footprint_e(task)
     if not np.isfinite(seen_e[:, [0, -1]]).any(axis=(0, 2)).all():
         return np.full((len(targets), 2), np.nan), np.nan

@@ -69,9 +69,7 @@ class AttitudeRows:
     is_earth_fixed: bool = scalar("whether `R_si` is from ITRS axes so far", default=False)
 
     def to_gcrs(self, epoch: Epoch, table: EarthOrientationTable, file: str) -> AttitudeRows:
-        """Attitudes (N,) from GCRS axes, Earth-fixed ones turned with the Earth; `RawDataError`, with `file`,
-        for dates without its rotation.
-        """
+        """Attitudes (N,) from GCRS axes; `RawDataError` about `file` for dates without Earth rotation."""
         if not self.is_earth_fixed:
             return self
         first_s, last_s = float(self.t_s[0]), float(self.t_s[-1])

@@ -61,9 +61,7 @@ def is_vacant(folder: Path) -> bool:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder inside a result; its parent has to be there. `RawDataError` where it is a link or a file:
-    what a run writes stays inside the folder that the user named.
-    """
+    """Make a folder inside a result, whose parent is there; `RawDataError` for a link or a file."""
     with suppress(FileExistsError):
         folder.mkdir()
     if folder.is_symlink() or not folder.is_dir():

@@ -76,9 +76,7 @@ def text_of(root: Element, where: str, file: str, inside: str = "") -> str:
 
 
 def numbers_of(root: Element, where: str, file: str, number: int, inside: str = "") -> list[float]:
-    """The `number` finite numbers of the one element at a path; `RawDataError` for other text, which names
-    what the element is `inside` of ("state 7, ") and the path.
-    """
+    """The finite numbers of one element `inside` another ("state 7, "); `RawDataError` for other text."""
     words = text_of(root, where, file, inside).split()
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:

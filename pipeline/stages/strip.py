@@ -191,9 +191,7 @@ def measured_points(
     cov_px: Floats,
     probability_wrong: Floats | None = None,
 ) -> MatchedTargets:
-    """Image points (N, 2) of a strip, with covariances (N, 2, 2), that no template was matched to: without
-    pictures, with NaN where matching would give a number.
-    """
+    """Image points (N, 2), covariances (N, 2, 2), of no template: NaN where matching gives a number."""
     n = len(ccd)
     unknown = np.full(n, np.nan)
     return MatchedTargets(
@@ -366,9 +364,7 @@ def _displaced_m(task: StripTask, refusal: Entry) -> tuple[float, float]:
 
 
 def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, ...]) -> tuple[float, float]:
-    """How far the stated place of a target lies east and north of the one that the strip shows at a
-    (sample, line), by the matrix of the task, m.
-    """
+    """How far a target's stated place lies east and north of that shown at (sample, line), m."""
     p_e = task.places[target_id].p_e
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))

@@ -61,8 +61,7 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
-    """Values (height, width) of any star image of up to 2^28 px; colours become grey. Floating-point values
-    that are no number become the image's median."""
+    """Values (height, width) of any star image up to 2^28 px, colours grey; no number: the median."""
     return grey_image(_decoded(open_image(path, file)), file)
 
 
