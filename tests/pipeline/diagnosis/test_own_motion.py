@@ -21,7 +21,13 @@ TIMES_S = 311.0 + STEP_S * np.arange(N)
 NAMES = [f"x{k:02d}" for k in range(N)]
 ORBIT = SimpleNamespace(R_oi=lambda t_s: Rotation.from_rotvec(np.outer(t_s, [2e-4, -1.0e-3, 3e-4])))
 HEAD = SimpleNamespace(
-    name="STR7", source=None, noise=None, noise_is_assumed=False, R_cs0=Rotation.identity(), gyro=None
+    name="STR7",
+    source=None,
+    noise=None,
+    noise_is_assumed=False,
+    R_cs0=Rotation.identity(),
+    gyro=None,
+    times_in=("exposures.csv", "utc_mid"),
 )
 MOUNTING = Rotation.from_euler("xyz", [-35.0, 70.0, 115.0], degrees=True)
 
