@@ -185,7 +185,8 @@ def record_of(
     stars = tuple(exposure_without_stars(f"STR7-{k:06d}", t) for k, t in enumerate(t_s.tolist()))
     subject = Subject(Kind.HEAD, head="STR7")
     gyro = gyro_of(true, t_s, rng) if with_gyro else None
-    head = SimpleNamespace(**{**vars(HEAD), "source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro})
+    own = {"source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro, "times_in": (ROWS.file, "utc")}
+    head = SimpleNamespace(**{**vars(HEAD), **own})
     return HeadSightings(
         head=head,
         stars=stars,
