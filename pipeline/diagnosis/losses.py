@@ -612,8 +612,8 @@ def displaced_stars(
             pairs += _of_brightness(expected, lost, one.found, free, bright, level)
         if pairs:
             row, star = np.array(pairs).T
-            of_none = {"probability_wrong": np.zeros(len(row)), "omissions": ()}
-            every.append(replace(one, rows=row, places=bright.take(star), **of_none))
+            one = replace(one, probability_wrong=np.zeros(len(row)), omissions=())
+            every.append(replace(one, rows=row, places=bright.take(star)))
     return every
 
 

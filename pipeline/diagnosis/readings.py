@@ -343,8 +343,8 @@ def _of_other_ccd(a: int, b: int, stars: StripStars) -> StripStars:
 
 def _with_files(files: dict[int, int], images: tuple[StripFiles]) -> tuple[StripFiles]:
     """The images of CCDs, each that of another."""
-    columns = (images[0].paths, images[0].names, images[0].shapes)
-    return (StripFiles(*({ccd: one[of] for ccd, of in files.items()} for one in columns)),)
+    of_files: Any = (images[0].paths, images[0].names, images[0].shapes)
+    return (StripFiles(*({ccd: one[of] for ccd, of in files.items()} for one in of_files)),)
 
 
 def _matches(tasks: Sequence[StripTask], images: Sequence[StripFiles]) -> int:

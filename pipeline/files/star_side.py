@@ -458,8 +458,8 @@ def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposur
         k = int(bad[0])
         found = f"{rows[k + 1].utc_mid} ({rows[k + 1].id}) after {rows[k].utc_mid} ({rows[k].id})"
         raise RawDataError(file, f"line {k + 3}, utc_mid", found, "strictly increasing times")
-    found = []
+    exposures = []
     for n, (row, t) in enumerate(zip(rows, t_s.tolist())):
-        path = path_inside(root, row.file, file=file, field=f"line {n + 2}, file")
-        found.append(Exposure(row.id, row.file, path, t, row.exposure_s))
-    return tuple(found)
+        image = path_inside(root, row.file, file=file, field=f"line {n + 2}, file")
+        exposures.append(Exposure(row.id, row.file, image, t, row.exposure_s))
+    return tuple(exposures)

@@ -82,7 +82,7 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
     settings_from_values(CalibrationSettings, calibration, file, "calibration")
     kinds: dict[str, type] = {"stars": StarSettings, "match": MatchSettings, "run": RunSettings}
     kinds |= {"verdict": VerdictSettings, "sky_strips": StripStarSettings}
-    parts = {
+    parts: dict[str, Any] = {
         name: settings_from_values(kind, tables.get(name, {}), file, name) for name, kind in kinds.items()
     }
     return Settings(calibration=tuple(sorted(calibration.items())), **parts)
