@@ -57,7 +57,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import FILES, head_of_dump
-from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.orbit_file import orbit_message
 from boresight.pipeline.files.remote_camera import write_remote_camera
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.version import __version__

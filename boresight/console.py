@@ -9,8 +9,7 @@ from collections.abc import Sequence
 import typer
 
 from boresight.features.table import features
-from boresight.pipeline.console.program import errors_reported, program
-from boresight.pipeline.console.spine import SPINE
+from boresight.pipeline.console.program import SPINE, errors_reported, program
 from boresight.version import __version__
 
 __all__ = ["begin", "command_line", "run_command_line"]

@@ -54,17 +54,16 @@ from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.notebook import calibration_html
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.check_point_test import RmsTest
-from boresight.pipeline.results.folder import dumps_in
+from boresight.pipeline.results.folder import ScratchFolder, dumps_in
 from boresight.pipeline.results.ownership import dump_identity
 from boresight.pipeline.results.reading import SavedResult, read_for_dump, read_matrices, read_saved_result
-from boresight.pipeline.results.scratch_folder import ScratchFolder
 from boresight.pipeline.results.sightings_tables import read_sightings
 from boresight.pipeline.results.summary import validation_summary
 from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
+from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import Settings, read_settings
-from boresight.pipeline.run.workers import executor_for
 from boresight.version import __version__
 
 if TYPE_CHECKING:

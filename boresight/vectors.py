@@ -17,7 +17,7 @@ from boresight.features.vectors.target_places import orbit_of_states
 from boresight.geometry.record import Floats
 from boresight.missions import UNUSED, Calibration
 from boresight.pipeline.errors import DataNotSufficientError
-from boresight.pipeline.results.scratch_folder import ScratchFolder
+from boresight.pipeline.results.folder import ScratchFolder
 
 __all__ = ["Sigmas", "Vectors", "calibrate_vectors"]
 

@@ -11,7 +11,7 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,9 @@ from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
 
+# Called with the folder and the names of several dumps, returns lines to print.
+_AfterJoint = Callable[[Path, list[str]], str]
+
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
 
@@ -78,10 +81,7 @@ class RunRequest:
     requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
     about: Path | None = scalar("TOML file of what the operator says of the result", default=None)
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
-    after_joint: tuple[Callable[[Path, list[str]], str], ...] = scalar(
-        "of several dumps: called with the folder and the names of the dumps, returns lines to print",
-        default=(),
-    )
+    after_joint: tuple[_AfterJoint, ...] = scalar("called at the end, of several dumps", default=())
 
 
 @record
@@ -100,9 +100,8 @@ def going_on(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         command, folder = shlex.join(["boresight", *sys.argv[1:]]), shlex.quote(str(out))
-        log.info(
-            "%s", f"{kept_units(out)}\ngo on with: {command}\nlook at it with: boresight status {folder}"
-        )
+        look = f"look at it with: boresight status {folder}"
+        log.info("%s", f"{kept_units(out)}\ngo on with: {command}\n{look}")
         raise
 
 
@@ -121,31 +120,22 @@ def run_dump(
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([dump], request.settings)
-        required = _keep_stated(out, request)
-        if _is_finished(out, inputs, request):
-            if required and request.report:
-                write_report(out)
-            return _finished(out)
+        if (kept := _kept(out, inputs, request, write_report)) is not None:
+            return kept
         found = _calibrated(out, dump, named, inputs, request, executor, progress)
         log.debug("%s", "\n".join(omission_lines([entry.row for entry in found.omissions], None)))
-        text = "\n".join([calibration_summary(found, read_findings(out)), *_required(out)])
-        return RunOutcome(text, frozenset({found.verdict.outcome}), _is_met(out))
+        return _outcome(out, calibration_summary(found, read_findings(out)), [found.verdict.outcome])
 
 
 def run_dumps(
     out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
 ) -> RunOutcome:
-    """Calibrate dumps of one mission, each and jointly, into `out`. A dump whose data do not suffice is
-    counted and does not stop the others.
-    """
+    """Calibrate dumps of one mission, each and jointly; one whose data do not suffice is only counted."""
     roots = list(dict.fromkeys(one.dump.root for one in dumps))
     with claimed(out, roots, request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
-        required = _keep_stated(out, request)
-        if _is_finished(out, inputs, request):
-            if required and request.report:
-                write_dumps_report(out)
-            return _finished(out)
+        if (kept := _kept(out, inputs, request, write_dumps_report)) is not None:
+            return kept
         return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
 
 
@@ -188,12 +178,10 @@ def _jointly_calibrated(
     write_joint_result(out, joint, of_dumps, request.settings)
     roots = {named.name: str(named.dump.root) for named in dumps}
     _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
-    text = "\n".join([text, *_required(out)])
     if request.report:
         write_joint_evidence(out, joint)
         write_dumps_report(out)
-    verdicts = [joint.verdict, *(found.verdict for _, found in calibrated)]
-    return RunOutcome(text, frozenset(verdict.outcome for verdict in verdicts), _is_met(out))
+    return _outcome(out, text, [joint.verdict.outcome, *(found.verdict.outcome for _, found in calibrated)])
 
 
 def _calibrated(
@@ -226,13 +214,26 @@ def _calibrated(
     return found
 
 
-def _required(out: Path) -> list[str]:
-    """Whether the matrix in a folder meets the accuracy that is required of it."""
-    return requirement_lines(saved_requirement(out), read_installation(out))
+def _outcome(out: Path, text: str, outcomes: Iterable[Outcome]) -> RunOutcome:
+    """The outcome of a run, and whether the matrix in its folder meets the accuracy required of it."""
+    required = saved_requirement(out), read_installation(out)
+    return RunOutcome(
+        "\n".join([text, *requirement_lines(*required)]), frozenset(outcomes), is_met(*required)
+    )
 
 
-def _is_met(out: Path) -> bool:
-    return is_met(saved_requirement(out), read_installation(out))
+def _kept(
+    out: Path, inputs: RunInputs, request: RunRequest, draw: Callable[[Path], Path]
+) -> RunOutcome | None:
+    """The outcome of a finished result of the same inputs, drawn anew where more is stated of it; None where
+    there is none. Requirement and operator's words are kept beside the result.
+    """
+    stated = write_about(out, request.about) | write_requirement(out, request.requirement)
+    if not _is_finished(out, inputs, request):
+        return None
+    if stated and request.report:
+        draw(out)
+    return _finished(out)
 
 
 def _is_finished(out: Path, inputs: RunInputs, request: RunRequest) -> bool:
@@ -255,13 +256,7 @@ def _finished(out: Path) -> RunOutcome:
         outcomes.add(outcome := Outcome(verdict["outcome"]))
         lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
         lines += finding_lines(read_findings(result))
-    lines += _required(out)
-    return RunOutcome("\n".join(lines), frozenset(outcomes), _is_met(out))
-
-
-def _keep_stated(out: Path, request: RunRequest) -> bool:
-    """Keep requirement and operator's words beside the result; whether there are any."""
-    return write_about(out, request.about) | write_requirement(out, request.requirement)
+    return _outcome(out, "\n".join(lines), outcomes)
 
 
 def _note(

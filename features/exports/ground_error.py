@@ -13,8 +13,7 @@ import numpy as np
 from boresight.geometry.record import record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.results.check_point_test import StripMoves, predicted_covariance
-from boresight.pipeline.results.earth_error import common_covariance
-from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.strip_model import (
     Calibrated,
     StripModel,

@@ -18,10 +18,9 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.pixel_table import PixelRow
+from boresight.pipeline.files.dump_schema import PixelRow
 from boresight.pipeline.files.text_files import read_table
-from boresight.pipeline.results.earth_error import common_covariance
-from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
 __all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]

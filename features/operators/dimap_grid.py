@@ -14,9 +14,9 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.dimap_metadata import DimapStrip
+from boresight.pipeline.files.dump_schema import PixelRow
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff
-from boresight.pipeline.files.pixel_table import PixelRow
 from boresight.pipeline.files.text_files import read_table
 
 __all__ = ["dimap_grid_differences", "places_of_pixels"]

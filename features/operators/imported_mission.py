@@ -16,7 +16,7 @@ from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow, head_of_dump
-from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.orbit_file import orbit_message
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
 

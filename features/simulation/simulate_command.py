@@ -20,8 +20,7 @@ from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.pipeline.files.whole_file import is_vacant
-from boresight.pipeline.run.processes import FORKS
-from boresight.pipeline.run.workers import executor_for
+from boresight.pipeline.run.executor import FORKS, executor_for
 from boresight.simulator.scenario import (
     ScenarioError,
     builtin_scenario,

@@ -19,8 +19,7 @@ from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.diagnosis.causes import wrong_convention
-from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m
+from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m, wrong_convention
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump, dump_or_faults
@@ -29,9 +28,8 @@ from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarImages
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.head import Basis, HeadSightings
 from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import before_launch
 

@@ -11,8 +11,8 @@ from boresight.features.targets.dump_check import check_dump, check_lines
 from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
 from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.workers import executor_for
 
 __all__ = ["dump_check_command"]
 

@@ -14,8 +14,8 @@ from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.workers import executor_for
 from boresight.pipeline.stages.strip_tasks import strips_to_match
 
 __all__ = ["match_command"]

@@ -19,9 +19,9 @@ from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes
 from boresight.geometry.vector_sets import VectorSets
-from boresight.pipeline.files.json_text import json_text
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import arrow_array
+from boresight.pipeline.files.whole_file import json_text
 from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
 from boresight.pipeline.results.writing import installation_facts, write_tables
 from boresight.pipeline.run.settings import Settings

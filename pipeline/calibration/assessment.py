@@ -15,20 +15,28 @@ from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.ledger import Entry, Kind, Ledger
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.rounds import Round
-from boresight.pipeline.diagnosis.causes import examined, wrong_convention
-from boresight.pipeline.diagnosis.earth_table import EarthTableCheck, check_earth_table, earth_findings
-from boresight.pipeline.diagnosis.input_findings import assumed_motion, input_findings
-from boresight.pipeline.diagnosis.left_out import searched_alone, with_left_out
+from boresight.pipeline.diagnosis.input_findings import (
+    EarthTableCheck,
+    assumed_motion,
+    check_earth_table,
+    earth_findings,
+    input_findings,
+)
 from boresight.pipeline.diagnosis.losses import (
     OF_STARS,
     OF_TARGETS,
+    displaced_stars,
     ground_ledger,
     lost_ccds,
     lost_groups,
     lost_stars,
     lost_targets,
+    named_alone,
+    searched_alone,
+    star_ledger,
+    with_left_out,
 )
-from boresight.pipeline.diagnosis.missing import targets_out_of_view
+from boresight.pipeline.diagnosis.missing import examined, targets_out_of_view, wrong_convention
 from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
 from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.diagnosis.readings import (
@@ -37,16 +45,14 @@ from boresight.pipeline.diagnosis.readings import (
     exchanged_strips,
     strips_without_stars,
 )
-from boresight.pipeline.diagnosis.sky_losses import displaced_stars, named_alone, star_ledger
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
-from boresight.pipeline.stages.basis import Basis
-from boresight.pipeline.stages.sky_side import SkySide, named_sightings
-from boresight.pipeline.stages.sky_strip import NamedStars
+from boresight.pipeline.stages.head import Basis
+from boresight.pipeline.stages.sky_side import named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
 from boresight.pipeline.stages.strip_tasks import matched_strips
 
-__all__ = ["Assessment", "assessed"]
+__all__ = ["assessed"]
 
 
 @dataclass(frozen=True)
@@ -123,19 +129,14 @@ def _sighted(
     )
     more = [strip for of_tasks, matched in parts for strip in matched_strips(of_tasks, matched, heads)]
     more += named_sightings(last.sky, first.named, heads)
-    alone_in_sky = {one.strip_id: one for one in named_alone(dump, last.sky, stars)}
-    side = _of_strips(last.sky, list(alone_in_sky.values()))
-    more += named_sightings(side, [alone_in_sky[task.strip.strip_id] for task in side.tasks], heads)
-    displaced = displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs)
-    more += named_sightings(_of_strips(last.sky, displaced), displaced, heads)
+    for named in (
+        named_alone(dump, last.sky, stars),
+        displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
+    ):
+        of_named = {one.strip_id for one in named}
+        rows = [n for n, task in enumerate(last.sky.tasks) if task.strip.strip_id in of_named]
+        more += named_sightings(last.sky.only(rows), named, heads)
     return with_left_out(last.strips, more)
-
-
-def _of_strips(sky: SkySide, named: Sequence[NamedStars]) -> SkySide:
-    """The strips of the sky that are among `named`."""
-    ids = {one.strip_id for one in named}
-    rows = [n for n, task in enumerate(sky.tasks) if task.strip.strip_id in ids]
-    return replace(sky, tasks=tuple(sky.tasks[n] for n in rows), found=tuple(sky.found[n] for n in rows))
 
 
 def _explanations(
@@ -146,26 +147,13 @@ def _explanations(
     reliability: Reliability,
     ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
-    """A convention that is wrong; without one, what `_target_findings` says."""
-    convention = None
-    if any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX):
-        convention = wrong_convention(basis)
-    if convention:
-        return [convention]
-    return _target_findings(basis, last, estimate, reliability, verdict.findings, ledgers)
-
-
-def _target_findings(
-    basis: Basis,
-    last: Round,
-    estimate: InstallationEstimate,
-    reliability: Reliability,
-    told: Sequence[Finding],
-    ledgers: tuple[Ledger, Ledger],
-) -> list[Finding]:
-    """Targets and stars that contradict the rest or were not found, and that no common cause
-    `told` explains.
+    """A convention that is wrong; without one, targets and stars that contradict the rest or were not found,
+    and that no common cause of the verdict explains.
     """
+    start_fails = any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX)
+    if start_fails and (convention := wrong_convention(basis)):
+        return [convention]
+    told = verdict.findings
     targets, stars = ledgers
     noise = reliability.scatter  # larger errors lose no observation
     explained = [subject for finding in told if finding is not noise for subject in finding.subjects]

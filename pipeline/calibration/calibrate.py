@@ -22,7 +22,7 @@ from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.calibration.assessment import assessed
 from boresight.pipeline.calibration.rounds import first_and_last_round, unused_so_far
-from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
+from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.repeats import targets_once
@@ -30,9 +30,8 @@ from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.head import sight_head
+from boresight.pipeline.stages.head import Basis, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask

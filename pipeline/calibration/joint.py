@@ -9,10 +9,9 @@ bits in whatever order dumps are named.
 
 from __future__ import annotations
 
-import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,19 +34,12 @@ from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.same_content import same_exposure
+from boresight.pipeline.files.repeats import same_exposure
 from boresight.pipeline.files.star_side import Exposure, SolvedAttitudes, StarImages
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 
-__all__ = [
-    "JointCalibration",
-    "NamedDump",
-    "calibrate_jointly",
-    "dump_names",
-    "named_cameras",
-    "open_dumps",
-]
+__all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "named_cameras", "open_dumps"]
 
 # Difference up to which numbers of two dumps are the same, of the largest number of their array, and in SI
 # units: files with ten digits, and conversions of units, round. Of a look direction it is 2e-4 arcsec.
@@ -101,9 +93,7 @@ def open_dumps(
 
 
 def named_cameras(views: Sequence[Dump], name: str = "") -> list[NamedDump]:
-    """A dump called `name` as its cameras see it, each with its own name behind that of the dump.
-    `RawDataError` for the name of a folder that every result has.
-    """
+    """A dump as its cameras see it, each named behind `name`; `RawDataError` for names of result folders."""
     if any(view.camera in OF_RESULTS for view in views):
         raise RawDataError("dump.toml", "cameras.id", "a name of a result's folders", "another name")
     return [NamedDump("-".join(filter(None, (name, view.camera))), view) for view in views]
@@ -278,9 +268,7 @@ def _check_nothing_twice(dumps: Sequence[NamedDump]) -> None:
 
 
 def _check_one_mission(mission: NamedDump, first: NamedDump, other: NamedDump, settings: Settings) -> None:
-    """`RawDataError` with file and field where a dump is not of the mission's star cameras, or another of the
-    `first` one's remote-sensing camera.
-    """
+    """`RawDataError` where star cameras are not the mission's, or the remote camera not the `first` one's."""
     head = read_toml(other.dump.root / "dump.toml", DumpFile, "dump.toml")
     files, a, b = head.files, first.dump, other.dump
     of_a, of_b = (calibration_settings(settings, dump.errors, dump.line_camera) for dump in (a, b))
@@ -318,10 +306,8 @@ def _of_references(a: Dump, b: Dump) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 def _first_difference(a: Any, b: Any, path: str) -> tuple[str, Any, Any] | None:
     """Where two records differ first: path of fields, and both values."""
-    if dataclasses.is_dataclass(a) and type(a) is type(b):
-        parts = [
-            (f".{f.name}", getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a) if f.init
-        ]
+    if is_dataclass(a) and type(a) is type(b):
+        parts = [(f".{f.name}", getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.init]
     elif isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
         parts = [(f".{n}", *both) for n, both in enumerate(zip(a, b))]
     elif isinstance(a, Rotation):

@@ -1,37 +1,129 @@
 """Rounds of a calibration: matching and estimation from a matrix, the first from that before launch, each
 further one from the estimate before it.
+
+A search as wide as the pre-launch matrix is uncertain decodes whole strips. All strips have one matrix: they
+are searched one after another until one determines it, and the others start from there. A strip in which
+nothing is found that way is searched as widely as the first. It is matched again where its templates were
+predicted less well than a later matching predicts them, or where a target was refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.calibration.matchings import match_again, match_first
-from boresight.pipeline.diagnosis.causes import cause_of_no_result
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
-from boresight.pipeline.diagnosis.missing import what_is_missing
+from boresight.pipeline.diagnosis.missing import cause_of_no_result, what_is_missing
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.basis import Basis
+from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
+from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, named_sightings
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.pipeline.stages.strip import (
+    MatchedTargets,
+    StripTask,
+    match_strip_targets,
+    no_matches,
+    predicted_again,
+    with_points,
+)
 from boresight.pipeline.stages.strip_tasks import matched_strips, strip_tasks
 
-__all__ = ["Round", "first_and_last_round", "unused_so_far"]
+__all__ = [
+    "Round",
+    "first_and_last_round",
+    "is_settled",
+    "match_again",
+    "match_first",
+    "match_strips",
+    "unused_so_far",
+]
 
-Array = NDArray[np.float64]
+Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
+
+
+def match_strips(
+    tasks: Sequence[StripTask], runner: StageRunner, folder: str
+) -> tuple[list[MatchedTargets], list[bool]]:
+    """Targets matched in strips, and which strips were computed now."""
+    outcomes, flags = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
+    return [
+        with_points(no_matches(one) if isinstance(one, Entry) else one, task.points)
+        for task, one in zip(tasks, outcomes)
+    ], flags
+
+
+def match_first(
+    tasks: Sequence[StripTask],
+    start_from: Callable[[StripTask, MatchedTargets], Start | None],
+    runner: StageRunner,
+) -> tuple[list[StripTask], list[MatchedTargets], list[bool]]:
+    """Tasks as they were matched, targets matched in them, and which units of work were computed now.
+
+    `start_from` gives the matrix that one strip determines.
+    """
+    if not any(task.targets for task in tasks[1:]):  # nothing that a better matrix would find
+        return list(tasks), *match_strips(tasks, runner, "matching-0")
+    matched: list[MatchedTargets] = []
+    computed: list[bool] = []
+    start = None
+    while start is None and len(matched) < len(tasks):
+        task = tasks[len(matched)]
+        found, flags = match_strips([task], runner, "matching-0")
+        matched, computed = matched + found, computed + flags
+        start = start_from(task, found[0])
+    n = len(matched)
+    if start is None or n == len(tasks):
+        return list(tasks), matched, computed
+    R_cs, sigma = start
+    near = [replace(task, R_cs=R_cs, sigma_installation_rad=sigma, is_known=True) for task in tasks[n:]]
+    found, flags = match_strips(near, runner, "matching-1")
+    used, matched, computed = [*tasks[:n], *near], matched + found, computed + flags
+    if missed := [k for k, one in enumerate(matched) if k >= n and not len(one.target_id)]:
+        found, flags = match_strips([tasks[k] for k in missed], runner, "matching-0")
+        computed += flags
+        for k, one in zip(missed, found):
+            used[k], matched[k] = tasks[k], one
+    return used, matched, computed
+
+
+def match_again(
+    tasks: Sequence[StripTask],
+    before: Sequence[MatchedTargets],
+    settled_px: float,
+    runner: StageRunner,
+    folder: str,
+) -> tuple[list[MatchedTargets], list[bool]]:
+    """Targets matched in strips, and which strips were computed now.
+
+    Settled strips of the matching `before`, in any order, stay as they are (`is_settled`).
+    """
+    settled = {one.strip_id: one for one in before if is_settled(one, settled_px)}
+    open_tasks = [task for task in tasks if task.strip.strip_id not in settled]
+    found, flags = match_strips(open_tasks, runner, folder) if open_tasks else ([], [])
+    again = {one.strip_id: one for one in found}
+    return [
+        predicted_again(settled[name], task) if (name := task.strip.strip_id) in settled else again[name]
+        for task in tasks
+    ], flags
+
+
+def is_settled(matched: MatchedTargets, settled_px: float) -> bool:
+    """Whether all targets in view were placed, each within `settled_px` of where its template was predicted.
+
+    Another matching gives positions as good as these, with other errors of half a sigma.
+    """
+    return not matched.omissions and 0.0 < matched.farthest_px <= settled_px
 
 
 @record(kw_only=True)
@@ -77,15 +169,13 @@ def _one_round(
     before: Round | None,
     basis: Basis,
     sky: SkySide,
-    start: tuple[Rotation, Array],
+    start: tuple[Rotation, Floats],
     mountings: Mapping[str, Rotation],
 ) -> Round:
-    """Round `number`, from 1, from the matrix `start` and its 1-sigma (3,), and from those of all heads;
-    `before` is the round before.
-    """
+    """Round `number` from the matrix `start`, its 1-sigma (3,), those of all heads; `before`: the last."""
     dump, heads, settings = basis.dump, basis.heads, basis.settings
 
-    def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Array] | None:
+    def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Floats] | None:
         strips = matched_strips([task], [matched], heads)
         alone = calibrate_strips(strips, dump.R_cs0, basis.errors) if strips else None
         if not isinstance(alone, InstallationEstimate):
@@ -131,7 +221,7 @@ def unused_so_far(basis: Basis, sky: SkySide) -> list[Entry]:
     return [*basis.dump.omissions, *of_heads, *sky.omissions]
 
 
-def _rematch_sigma(estimate: InstallationEstimate, settings: Settings) -> Array:
+def _rematch_sigma(estimate: InstallationEstimate, settings: Settings) -> Floats:
     return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
 
 

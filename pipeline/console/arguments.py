@@ -45,9 +45,7 @@ DumpsArgument = Annotated[
 DumpOption = Annotated[
     Path | None,
     typer.Option(
-        metavar="PATH",
-        parser=dump_folder,
-        help="The dump it was made from, if it is no longer where it was.",
+        metavar="PATH", parser=dump_folder, help="The dump it was made from, if it is no longer where it was."
     ),
 ]
 CameraOption = Annotated[str, typer.Option(help="Which camera, of a result of several.")]

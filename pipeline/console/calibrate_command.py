@@ -50,23 +50,14 @@ from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.results.requirement import Requirement
-from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.executor import Executor, executor_for
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.workers import executor_for
 from boresight.version import commit
 
 __all__ = ["calibrate_command"]
 
 # Distributions whose versions run.json states.
-REPORTED_PACKAGES = (
-    "numpy",
-    "scipy",
-    "opencv-python-headless",
-    "astropy",
-    "astropy-iers-data",
-    "pyerfa",
-    "pyproj",
-)
+REPORTED_PACKAGES = "numpy scipy opencv-python-headless astropy astropy-iers-data pyerfa pyproj".split()
 
 
 def _folder(text: str) -> Path:
@@ -93,8 +84,7 @@ WorkerTimeout = Annotated[
 ]
 WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
 Accept = Annotated[
-    list[Accepted] | None,
-    typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
+    list[Accepted] | None, typer.Option(help="Do not fail for this: exit with 0. May be given several times.")
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
@@ -211,12 +201,10 @@ def _run(
             several = tuple(named_cameras(views))
         else:
             several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-    if len(several) == 1:
-        (one,) = (named.dump for named in several)
-        with going_on(out), progress_bars() as progress, executor_on([one]) as executor:
-            return run_dump(out, one, str(dumps[0]), request, executor, progress)
     opened = [named.dump for named in several]
     with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
+        if len(opened) == 1:
+            return run_dump(out, opened[0], str(dumps[0]), request, executor, progress)
         return run_dumps(out, several, request, executor, progress)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-__all__ = ["AfterJoint", "Command", "Feature", "Job", "ToArchive"]
+__all__ = ["Command", "Feature", "Job"]
 
 AfterJoint = Callable[[Path, list[str]], str]
 """Of several dumps: the result folder and the names of its dumps; returns lines for the console."""

@@ -27,7 +27,7 @@ import typer
 from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
-from boresight.pipeline.files.json_text import json_text
+from boresight.pipeline.files.whole_file import json_text
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
 __all__ += [
@@ -128,9 +128,8 @@ def with_messages(
     parameters = [one.replace(annotation=hints[one.name]) for one in own]
     for option, kind in options.items():
         default = None if option == "log_file" else False
-        parameters.append(
-            inspect.Parameter(option, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-        )
+        by_name = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(inspect.Parameter(option, by_name, default=default, annotation=kind))
     run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run_and_print.__annotations__ = hints | options
     run_and_print.__doc__ = _with_example(inspect.getdoc(command) or "")
@@ -163,9 +162,7 @@ def say(text: str) -> None:
 
 
 def shows_bars() -> bool:
-    """Whether a terminal shows progress as bars: not with --quiet, and not with --verbose, whose lines say
-    more.
-    """
+    """Whether a terminal shows progress as bars: not with --quiet, nor beside the lines of --verbose."""
     return any(isinstance(handler, _Console) and handler.remarks == logging.INFO for handler in log.handlers)
 
 
@@ -276,22 +273,13 @@ def fitted(text: str, terminal: bool) -> str:
     """`text` with lines longer than a terminal broken between words, and what follows indented."""
     if not terminal:
         return text
-    width, lines = shutil.get_terminal_size().columns, []
+    lines, width = list[str](), shutil.get_terminal_size().columns
+    wrap = textwrap.TextWrapper(
+        width, replace_whitespace=False, break_long_words=False, break_on_hyphens=False
+    )
     for line in text.split("\n"):
-        indent = " " * (len(line) - len(line.lstrip()) + 4)
-        lines += (
-            textwrap.wrap(
-                line,
-                width,
-                subsequent_indent=indent,
-                drop_whitespace=True,
-                replace_whitespace=False,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
-            if len(line) > width
-            else [line]
-        )
+        wrap.subsequent_indent = " " * (len(line) - len(line.lstrip()) + 4)
+        lines += wrap.wrap(line) if len(line) > width else [line]
     return "\n".join(lines)
 
 

@@ -16,7 +16,7 @@ from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, p
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
-__all__ = ["errors_reported", "function_at", "program"]
+__all__ = ["SPINE", "errors_reported", "function_at", "program"]
 
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
@@ -25,15 +25,8 @@ NO_PROCESS = "error: the system starts no further thread or process; use --worke
 
 
 def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> typer.Typer:
-    """The command line of these features.
-
-    Parameters
-    ----------
-    features : iterable of Feature
-        In the order of the help.
-    words : sequence of str, optional
-        What follows the program's name on the command line. Only the command that they name is imported, the
-        others are listed. Without it, all are imported.
+    """The command line of these features, in the order of the help. `words` follow the program's name on the
+    command line: only the command that they name is imported, the others are listed; None: all are imported.
     """
     features = tuple(features)
     app = typer.Typer(
@@ -51,10 +44,8 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
         for command in feature.commands:
             group, _, name = command.name.rpartition(" ")
             if group and group not in groups:
-                about = feature.groups[group]
-                groups[group] = typer.Typer(
-                    help=about, no_args_is_help=True, cls=_ByJob, rich_markup_mode=None
-                )
+                form: dict[str, Any] = {"no_args_is_help": True, "cls": _ByJob, "rich_markup_mode": None}
+                groups[group] = typer.Typer(help=feature.groups[group], **form)
                 app.add_typer(groups[group], name=group)
             _add(groups.get(group, app), name, command, words is None or _named(command, words))
     return app
@@ -71,31 +62,30 @@ def errors_reported() -> Iterator[None]:
     """Report errors that a user can act on as one line; anything else is a fault of the program."""
     try:
         yield
-    except (RawDataError, DataNotSufficientError, WorkerError) as error:
-        log.error("error: %s", error)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except UnicodeEncodeError as error:
-        if "surrogates" not in error.reason:
+    except Exception as error:
+        if not (text := _words(error)):
             raise
-        name = printable(str(error.object))
-        log.error("error: %s: a name that is not text in UTF-8; rename the file or folder", name)
+        log.error("%s", text)
         sys.exit(DATA_DID_NOT_ALLOW)
-    except MemoryError as error:
-        log.error("error: memory: %s", str(error) or "no more of it; what is finished is on disk")
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except RuntimeError as error:
-        if str(error) != NO_THREAD:
-            raise
-        log.error("%s", NO_PROCESS)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except BlockingIOError as error:
-        if error.filename is not None:
-            raise
-        log.error("%s", NO_PROCESS)
-        sys.exit(DATA_DID_NOT_ALLOW)
-    except OSError as error:  # disk full, no permission: what is finished is on disk
-        log.error("error: %s: %s", error.filename or "file", error.strerror or error)
-        sys.exit(DATA_DID_NOT_ALLOW)
+
+
+def _words(error: Exception) -> str:
+    """An error for the user, who can act on it; empty for a fault of the program."""
+    match error:
+        case RawDataError() | DataNotSufficientError() | WorkerError():
+            return f"error: {error}"
+        case UnicodeEncodeError() if "surrogates" in error.reason:
+            name = printable(str(error.object))
+            return f"error: {name}: a name that is not text in UTF-8; rename the file or folder"
+        case MemoryError():
+            return f"error: memory: {str(error) or 'no more of it; what is finished is on disk'}"
+        case RuntimeError():
+            return NO_PROCESS if str(error) == NO_THREAD else ""
+        case BlockingIOError():
+            return NO_PROCESS if error.filename is None else ""
+        case OSError():  # disk full, no permission: what is finished is on disk
+            return f"error: {error.filename or 'file'}: {error.strerror or error}"
+    return ""
 
 
 def _program_options(
@@ -139,3 +129,38 @@ class _ByJob(TyperGroup):
 
 def _listed() -> None:
     """A command of which only the summary is shown."""
+
+
+_CONSOLE = "pipeline.console"  # module below `boresight` with the spine's commands
+# The commands of the spine, in the form of a feature, each with a line of help.
+SPINE = Feature(
+    commands=(
+        Command(
+            "calibrate",
+            Job.CALIBRATE,
+            "Estimate the installation matrix from raw images.",
+            f"{_CONSOLE}.calibrate_command:calibrate_command",
+            with_json=True,
+        ),
+        Command(
+            "validate",
+            Job.CALIBRATE,
+            "Compare a result with a simulated dump's truth.",
+            f"{_CONSOLE}.validate_command:validate_command",
+            with_json=True,
+        ),
+        Command(
+            "status",
+            Job.CALIBRATE,
+            "Show what of a run is finished, and what is unused.",
+            f"{_CONSOLE}.status_command:status_command",
+            with_json=True,
+        ),
+        Command(
+            "report",
+            Job.CALIBRATE,
+            "Draw one HTML page about a result.",
+            f"{_CONSOLE}.report_command:report_command",
+        ),
+    )
+)

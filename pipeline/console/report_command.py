@@ -6,12 +6,7 @@ from typing import Annotated
 
 import typer
 
-from boresight.pipeline.console.arguments import (
-    AboutFile,
-    RequireArcsec,
-    RequireMetres,
-    ResultArgument,
-)
+from boresight.pipeline.console.arguments import AboutFile, RequireArcsec, RequireMetres, ResultArgument
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.page import write_report

@@ -9,18 +9,17 @@ from typing import Annotated
 import typer
 
 from boresight.pipeline.console.arguments import CameraOption
-from boresight.pipeline.console.kept_validation import kept_validation
 from boresight.pipeline.console.limit_options import JunitFile, held
-from boresight.pipeline.console.messages import (
-    Answer,
-)
+from boresight.pipeline.console.messages import Answer, say
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.record_tables import plain
+from boresight.pipeline.report.check_points import write_validation
+from boresight.pipeline.report.page import write_report
 from boresight.pipeline.results.limits import validation_limits
 from boresight.pipeline.results.reading import read_for_dump
 from boresight.pipeline.results.summary import validation_summary
-from boresight.pipeline.results.validate import validation_of
+from boresight.pipeline.results.validate import TruthErrors, validation_of
 
 __all__ = ["validate_command"]
 
@@ -56,7 +55,7 @@ def validate_command(
     begun_s = time.perf_counter()
     _, saved = read_for_dump(result, dump, camera)
     found = validation_of(saved, open_dump(dump, camera=camera or None))
-    files = kept_validation(result, found)
+    files = _kept(result, found)
     limits = validation_limits(found, max_error_sigma, max_nees, max_ground_m)
     return held(
         "validate",
@@ -65,3 +64,16 @@ def validate_command(
         begun_s,
         Answer(text=validation_summary(found), content=plain(found), files=files),
     )
+
+
+def _kept(result: Path, found: TruthErrors) -> tuple[Path, ...]:
+    """Keep the errors in the folder of the result and draw its report again; the files written. A folder
+    that cannot be written is left as it is, with a remark.
+    """
+    try:
+        kept = write_validation(result, found)
+        drawn = (write_report(result),) if (result / "evidence" / "context.json").is_file() else ()
+    except OSError as error:
+        say(f"{result}: {error.strerror}; the report does not show the check points")
+        return ()
+    return (kept, *drawn)

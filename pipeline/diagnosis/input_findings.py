@@ -1,9 +1,10 @@
-"""What the inputs of a calibration contradict by themselves, without its residuals."""
+"""What the inputs of a calibration contradict by themselves, without its residuals; Earth orientation too."""
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -11,12 +12,15 @@ from boresight.calib.finding import Finding
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import motion_is_shown
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
+from boresight.geometry.earth_orientation import EarthOrientationTable, EarthOrientationWarning
+from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Floats
+from boresight.geometry.orbit import Orbit
+from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.coordinate_slips import off_middle_m
 from boresight.pipeline.files.dump import Dump
@@ -27,8 +31,11 @@ from boresight.pipeline.stages.strip import StripTask, compass
 
 __all__ = [
     "NOTHING",
+    "EarthTableCheck",
     "assumed_motion",
+    "check_earth_table",
     "contradicting_rows",
+    "earth_findings",
     "heights",
     "input_findings",
     "outside_chips",
@@ -80,9 +87,8 @@ def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:
     """Images that several rows name, and different images of one time."""
     for kind, table in TABLES.items():
         for reason, text in CONTRADICTIONS.items():
-            subjects = tuple(
-                entry.subject for entry in entries if (entry.subject.kind, entry.reason) == (kind, reason)
-            )
+            those = [entry.subject for entry in entries if entry.reason is reason]
+            subjects = tuple(subject for subject in those if subject.kind == kind)
             if subjects:
                 names = [subject.name for subject in subjects]
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
@@ -214,9 +220,7 @@ def _assumed_noise(head: Head) -> Finding:
 
 
 def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Iterator[Finding]:
-    """That no strip without a gyro has exposures enough to show how the satellite moves between them;
-    `strips` with fitted attitudes.
-    """
+    """That no strip, with fitted attitudes and no gyro, has exposures enough to show its motion."""
     strips = [strip for strip in strips if strip.gyro is None]
     if settings.sigma_motion_rad and strips and not motion_is_shown(strips):
         most = max(len(strip.exposures) for strip in strips)
@@ -266,4 +270,80 @@ def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[F
             item=f"target {names[n]}",
             text=f"{text}; check its height_m.",
             subjects=(Subject(Kind.TARGET, id=names[n]),),
+        )
+
+
+# m on the equator; a smaller error of predicted values is below that of any orbit and survey
+NOTICEABLE_M = 0.1
+# m on the equator: a mission that takes one value for several days is off by the length of day, at most 3 ms
+# or 1.4 m each day, and by the pole's motion, 0.1 m each day; a table of another month by tens of metres
+LARGEST_DIFFERENCE_M = 5.0
+
+
+@record(kw_only=True)
+class EarthTableCheck:
+    """How well the Earth orientation that a dump is calibrated with is known at its date."""
+
+    source: str = scalar("the bundled series, or the mission's own file")
+    first_day: int = scalar("modified Julian date (UTC) of the first row of the table")
+    last_day: int = scalar("the same of the last row")
+    last_measured_day: int = scalar("the same of the last row that is no prediction")
+    sigma_m: float = scalar("1-sigma of predicted or extrapolated values, on the equator, m; 0: measured")
+    difference_m: float = scalar("of the mission's own table from the IERS series, on the equator, m")
+    difference_ut1_s: float = scalar("the part of it that is UT1, own less IERS, s")
+
+
+def check_earth_table(
+    orbit: Orbit, table: EarthOrientationTable, reference: EarthOrientationTable
+) -> EarthTableCheck:
+    """`table` is that of the orbit, `reference` the bundled one, with which it is compared in mid-orbit."""
+    middle = 0.5 * (orbit.earth.t_start_s + orbit.earth.t_stop_s)
+    turn, sigma_m = np.zeros(3), orbit.earth.expected_error_m
+    if table is not reference:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EarthOrientationWarning)  # sigma_m has it
+            iers = EarthRotation.over(orbit.epoch, middle, middle, reference, allow_stale_eop=True)
+        turn = (iers.rotations_ie(middle).inv() * orbit.earth.rotations_ie(middle))[0].as_rotvec()
+        sigma_m = max(sigma_m, iers.expected_error_m)
+    return EarthTableCheck(
+        source=table.source,
+        first_day=int(table.mjd_utc[0]),
+        last_day=int(table.mjd_utc[-1]),
+        last_measured_day=int(table.mjd_last_measured),
+        sigma_m=sigma_m,
+        difference_m=float(np.linalg.norm(turn)) * WGS84.semi_major_m,
+        difference_ut1_s=float(turn[2]) / EARTH_ROTATION_RATE,
+    )
+
+
+def earth_findings(check: EarthTableCheck, file: str, places: Collection[Target]) -> Iterator[Finding]:
+    """Findings of that check; `file` is the mission's own table, empty for the bundled one.
+
+    A survey has errors. `places` whose 1-sigma are all 0 were computed by the mission's own model, to which
+    its table belongs: its difference from the IERS series is then no fault.
+    """
+    if check.difference_m > max(LARGEST_DIFFERENCE_M, 3.0 * check.sigma_m):
+        is_model = len(places) > 0 and not any(place.sigma_m.any() for place in places)
+        belongs = "it belongs to exact places, computed with it"
+        yield Finding(
+            cause="Earth orientation",
+            item="own table",
+            text=f"{check.difference_m:.0f} m on the equator from the IERS series (UT1 "
+            f"{check.difference_ut1_s:+.4f} s); {belongs if is_model else 'take the values of the dates'}.",
+            value=check.difference_m,
+            sigma=check.sigma_m,
+            unit="m",
+            is_fault=not is_model,
+            file=file,
+            field="ut1_utc_s",
+        )
+    elif check.sigma_m > NOTICEABLE_M and not file:
+        yield Finding(
+            cause="Earth orientation",
+            item="predicted values",
+            text=f"{check.sigma_m:.1f} m on the equator (1 sigma), in the covariance; "
+            "install a newer astropy-iers-data.",
+            sigma=check.sigma_m,
+            unit="m",
+            is_fault=False,
         )

@@ -3,6 +3,9 @@
 A row of the `Ledger` is a target or a bright star in a CCD of a strip, found or not. Every group, a CCD or
 some of them, half of a CCD, half of the field, faint or bright stars of a strip, is held against one binomial
 test. What another cause explains is a mask: a group is explained if its loss is chance without it.
+
+The catalogue and the estimated matrix tell where each bright star crosses which detector, and no cloud hides
+it. What was left out is searched again, each CCD by itself: the tests of inputs need where it was measured.
 """
 
 from __future__ import annotations
@@ -17,17 +20,26 @@ from scipy.special import bdtrc
 
 from boresight.calib.finding import Finding
 from boresight.geometry.ledger import Entry, Kind, Ledger, Reason, Subject
-from boresight.geometry.record import Bools, Floats, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.images.tiff import StripFiles
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
+from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
+from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
+from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
     "OF_STARS",
     "OF_TARGETS",
-    "Group",
-    "LossLimits",
+    "Crossings",
+    "as_bright_as_named",
+    "crossings",
     "displaced_ccds",
+    "displaced_stars",
     "ground_ledger",
     "is_flat",
     "lost_ccds",
@@ -35,9 +47,15 @@ __all__ = [
     "lost_stars",
     "lost_strip",
     "lost_targets",
+    "named_alone",
+    "names",
+    "searched_alone",
+    "star_ledger",
+    "stars_found",
+    "with_left_out",
 ]
 
-FEWEST = 3  # targets that make a pattern
+FEWEST = 3  # targets or stars that make a pattern, or agree by themselves
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 
@@ -71,22 +89,20 @@ class Group:
 
 
 def ground_ledger(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], R_cs: Rotation) -> Ledger:
-    """Targets in view of strips of the ground: those matched, and those that were not, at the places where
-    the matrix `R_cs` expects them.
-    """
+    """Targets in view of strips of the ground, matched or not, the latter where `R_cs` expects them."""
     rows: list[tuple[int, int, str, float, float, int]] = []
     for n, (task, strip) in enumerate(zip(tasks, matched)):
         ends = [(task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0) for ccd in range(task.camera.n_ccds)]
         missing = [entry for entry in strip.omissions if entry.subject.ccd >= 0]
-        p_e = {target.target_id: target.p_e for target in task.targets} if missing else {}
+        places = task.places
         model = pushbroom_of(replace(task, R_cs=R_cs)) if missing else None
         for name, ccd, xy_px in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
             rows.append((n, ccd, name, xy_px[0] / ends[ccd][0], xy_px[1] / ends[ccd][1], 0))
         for entry in missing:
             ccd, name = entry.subject.ccd, entry.subject.id
             place: Floats = np.full(2, np.nan)
-            if model is not None and name in p_e:
-                place = np.concatenate(model.pixels_from_ground(ccd, p_e[name][None])) / ends[ccd]
+            if model is not None and name in places:
+                place = np.concatenate(model.pixels_from_ground(ccd, places[name].p_e[None])) / ends[ccd]
             rows.append((n, ccd, name, float(place[0]), float(place[1]), entry.reason.number))
     numbers, ccds, names, part, along, reasons = zip(*rows) if rows else ((),) * 6
     return Ledger(
@@ -248,9 +264,7 @@ def lost_ccds(ledger: Ledger, limits: LossLimits = OF_TARGETS) -> list[int]:
 
 
 def _by_ccd(ledger: Ledger) -> dict[int, tuple[int, int]]:
-    """Found, and all, of each CCD over the strips that show any: a strip that shows nothing says nothing of
-    its CCDs.
-    """
+    """Found, and all, of each CCD over the strips that show any: others say nothing of their CCDs."""
     shown = ledger.take(np.isin(ledger.strip, ledger.strip[ledger.found]))
     return {
         ccd: (int(shown.found[here].sum()), int(here.sum()))
@@ -313,9 +327,7 @@ def _dead_ccds(images: Mapping[str, StripFiles], ledger: Ledger) -> dict[int, li
 def lost_stars(
     images: Mapping[str, StripFiles], ledger: Ledger, explained: Sequence[Subject]
 ) -> Iterator[Finding]:
-    """CCDs in which too many bright stars of strips of the sky are missing without those that `explained`
-    concern.
-    """
+    """CCDs that lack too many bright stars of the sky without those that `explained` concern."""
     left = ledger.take(~ledger.within(explained))
     cells, dark = left.cells(), dict[int, list[str]]()
     for strip_id in left.strips:
@@ -362,13 +374,10 @@ def _dead_ccd(ccd: int, strips: Sequence[str], targets: tuple[Subject, ...] = ()
 
 def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) -> Finding:
     """A strip of which nothing was matched, not even alone."""
-    if all_flat:
-        cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
-    else:
-        cause = "images, cloud or clock"
-        text = (
-            "not even alone do they agree: check for cloud, mirrored or exchanged images, and utc_first_row"
-        )
+    cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
+    if not all_flat:
+        cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored "
+        text += "or exchanged images, and utc_first_row"
     return Finding(
         cause=cause,
         item=strip.words,
@@ -412,3 +421,228 @@ def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:
     except RawDataError:
         return False
     return float(np.std(middle.astype(float))) < most
+
+
+# Most searches of single CCDs and targets that a run makes for what was not found; bounds their time.
+MOST_SEARCHES = 4
+
+
+def with_left_out(
+    strips: Sequence[StripSightings], more: Sequence[StripSightings]
+) -> tuple[StripSightings, ...]:
+    """`strips` with the observations of `more` that they do not hold; strips of the same id are one."""
+    found = {strip.strip_id: strip for strip in strips}
+    for strip in more:
+        found[strip.strip_id] = _joined(found[strip.strip_id], strip) if strip.strip_id in found else strip
+    return tuple(found.values())
+
+
+def _joined(strip: StripSightings, more: StripSightings) -> StripSightings:
+    known = set(zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist()))
+    keys = zip(more.ground.target_id.tolist(), more.ground.ccd.tolist())
+    new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=np.int64)
+    if not len(new):
+        return strip
+    ground = GroundSightings.together([strip.ground, more.ground.take(new)])
+    R_oi = strip.R_oi_targets.concatenate([strip.R_oi_targets, more.R_oi_targets[new]])
+    return replace(strip, ground=ground, R_oi_targets=R_oi)
+
+
+def searched_alone(
+    tasks: Sequence[StripTask], ccds: Sequence[int], sigma_rad: np.ndarray
+) -> list[MatchedTargets]:
+    """Targets of the CCDs `ccds` in each of the first strips, searched in that CCD alone and as widely as
+    `sigma_rad` (3,), the 1-sigma of the matrix, axes of c.
+    """
+    found: list[MatchedTargets] = []
+    sigma = np.asarray(sigma_rad, dtype=float)
+    for ccd in ccds[:MOST_SEARCHES]:
+        having = [task for task in tasks if ccd in task.strip.images.ccds]
+        for task in having[: max(1, MOST_SEARCHES // len(ccds))]:
+            strip = replace(task.strip, images=task.strip.images.of([ccd]))
+            wide = replace(task, strip=strip, sigma_installation_rad=sigma, is_known=False)
+            one = match_strip_targets(wide)
+            if not isinstance(one, Entry) and len(one.target_id) >= FEWEST:
+                found.append(one)
+    return found
+
+
+NODES = 33  # lines between which a star's way is straight
+FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
+NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
+FEWEST_DISPLACED = 2  # missing stars of a CCD that are looked for elsewhere on it
+FAR_PX = 100.0  # from its place, within which a missing star is looked for (set by hand)
+ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may be it
+EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
+
+
+@record(kw_only=True)
+class Crossings:
+    """Catalogue stars that cross detectors of a strip. Row n of every array is the same crossing."""
+
+    strip_id: str = scalar("strip")
+    star: Ints = array("N", "row of the catalogue")
+    ccd: Ints = array("N", "CCD of the camera, from 0")
+    xy_px: Floats = array("N, 2", "where: (sample, line)")
+
+
+def crossings(task: SkyTask, survey: SurveyedStars, R_cs: Rotation) -> Crossings:
+    """Where single stars of a catalogue cross the detectors of a strip by the matrix `R_cs`."""
+    lines: Floats = np.linspace(0.0, max(task.strip.lines - 1.0, 1.0), NODES, dtype=np.float64)
+    t_s = task.instants(lines)
+    p_i, v_i = task.orbit.states_i(t_s[[NODES // 2]])
+    places = survey.places
+    u_i = apparent_star_directions(places, task.epoch, float(t_s[NODES // 2]), p_i[0], v_i[0])
+    R_ci = (R_cs * task.track.R_si(t_s)).as_matrix()
+    ahead = np.flatnonzero(survey.single & ((u_i @ R_ci[:, 2].T).max(axis=1) > np.cos(_reach(task))))
+    u_c = np.einsum("lab,sb->lsa", R_ci, u_i[ahead])
+    found: list[tuple[Ints, Ints, Floats]] = []
+    for ccd in task.strip.images.ccds:
+        sample, across = (
+            part.reshape(NODES, len(ahead))
+            for part in task.camera.samples_from_directions(ccd, u_c.reshape(-1, 3))
+        )
+        node, star = np.nonzero(across[:-1] * across[1:] <= 0.0)
+        part = across[node, star] / (across[node, star] - across[node + 1, star])
+        line = lines[node] + part * (lines[node + 1] - lines[node])
+        at = sample[node, star] + part * (sample[node + 1, star] - sample[node, star])
+        last = task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0
+        inside = (at > EDGE_PX) & (at < last[0] - EDGE_PX) & (line > EDGE_PX) & (line < last[1] - EDGE_PX)
+        rows = ahead[star[inside]]
+        found.append((rows, np.full(len(rows), ccd), np.column_stack([at, line])[inside]))
+    star_of, ccd_of, xy_px = (np.concatenate(part) for part in zip(*found))
+    return Crossings(strip_id=task.strip.strip_id, star=star_of, ccd=ccd_of, xy_px=xy_px)
+
+
+def _reach(task: SkyTask) -> float:
+    """Angle from the camera's axis beyond which no pixel looks."""
+    ends = [
+        task.camera.directions_from_pixels(ccd, np.array([0.0, task.camera.n_px(ccd) - 1.0]))
+        for ccd in task.strip.images.ccds
+    ]
+    return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
+
+
+def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> SurveyedStars:
+    """Stars of a catalogue as bright as those that were named in any strip: none, if none was."""
+    magnitudes = np.concatenate([one.places.places.v_mag for one in named] or [np.zeros(0)])
+    faintest = np.quantile(magnitudes, FAINTEST) if len(magnitudes) else -np.inf
+    return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
+
+
+def stars_found(dump: Dump, task: SkyTask, found: StripStars, expected: Crossings) -> Bools:
+    """Which of the stars (N,) that must be in a strip have a detection where they must be."""
+    near_px, seen = _near_px(dump, task), np.zeros(len(expected.ccd), dtype=bool)
+    for ccd in task.strip.images.ccds:
+        here = expected.ccd == ccd
+        off_px = np.abs(expected.xy_px[here, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
+        seen[here] = (off_px < near_px).any(axis=1)
+    return seen
+
+
+def _near_px(dump: Dump, task: SkyTask) -> float:
+    """How far a star may lie from its place by a right matrix: attitudes, stated scatter, the unstated."""
+    variance = np.einsum("kaka->ka", task.covariance_c)  # rad², axes of c
+    attitude = np.sqrt(np.max(variance[:, :2].max(axis=1) + variance[:, 2] * _reach(task) ** 2))
+    sigma_px = (scatter_px(dump, task), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)
+    return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
+
+
+def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Ledger:
+    """Bright stars of each strip, found or not; without rows where no strip of the sky has a name."""
+    strips = tuple(task.strip.strip_id for task in side.tasks)
+    if not any(len(stars.rows) for stars in named):
+        return Ledger.without_rows(Kind.STAR, strips)
+    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    every = [crossings(task, bright, R_cs) for task in side.tasks]
+    found, part, along = [], [], []
+    for task, stars, expected in zip(side.tasks, named, every):
+        found.append(stars_found(dump, task, stars.found, expected))
+        last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
+        part.append(expected.xy_px[:, 0] / last[expected.ccd])
+        along.append(expected.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0))
+    star = np.concatenate([expected.star for expected in every])
+    return Ledger(
+        kind=Kind.STAR,
+        strips=strips,
+        strip=np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every]),
+        ccd=np.concatenate([expected.ccd for expected in every]),
+        id=np.array([f"{bright.name} {n}" for n in bright.places.hip[star].tolist()], dtype=str),
+        part=np.concatenate(part),
+        along=np.concatenate(along),
+        magnitude=bright.places.v_mag[star],
+        reason=np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number),
+    )
+
+
+def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
+    """Stars of CCDs with too many missing, named by those alone: all together, else each by itself."""
+    if not (lost := lost_ccds(ledger, OF_STARS)):
+        return []
+    for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
+        of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))
+        if found := [one for one in _named(dump, of_ccds) if len(one.rows) >= FEWEST]:
+            return found
+    return []
+
+
+def displaced_stars(
+    dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
+) -> list[NamedStars]:
+    """Missing stars of single CCDs with the detections, of their brightness and farther off than a right
+    matrix allows, that may be them: the tests of inputs say whether one error of the CCD explains several.
+    """
+    if not any(n - found >= FEWEST_DISPLACED for found, n in ledger.cells().values()):
+        return []
+    survey = survey_of(dump.star_catalogue)
+    bright, every = as_bright_as_named(survey, named), []
+    for task, one in zip(side.tasks, named):
+        if not len(one.rows):
+            continue
+        expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
+        level = float(np.median(_magnitude(one.found.flux_dn[one.rows]) - one.places.places.v_mag))
+        pairs = list[tuple[int, int]]()
+        for ccd in task.strip.images.ccds:
+            rows, stars = np.flatnonzero(one.found.ccd == ccd), np.flatnonzero(expected.ccd == ccd)
+            off_px = np.abs(expected.xy_px[stars, None] - one.found.xy_px[rows]).max(axis=2)
+            lost = stars[~(off_px < near_px).any(axis=1)]
+            if len(lost) < FEWEST_DISPLACED:
+                continue
+            free = rows[~(off_px < near_px).any(axis=0)]
+            pairs += _of_brightness(expected, lost, one.found, free, bright, level)
+        if pairs:
+            row, star = np.array(pairs).T
+            one = replace(one, probability_wrong=np.zeros(len(row)), omissions=())
+            every.append(replace(one, rows=row, places=bright.take(star)))
+    return every
+
+
+def _magnitude(flux_dn: Floats) -> Floats:
+    return -2.5 * np.log10(flux_dn)
+
+
+def _of_brightness(
+    expected: Crossings, lost: Ints, found: StripStars, free: Ints, bright: SurveyedStars, level: float
+) -> list[tuple[int, int]]:
+    """Detection and star of the catalogue, for each of the crossings `lost` the nearest of the detections
+    `free` that is as bright; none of a single pair.
+    """
+    magnitude = _magnitude(found.flux_dn[free]) - level
+    pairs: dict[int, int] = {}
+    for n in lost.tolist():
+        star = int(expected.star[n])
+        off_px = np.hypot(*(found.xy_px[free] - expected.xy_px[n]).T)
+        alike = (np.abs(magnitude - bright.places.v_mag[star]) < ALIKE_MAG) & (off_px < FAR_PX)
+        if alike.any():
+            pairs.setdefault(int(free[np.argmin(np.where(alike, off_px, np.inf))]), star)
+    return list(pairs.items()) if len(pairs) >= FEWEST_DISPLACED else []
+
+
+def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:
+    """Names by the pre-launch matrix."""
+    return name_in_sky_strips(dump, side, dump.R_cs0, dump.sigma_installation_rad, known=False)
+
+
+def names(dump: Dump, strip: SkySide) -> int:
+    """How many stars of one strip of the sky have names by the pre-launch matrix."""
+    return len(_named(dump, strip)[0].rows)

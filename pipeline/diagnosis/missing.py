@@ -1,28 +1,61 @@
-"""Why a dump gives no result: the first thing that is missing, with numbers and what to check."""
+"""Why a dump gives no result: the first thing that is missing, with numbers and what to check; or the reading
+of an input, or the error of one, that explains that strips show nothing where they should.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from boresight.calib.estimate import NotObservable
+from boresight.calib.calibration import calibrate_strips
+from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
+from boresight.calib.moved_input import MovedInput
+from boresight.calib.reliability import Reliability, examine
+from boresight.calib.settings import CalibrationSettings
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
+from boresight.geometry.line_camera import LineCamera, LineSensor
 from boresight.geometry.record import Bools, Floats
+from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import NOTHING
-from boresight.pipeline.diagnosis.readings import MIRRORED, are_mirrored
+from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
+from boresight.pipeline.diagnosis.own_motion import against_own_motion
+from boresight.pipeline.diagnosis.readings import (
+    MIRRORED,
+    are_mirrored,
+    best_reading,
+    readings_of_dump,
+    reversed_strips,
+)
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_side import StarCentroids
-from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
+from boresight.pipeline.run.executor import InOrder
+from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.stages.cached import StageRunner
+from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.exposure import star_tasks
-from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
+from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
+from boresight.pipeline.stages.strip_tasks import strip_tasks
 
-__all__ = ["in_view", "misses", "nearest_miss", "targets_out_of_view", "uncertainty_m", "what_is_missing"]
+__all__ = [
+    "cause_of_no_result",
+    "examined",
+    "in_view",
+    "misses",
+    "nearest_miss",
+    "targets_out_of_view",
+    "uncertainty_m",
+    "what_is_missing",
+    "wrong_convention",
+]
 
 MIRROR_TRIALS = 3  # exposures
 FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain
@@ -47,18 +80,13 @@ def what_is_missing(
     if n_stars and not reference.attitudes.usable.any():
         return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
-    if (
-        tasks
-        and dump.targets
-        and n_targets == 0
-        and not any(entry.subject.kind is Kind.TARGET for entry in every)
-    ):
+    of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
+    if tasks and dump.targets and n_targets == 0 and not of_targets:
         return f"{_no_target(dump, tasks)}; {counts}"
     of_strips = [one for one in omissions if one.subject.kind is Kind.STRIP and one.reason in NOTHING]
     if of_strips and len({entry.subject for entry in of_strips}) == len(dump.strips) + len(dump.sky_strips):
         more = f" and {len(of_strips) - 1} more" if len(of_strips) > 1 else ""
         return f"no strip can be used: {of_strips[0].line}{more}; {counts}"
-    of_targets = [entry for entry in every if entry.subject.kind is Kind.TARGET]
     hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:
         text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "
@@ -83,8 +111,7 @@ def _unused_stars(stars: Sequence[Entry]) -> str:
     if reasons[0][0] is Reason.NAME_UNSURE:
         first = next(entry for entry in stars if entry.reason is Reason.NAME_UNSURE)
         text += f"; {first.subject.name}: {first.text}; state that error as small as it is, or raise "
-        text += "max_name_error "
-        text += "under [sky_strips] of the settings"
+        text += "max_name_error under [sky_strips] of the settings"
     return f"; stars in them that are not used: {text}"
 
 
@@ -152,16 +179,13 @@ def targets_out_of_view(
             text=f"none of {len(dump.targets)} comes into view of a strip, {nearest}: "
             f"check the orbit, utc_first_row in strips.csv, targets.csv.",
             file="targets.csv",
-            field="",
             refutes=True,
         )
     ]
 
 
 def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
-    """How far the nearest target lies outside a strip's footprint, across and along the track (m, 0 where
-    inside), the second as time (s), and its id.
-    """
+    """Of the nearest target what `misses` says (m), the second as time, too (s), and its id."""
     outside, speed_m_s = misses(task, targets)
     n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
     across_m, along_m = outside[n].tolist()
@@ -169,9 +193,7 @@ def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, flo
 
 
 def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
-    """How far targets lie outside a strip's footprint, (N, 2) across and along the track (m, 0 where inside),
-    and the speed of the strip on the ground (m/s).
-    """
+    """How far targets (N, 2) lie across and along the track outside a footprint, m; its ground speed, m/s."""
     seen_e = footprint_e(task)
     if not np.isfinite(seen_e[:, [0, -1]]).any(axis=(0, 2)).all():
         return np.full((len(targets), 2), np.nan), np.nan
@@ -209,9 +231,99 @@ def in_view(task: StripTask, p_e: Floats) -> Bools:
 
 
 def uncertainty_m(task: StripTask) -> float:
-    """How far targets in a strip may lie from their predicted places on the ground, m: the half-width of the
-    search by the installation matrix' sigma.
-    """
+    """How far targets may lie from predicted places on the ground, m: the search's half-width."""
     t_s = pushbroom_of(task).instants(np.array([0.5 * (task.strip.lines - 1.0)]))
     height_m = float(np.linalg.norm(task.orbit.positions_e(t_s)[0])) - WGS84.semi_major_m
     return task.settings.sigmas * float(task.sigma_installation_rad.max()) * height_m
+
+
+def cause_of_no_result(
+    basis: Basis, sky: SkySide, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
+) -> Finding | None:
+    """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
+    if of_attitudes := against_own_motion(basis.heads):
+        return of_attitudes[0]
+    if reversed_strip := next(reversed_strips(basis.dump, sky), None):
+        return reversed_strip
+    if finding := wrong_convention(basis):
+        return finding
+    plain = replace(basis.errors, robust=False)
+    together = calibrate_strips(strips, basis.dump.R_cs0, plain) if strips else None
+    if not isinstance(together, InstallationEstimate):
+        return None
+    found = examined(basis, together, strips, plain, moved_inputs(basis.dump, strips, tasks))
+    return next(iter(found.findings), None)
+
+
+def wrong_convention(basis: Basis) -> Finding | None:
+    """The reading of the dump by which most strips see their stars or targets, where as stated few do."""
+    dump, agreeing = basis.dump, partial(_agreeing_strips, basis)
+    strips, stated = len(dump.strips) + len(dump.sky_strips), agreeing(dump)
+    if 2 * stated > strips:
+        return None
+    best = best_reading(dump, readings_of_dump(dump), agreeing, strips // 2 + 1, strips)
+    if not best:
+        return None
+    reading, count = best
+    see = f"{count} of {strips} strips see their stars or targets, as stated {stated}"
+    return reading.finding(f"{reading.changed} {see}", refutes=True)
+
+
+def examined(
+    basis: Basis,
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    errors: CalibrationSettings,
+    inputs: Sequence[MovedInput],
+) -> Reliability:
+    """The hypotheses about the inputs of a dump, held against an estimate that was made with `errors`."""
+    return examine(
+        estimate,
+        strips,
+        errors,
+        pixel_rad=basis.dump.line_camera.pixel_rad,
+        star_camera=basis.dump.star_camera,
+        inputs=inputs,
+        pivots=_pivots(basis.dump.line_camera),
+        target_files=basis.dump.target_files,
+        limits=basis.settings.verdict.of_reliability,
+    )
+
+
+def _pivots(camera: LineSensor) -> dict[tuple[str, int], float]:
+    """Samples about which CCDs are rotated; none where the camera states look angles."""
+    ccds = camera.ccds if isinstance(camera, LineCamera) else ()
+    return {("", n): ccd.principal_sample for n, ccd in enumerate(ccds)}
+
+
+def _agreeing_strips(basis: Basis, dump: Dump) -> int:
+    """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices."""
+    runner, settings = StageRunner(None, InOrder()), basis.settings
+    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
+    heads = [
+        sight_head(dump, head, settings, fit, runner)
+        if isinstance(head.source, SolvedAttitudes)
+        else replace(before, head=head)
+        for head, before in zip(dump.heads, basis.heads)
+    ]
+    start = dump.R_cs0, dump.sigma_installation_rad
+    tasks, _ = strip_tasks(dump, heads, *start, stated_mountings(heads), settings, with_slips=False)
+    named = name_in_sky_strips(dump, find_in_sky_strips(dump, heads, settings, runner), *start, known=False)
+    return sum(_sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
+
+
+def _sees_its_targets(task: StripTask, dump: Dump) -> bool:
+    """Whether a strip shows a target, or its measured points lie where the pre-launch matrix allows."""
+    points = task.points
+    if not len(points.ccd):
+        outside = misses(task, dump.targets)[0] if dump.targets else np.full((1, 2), np.nan)
+        return bool((np.hypot(*outside.T) == 0.0).any())
+    limit_px = task.settings.sigmas * float(task.sigma_installation_rad.max()) / task.camera.pixel_rad
+    p_e = np.array([target.p_e for target in points.targets])
+    near: Floats = np.zeros(len(points.ccd))
+    for ccd in np.unique(points.ccd).tolist():
+        here = points.ccd == ccd
+        sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[here])
+        off_px = np.hypot(sample - points.xy_px[here, 0], line - points.xy_px[here, 1])
+        near[here] = np.nan_to_num(off_px, nan=np.inf) < limit_px
+    return bool(near.mean() > 0.5)

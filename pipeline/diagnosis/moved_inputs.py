@@ -59,18 +59,10 @@ def moved_inputs(
     return tuple(found)
 
 
-def _middle_s(strips: Sequence[StripSightings]) -> Floats:
-    return np.array([float(strips[0].ground.t_s[0])])
-
-
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
-    """Exposures dated late, all alike or more and more over a strip: attitudes of an earlier instant, at the
-    rate of rotation of the strip.
-    """
-    solved = head.source.file if isinstance(head.source, SolvedAttitudes) else ""
-    by_strip: dict[
-        str, tuple[Floats, Floats]
-    ] = {}  # instants (K,) from the first on, and the rate of rotation
+    """Exposures dated late, alike or ever more over a strip: attitudes of an earlier instant."""
+    solved, (file, field) = isinstance(head.source, SolvedAttitudes), head.times_in
+    by_strip: dict[str, tuple[Floats, Floats]] = {}  # instants (K,) from the first on, rate of rotation
     for strip in strips:
         seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
         if seen.sum() > 1:
@@ -86,8 +78,8 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterato
             subjects=(head.subject,) if solved else (),
             unit=unit,
             words=("too late", "too early") if unit == "ms" else ("too fast", "too slow"),
-            file=solved or "exposures.csv",
-            field="utc" if solved else "utc_mid",
+            file=file,
+            field=field,
             usual=usual,
             turns_s={name: np.outer(late(t_s), omega) for name, (t_s, omega) in by_strip.items()},
         )
@@ -174,9 +166,8 @@ def _line_of_sight(
 def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Velocity of the satellite in its orbital frame: stars show it by their aberration alone."""
     source = head.source
-    in_attitudes = (
-        not isinstance(source, SolvedAttitudes) or source.aberration_removed != "annual and orbital"
-    )
+    removed = source.aberration_removed if isinstance(source, SolvedAttitudes) else ""
+    in_attitudes = removed != "annual and orbital"
     for axis, (name, words) in enumerate(AXES):
 
         def velocity(t_s: Floats, axis: int = axis) -> Floats:
@@ -194,7 +185,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             words=words,
             file="orbit",
             field="velocity, date and frame",
-            most=2.0 * float(np.linalg.norm(dump.orbit.states_i(_middle_s(strips))[1])) / KM_S,
+            most=2.0 * float(np.linalg.norm(dump.orbit.states_i(strips[0].ground.t_s[:1])[1])) / KM_S,
             usual=1e-3,
             directions_i=directions,
             turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},
@@ -231,9 +222,7 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
 
 
 def _by_precession(years: float, ground: GroundSightings) -> Floats:
-    """Change (N, 3) of stated directions a year, if they are of an equinox so many years from that of the
-    ICRS.
-    """
+    """Change (N, 3) of directions a year, if of an equinox so many years from that of the ICRS."""
     return (ground.u_i - ground.u_i @ erfa.pmat06(erfa.DJ00, years * erfa.DJY)) / years
 
 
@@ -250,8 +239,8 @@ def _of_ground(
     light, higher = {key: dict[str, Floats]() for key in EFFECTS}, dict[str, Floats]()
     for strip in strips:
         task = tasks[strip.strip_id]
-        place = {one.target_id: one.p_e for one in (*task.targets, *task.points.targets)}
-        p_e = np.array([place[one] for one in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
+        place = task.places
+        p_e = np.array([place[n].p_e for n in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
         for key in EFFECTS:
             switched: tuple[dict[str, Any], ...] = {key: True}, {key: False}
             on, off = (seen(p_e, strip, replace(task.effects, **one)) for one in switched)

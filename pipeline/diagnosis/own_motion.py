@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -161,18 +162,13 @@ def _beyond_chance(fits: Mapping[int, tuple[float, float]]) -> float:
 
 
 def _lag(of_head: Attitudes) -> float:
-    """By how many seconds rows must be later than stated to turn as the gyro does; NaN where that does not
-    explain them.
-    """
+    """How many seconds late rows must be to turn as the gyro does; NaN where that does not explain them."""
     stated = of_head.against_gyro()
 
     def gain(late_s: float) -> float:
         fits = of_head.against_gyro(late_s)
-        return (
-            sum(none - stated[row][1] for row, (_, none) in fits.items())
-            if 2 * len(fits) > len(stated)
-            else 0.0
-        )
+        most = fits if 2 * len(fits) > len(stated) else {}
+        return sum((none - stated[row][1] for row, (_, none) in most.items()), start=0.0)
 
     tried = np.concatenate([-LAGS_S[::-1], [0.0], LAGS_S])
     best = int(np.clip(np.argmax([gain(size) for size in tried.tolist()]), 1, len(tried) - 2))
@@ -184,17 +180,16 @@ def _lag(of_head: Attitudes) -> float:
 def _late(of_head: Attitudes, late_s: float) -> Finding:
     when = "early" if late_s > 0.0 else "late"
     text = f"dated {1e3 * abs(late_s):.3g} ms {when} against the gyro: check {{}}."
-    return _times_of(of_head, text, -1e3 * late_s)
+    return _of_all(of_head, "times of {}", text, -1e3 * late_s, "ms")
 
 
 def _about_gyro(cause: str, text: str, field: str, size_ms: float = np.nan) -> Finding:
-    unit = "ms" if np.isfinite(size_ms) else ""
     return Finding(
         cause=cause,
         item="gyro",
         text=text,
         value=size_ms,
-        unit=unit,
+        unit="ms" if np.isfinite(size_ms) else "",
         file="dump.toml",
         field=f"gyro.{field}",
         refutes=True,
@@ -227,9 +222,8 @@ def _of_head(of_head: Attitudes) -> list[Finding]:
     if told and told[1] > gained + gain - price:
         return [told[0]]
     rest = np.setdiff1d(every, alone)
-    found = [
-        _finding(of_head, group, rest, "exchanged they fit, as stated they miss it by") for group in groups
-    ]
+    missed = "exchanged they fit, as stated they miss it by"
+    found = [_finding(of_head, group, rest, missed) for group in groups]
     if alone:
         found.append(_finding(of_head, alone, rest, "off the motion of the others, by up to"))
     return [*found, *([more[0]] if more else [])]
@@ -396,13 +390,11 @@ def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
     step_s = _common_step(t_s, off_s)
     multiples = f", all of them multiples of {step_s:.4g} s" if step_s else ""
     text = f"evenly spaced they fit, as stated they scatter by {1e3 * off_s:.3g} ms{multiples}: check {{}}."
-    return _times_of(of_head, text, 1e3 * off_s), gain
+    return _of_all(of_head, "times of {}", text, 1e3 * off_s, "ms"), gain
 
 
 def _even_instants(of_head: Attitudes) -> list[Floats]:
-    """Instants (K,) that are evenly spaced along every stretch: with rows missing where a step is long, and
-    with none missing.
-    """
+    """Evenly spaced instants (K,) along every stretch: with rows missing in long steps, and with none."""
     found = [of_head.t_s.copy(), of_head.t_s.copy()]
     for part in of_head.stretches(np.arange(len(of_head.t_s))):
         steps = np.diff(part.t_s)
@@ -412,23 +404,23 @@ def _even_instants(of_head: Attitudes) -> list[Floats]:
     return found
 
 
-def _times_of(of_head: Attitudes, text: str, size_ms: float) -> Finding:
-    """About the times of all rows of a head; `text` has a place for field and file."""
-    source, subject = of_head.head.head.source, of_head.head.head.subject
-    solved = isinstance(source, SolvedAttitudes)
-    file, field = (
-        (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
-    )
+def _of_all(
+    of_head: Attitudes, cause: str, text: str, size: float, unit: str, *, refutes: bool = True, **more: Any
+) -> Finding:
+    """About all rows of a head; `cause` has a place for what it delivers, `text` for field and file."""
+    head = of_head.head.head
+    file, field = head.times_in
     return Finding(
-        cause=f"times of {_what(of_head)}",
-        item=subject.words if solved else "all exposures",
-        subjects=(subject,) if solved else (),
+        cause=cause.format(_what(of_head)),
+        item=head.subject.words if of_head.is_solved else "all exposures",
+        subjects=(head.subject,) if of_head.is_solved else (),
         text=text.format(f"{field} in {file}"),
-        value=size_ms,
-        unit="ms",
+        value=size,
+        unit=unit,
         file=file,
         field=field,
-        refutes=True,
+        refutes=refutes,
+        **more,
     )
 
 
@@ -439,8 +431,7 @@ def _what(of_head: Attitudes) -> str:
 def _told_of_all(
     of_head: Attitudes, parts: Sequence[Stretch], kind: Excess, size_si: float, largest: float
 ) -> Finding:
-    source, text, sigma = of_head.head.head.source, kind.text.format(size_si / kind.si), np.nan
-    solved = source if isinstance(source, SolvedAttitudes) else None
+    text, sigma = kind.text.format(size_si / kind.si), np.nan
     if kind is EXCESSES[0] and (groups := _two_groups(parts, size_si)):
         early, size_si, sigma = groups
         which = f"{len(early)} of {sum(len(part.rows) for part in parts)} are"
@@ -450,21 +441,16 @@ def _told_of_all(
     elif kind is EXCESSES[0] and (step_s := _common_step(of_head.t_s, size_si)):
         text += f", all of them multiples of {step_s:.4g} s"
     is_weak = kind.as_motion and of_head.head.head.noise_is_assumed
-    file, field = (solved.file, "utc") if solved else ("exposures.csv", "utc_mid")
-    look_at = f"{field} in {file}"
-    if kind is not EXCESSES[0]:
-        look_at += ", and its stated noise" if solved else ", its images and the star camera"
-    return Finding(
-        cause=kind.cause.format(_what(of_head)),
-        item=of_head.head.head.subject.words if solved else "all exposures",
-        subjects=(of_head.head.head.subject,) if solved else (),
-        text=f"{text}: check {look_at}.",
-        value=size_si / kind.si,
-        sigma=sigma / kind.si,
-        unit=kind.unit,
-        file=file,
-        field=field,
+    noise = "its stated noise" if of_head.is_solved else "its images and the star camera"
+    look_at = "check {}." if kind is EXCESSES[0] else f"check {{}}, and {noise}."
+    return _of_all(
+        of_head,
+        kind.cause,
+        f"{text}: {look_at}",
+        size_si / kind.si,
+        kind.unit,
         refutes=largest >= REFUTES and not is_weak,
+        sigma=sigma / kind.si,
         is_fault=not is_weak,
     )
 
@@ -476,17 +462,14 @@ def _common_step(t_s: Floats, scatter_s: float) -> float:
 
 
 def _two_groups(parts: Sequence[Stretch], spread_s: float) -> tuple[Ints, float, float] | None:
-    """Rows that are dated early, by how much against the others, and its 1-sigma, s; none where instants are
-    not in two groups.
-    """
+    """Rows that are dated early, against the others by how much, its 1-sigma, s; None: not in two groups."""
     known = [part.instants(spread_s) for part in parts]
     early_s = np.concatenate([np.linalg.solve(F + np.eye(len(x)) / spread_s**2, x) for F, x in known])
     order = np.sort(early_s)
     cut = order[int(np.argmax(np.diff(order)))]
     few = early_s <= cut
-    within = np.hypot(
-        *(np.std(part) * np.sqrt(part.size / few.size) for part in (early_s[few], early_s[~few]))
-    )
+    both = (early_s[few], early_s[~few])
+    within = np.hypot(*(np.std(part) * np.sqrt(part.size / few.size) for part in both))
     if float(early_s[~few].mean() - early_s[few].mean()) < APART * within:
         return None
     ends = np.cumsum([0, *(len(part.rows) for part in parts)])

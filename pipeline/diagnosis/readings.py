@@ -23,18 +23,17 @@ from boresight.geometry.epoch import GPS_MINUS_TAI_S, tai_minus_utc_s
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Ledger, Subject
 from boresight.geometry.record import Bools, Floats
-from boresight.pipeline.diagnosis.sky_losses import (
+from boresight.pipeline.diagnosis.losses import (
     Crossings,
     as_bright_as_named,
     crossings,
     names,
-    only,
     stars_found,
 )
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
 from boresight.pipeline.files.images.tiff import StripFiles
-from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_identified
@@ -115,62 +114,45 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     for head in dump.heads:
         source, words, subjects = head.source, head.subject.words, (head.subject,)
         for cause, changed, field, R_meant in MOUNTINGS:
-            file, apply = f"the installation file of {head.name}", partial(_mounted, head.name, R_meant)
+            file = f"the installation file of {head.name}"
+            apply = partial(_with_head, head.name, partial(_mounted, R_meant))
             yield Reading(cause, words, subjects, file, field, changed, apply)
         for cause, changed, file, field, R_meant in ATTITUDES if isinstance(source, SolvedAttitudes) else ():
-            file, apply = file.format(source), partial(_turned, head.name, R_meant)
-            yield Reading(cause, words, subjects, file, field, changed, apply)
+            apply = partial(_with_head, head.name, partial(_turned, R_meant))
+            yield Reading(cause, words, subjects, file.format(source), field, changed, apply)
     for a, b in pairwise([head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]):
-        yield Reading(
-            "files of two heads",
-            f"heads {a.name} and {b.name}",
-            (a.subject, b.subject),
-            "dump.toml",
-            "star_cameras.attitudes",
-            "exchanged,",
-            partial(_heads_exchanged, a.name, b.name),
-        )
+        words, both = f"heads {a.name} and {b.name}", (a.subject, b.subject)
+        field, apply = "star_cameras.attitudes", partial(_heads_exchanged, a.name, b.name)
+        yield Reading("files of two heads", words, both, "dump.toml", field, "exchanged,", apply)
     leap_s, strips = float(tai_minus_utc_s(dump.epoch.mjd_tai(0.0))), Subject(Kind.STRIP)
     for scale, minus_tai_s in SCALES:
         changed = f"read as {scale} ({-minus_tai_s - leap_s:+.0f} s)"
         apply = partial(_moved, -minus_tai_s - leap_s)
-        yield Reading(
-            "scale of times", strips.words, (strips,), "strips.csv", "utc_first_row", changed, apply
-        )
+        cause, field = "scale of times", "utc_first_row"
+        yield Reading(cause, strips.words, (strips,), "strips.csv", field, changed, apply)
     for cause, changed, field, meant in POINTS if dump.points else ():
         apply = partial(_with_points, meant)
         yield Reading(cause, "all measured points", (), "points.csv", field, changed, apply)
     for one, other in combinations([points.strip_id for points in dump.points[:MOST_EXCHANGED]], 2):
         both = Subject(Kind.STRIP, strip=one), Subject(Kind.STRIP, strip=other)
         apply = partial(_with_points, partial(_renamed, {one: other, other: one}))
-        yield Reading(
-            "points of two strips",
-            f"strips {one} and {other}",
-            both,
-            "points.csv",
-            "strip",
-            "exchanged,",
-            apply,
-        )
+        cause, words = "points of two strips", f"strips {one} and {other}"
+        yield Reading(cause, words, both, "points.csv", "strip", "exchanged,", apply)
 
 
-def _mounted(name: str, meant: Turn, dump: Dump) -> Dump:
-    heads = (replace(one, R_cs0=meant(one.R_cs0)) if one.name == name else one for one in dump.heads)
-    return replace(dump, heads=tuple(heads))
+def _with_head(name: str, changed: Callable[[Head], Head], dump: Dump) -> Dump:
+    return replace(dump, heads=tuple(changed(one) if one.name == name else one for one in dump.heads))
 
 
-def _turned(name: str, meant: Turn, dump: Dump) -> Dump:
-    def turned(source: SolvedAttitudes) -> SolvedAttitudes:
-        return replace(source, rows=replace(source.rows, R_si=meant(source.rows.R_si)))
+def _mounted(meant: Turn, head: Head) -> Head:
+    return replace(head, R_cs0=meant(head.R_cs0))
 
-    sources = [(head, head.source) for head in dump.heads]
-    heads = (
-        replace(head, source=turned(source))
-        if head.name == name and isinstance(source, SolvedAttitudes)
-        else head
-        for head, source in sources
-    )
-    return replace(dump, heads=tuple(heads))
+
+def _turned(meant: Turn, head: Head) -> Head:
+    source = head.source
+    assert isinstance(source, SolvedAttitudes)  # of others there is no such reading
+    rows = replace(source.rows, R_si=meant(source.rows.R_si))
+    return replace(head, source=replace(source, rows=rows))
 
 
 def _heads_exchanged(a: str, b: str, dump: Dump) -> Dump:
@@ -325,14 +307,9 @@ def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTarget
     for (a, n_a), (b, n_b) in islice(combinations(empty, 2), MOST_PAIRS):
         if a.strip.images.shapes == b.strip.images.shapes:
             one, other, images = a.strip.subject, b.strip.subject, (a.strip.images, b.strip.images)
+            cause, words = "files of two strips", f"{one.words} and {other.words}"
             reading = Reading[tuple[StripFiles, StripFiles]](
-                "files of two strips",
-                f"{one.words} and {other.words}",
-                (one, other),
-                "strips.csv",
-                "file",
-                "exchanged,",
-                lambda both: (both[1], both[0]),
+                cause, words, (one, other), "strips.csv", "file", "exchanged,", lambda both: both[::-1]
             )
             found = partial(_matches, (a, b))
             yield from _exchanged(images, reading, found, n_a + n_b, "targets")
@@ -366,14 +343,8 @@ def _of_other_ccd(a: int, b: int, stars: StripStars) -> StripStars:
 
 def _with_files(files: dict[int, int], images: tuple[StripFiles]) -> tuple[StripFiles]:
     """The images of CCDs, each that of another."""
-    ((paths, names, shapes),) = ((one.paths, one.names, one.shapes) for one in images)
-    return (
-        StripFiles(
-            {ccd: paths[of] for ccd, of in files.items()},
-            {ccd: names[of] for ccd, of in files.items()},
-            {ccd: shapes[of] for ccd, of in files.items()},
-        ),
-    )
+    of_files: Any = (images[0].paths, images[0].names, images[0].shapes)
+    return (StripFiles(*({ccd: one[of] for ccd, of in files.items()} for one in of_files)),)
 
 
 def _matches(tasks: Sequence[StripTask], images: Sequence[StripFiles]) -> int:
@@ -390,10 +361,8 @@ def _reversed(axis: int, side: SkySide) -> SkySide:
     """Detections of one strip of the sky with samples (0) or rows (1) in reverse order."""
     (task,), (stars,) = side.tasks, side.found
     xy_px = stars.xy_px.copy()
-    last = (
-        [task.camera.n_px(ccd) - 1.0 for ccd in stars.ccd.tolist()] if axis == 0 else task.strip.lines - 1.0
-    )
-    xy_px[:, axis] = last - xy_px[:, axis]
+    length = [task.strip.lines if axis else task.camera.n_px(ccd) for ccd in stars.ccd.tolist()]
+    xy_px[:, axis] = np.array(length) - 1.0 - xy_px[:, axis]
     return replace(side, found=(replace(stars, xy_px=xy_px),))
 
 
@@ -438,7 +407,7 @@ def _order(dump: Dump, side: SkySide) -> Reading[SkySide] | None:
 def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
     """Strips of the sky of which no star is named as stated, but with rows or columns reversed."""
     for n in range(len(side.tasks)):
-        strip = only(side, n)
+        strip = side.only([n])
         if names(dump, strip) < FEWEST and (order := _order(dump, strip)):
             yield order.finding(f"none of its stars named, but {order.changed} they are", refutes=True)
 
@@ -456,8 +425,8 @@ def strips_without_stars(
         expected = len(ledger.of_strip(strip.strip_id).ccd)
         if len(of_strip.rows) or expected < FEWEST or strip.strip_id in explained:
             continue
-        alone = names(dump, only(side, n)) >= FEWEST
-        if not alone and (order := _order(dump, only(side, n))):
+        alone = names(dump, side.only([n])) >= FEWEST
+        if not alone and (order := _order(dump, side.only([n]))):
             text = f"none of its {expected} brightest stars found, but {order.changed} they are"
             yield order.finding(text)
             continue

@@ -65,13 +65,10 @@ class MeasuredTargets:
         stated_m = np.array(displaced_m(task, subject.id, subject.ccd, xy_px))
         ccd, line = np.array([subject.ccd]), np.array([xy_px[1]])
         t_s = np.asarray(pushbroom_of(task).instants_of_lines(ccd, line))
-        every = (*task.targets, *task.points.targets)
-        p_e = next(target.p_e for target in every if target.target_id == subject.id)
-        lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
+        lat, lon, _ = geodetic_from_ecef(task.places[subject.id].p_e[None], WGS84)
         axes_i = task.orbit.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
-        off_m, covariance = suspect.displaced_m(
-            stated_m, (task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i)[:, :2]
-        )
+        axes_o = task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i
+        off_m, covariance = suspect.displaced_m(stated_m, axes_o[:, :2])
         along = off_m / max(float(np.hypot(*off_m)), 1e-9)
         return float(off_m[0]), float(off_m[1]), float(np.sqrt(along @ covariance @ along))
 
@@ -183,9 +180,8 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
         exchanged = f"{'ccd in points.csv' if of_points else 'files in strips.csv'} exchanged"
         checks = [f"{looks} in remote_camera.toml", exchanged]
         first, second = checks[::-1] if len(groups) == 2 else checks
-        text = (
-            f"{n} of {'their' if several else 'its'} targets contradict the rest: check {first}; or {second}."
-        )
+        whose = "their" if several else "its"
+        text = f"{n} of {whose} targets contradict the rest: check {first}; or {second}."
         file = "remote_camera.toml"
     elif strip_id:
         cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""

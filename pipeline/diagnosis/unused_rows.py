@@ -7,7 +7,7 @@ far from every strip, images of strips in which no target or star was measured.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,32 +65,30 @@ def rows_used(
         "strips": {strip_id for strip_id, _ in seen},
         "exposures": {one.exposure_id for strip in strips for one in strip.exposures},
     }
-    return tuple(
-        Rows(name, len(used[name]), n, frozenset(used[name])) for name, n in dump.listed.items() if n
-    )
+    listed = ((name, frozenset(used[name]), n) for name, n in dump.listed.items() if n)
+    return tuple(Rows(name, len(ids), n, ids) for name, ids, n in listed)
 
 
 def rows_of_cameras(views: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
-    """Rows of the tables of one dump, from those of its cameras: they have its targets and exposures in
-    common, and each its own strips and points.
-    """
-    joined: dict[str, Rows] = {}
-    for one in (row for rows in views for row in rows):
-        before = joined.get(one.name, Rows(one.name, 0, 0))
-        ids = before.ids | one.ids
-        listed = (before.listed, one.listed)
-        n = sum(listed) if one.name in ("strips", "points") else max(listed)
-        joined[one.name] = Rows(one.name, len(ids), n, ids)
-    return tuple(joined.values())
+    """Rows of the tables of one dump: its cameras share targets and exposures, not strips and points."""
+
+    def join(a: Rows, b: Rows) -> Rows:
+        listed = a.listed + b.listed if a.name in ("strips", "points") else max(a.listed, b.listed)
+        return Rows(a.name, len(a.ids | b.ids), listed, a.ids | b.ids)
+
+    return _joined(views, join)
 
 
 def rows_together(of_dumps: Sequence[Sequence[Rows]]) -> tuple[Rows, ...]:
     """Rows of the tables of several dumps, table by table."""
-    sums: dict[str, Rows] = {}
-    for one in (row for rows in of_dumps for row in rows):
-        so_far = sums.get(one.name, Rows(one.name, 0, 0))
-        sums[one.name] = Rows(one.name, so_far.used + one.used, so_far.listed + one.listed)
-    return tuple(sums.values())
+    return _joined(of_dumps, lambda a, b: Rows(a.name, a.used + b.used, a.listed + b.listed))
+
+
+def _joined(several: Sequence[Sequence[Rows]], join: Callable[[Rows, Rows], Rows]) -> tuple[Rows, ...]:
+    joined: dict[str, Rows] = {}
+    for one in (row for rows in several for row in rows):
+        joined[one.name] = join(joined[one.name], one) if one.name in joined else one
+    return tuple(joined.values())
 
 
 def unused_rows(
@@ -114,8 +112,7 @@ def unseen_targets(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[Mat
     if not unseen:
         return []
     if not tasks:
-        reason = "no strip can be used"
-        return [_of_chip(chip, Reason.OUT_OF_VIEW, reason) for _, chip in unseen]
+        return [_of_chip(chip, Reason.OUT_OF_VIEW, "no strip can be used") for _, chip in unseen]
     off_m = np.array([np.hypot(*misses(task, [target for target, _ in unseen])[0].T) for task in tasks])
     contradicted, others = list[Entry](), list[Entry]()
     for n in np.argsort(off_m.min(axis=0), kind="stable").tolist():

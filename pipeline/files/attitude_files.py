@@ -23,11 +23,13 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.inertial_frames import AttitudeFrame, InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.acm_text import AcmAttitudes, is_acm, read_acm
-from boresight.pipeline.files.attitude_kinds import (
+from boresight.pipeline.files.acm_text import (
     ANGLES,
     EULER,
     QUATERNION,
+    AcmAttitudes,
+    is_acm,
+    read_acm,
     rotation_sequence,
     rotations_of,
 )
@@ -61,27 +63,21 @@ class AttitudeRows:
 
     t_s: Floats = array("N", "TAI seconds since the dump's epoch, strictly increasing")
     R_si: Rotation = scalar("(N,) GCRS to star camera, aberration as the head has it")
-    covariance_s: Floats | None = array(
-        "N, 3, 3", "rad², of a small rotation about the axes of s; None: not stated", default=None
-    )
+    covariance_s: Floats | None = array("N, 3, 3", "rad², axes of s; None: not stated", default=None)
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
     is_earth_fixed: bool = scalar("whether `R_si` is from ITRS axes so far", default=False)
 
     def to_gcrs(self, epoch: Epoch, table: EarthOrientationTable, file: str) -> AttitudeRows:
-        """Attitudes (N,) from GCRS axes, Earth-fixed ones turned with the Earth; `RawDataError`, with `file`,
-        for dates without its rotation.
-        """
+        """Attitudes (N,) from GCRS axes; `RawDataError` about `file` for dates without Earth rotation."""
         if not self.is_earth_fixed:
             return self
+        first_s, last_s = float(self.t_s[0]), float(self.t_s[-1])
         try:  # whether old tables are allowed is decided where the orbit is opened
-            earth = EarthRotation.over(
-                epoch, float(self.t_s[0]), float(self.t_s[-1]), table, allow_stale_eop=True
-            )
+            earth = EarthRotation.over(epoch, first_s, last_s, table, allow_stale_eop=True)
         except ValueError as error:
-            raise RawDataError(
-                file, "times", str(error), "dates within the Earth-orientation table"
-            ) from error
+            expected = "dates within the Earth-orientation table"
+            raise RawDataError(file, "times", str(error), expected) from error
         R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
         return replace(self, R_si=R_si, is_earth_fixed=False)
 
@@ -102,25 +98,10 @@ def read_attitudes(
 ) -> AttitudeRows:
     """Attitudes of a CSV file, of an AEM or of an ACM, told apart by their first line.
 
-    Parameters
-    ----------
-    path, file : Path, str
-        The file, and its name in errors.
-    epoch : Epoch
-        Zero of the times.
-    frame : str or None
-        Axes of a CSV file: "GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF". A message states its own.
-    rotation : str or None
-        Sense of a CSV file's quaternions: "head to inertial" or "inertial to head". A message states its
-        own.
-    time_scale : str or None
-        Time scale of a CSV file and name of its column of times: "UTC" (or None), "TAI", "GPS". A message
-        states its own.
-
-    Raises
-    ------
-    RawDataError
-        With file, line or field, found and expected.
+    Times count from `epoch`. A message states its own frame, sense and time scale; of a CSV file `frame` is
+    the axes ("GCRF", "ICRF", "EME2000" or, Earth-fixed, "ITRF"), `rotation` the sense of its quaternions
+    ("head to inertial" or "inertial to head"), `time_scale` the scale and column of its times ("UTC", also
+    for None, "TAI", "GPS"). `RawDataError` names `file`, line or field, found and expected.
     """
     text = read_message(path, file)
     start = text.lstrip()
@@ -130,9 +111,8 @@ def read_attitudes(
         raise RawDataError(file, f"line {line}", start.splitlines()[0][:64], MESSAGES)
     for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
-            raise RawDataError(
-                "dump.toml", f"{key} of {file}", value, "no such key: a message states its own"
-            )
+            expected = "no such key: a message states its own"
+            raise RawDataError("dump.toml", f"{key} of {file}", value, expected)
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
     root = xml_root(start, file) if start.startswith("<") else None
@@ -178,9 +158,8 @@ def _from_csv(
         times.append(row[clock].strip())
         values.append([check_number(row[name], file, f"{line}, {name}") for name in names])
     if not times:
-        raise RawDataError(
-            file, "rows", f"none valid, {invalid} marked invalid", "at least two valid attitudes"
-        )
+        found = f"none valid, {invalid} marked invalid"
+        raise RawDataError(file, "rows", found, "at least two valid attitudes")
     since, t_s = tai_seconds(times, time_scale, file, clock)
     table = np.array(values, dtype=float).reshape(len(times), len(names))
     column = {name: table[:, n] for n, name in enumerate(names)}
@@ -345,9 +324,7 @@ def _is_euler(meta: Mapping[str, str]) -> bool:
 
 
 def _xml_angles(state: Element, meta: Mapping[str, str], file: str, where: str) -> list[float]:
-    """The Euler angles of a state: ANGLE_1 to ANGLE_3, in version 1.0 rotation1 to rotation3, whose attribute
-    names the axis, too.
-    """
+    """The Euler angles of a state; in version 1.0 an attribute of rotation1 to rotation3 names the axis."""
     found = {one.tag: (one.text or "").strip() for one in state.iter() if one.tag in ANGLES}
     axes = rotation_sequence(meta.get(EULER), file, where + EULER)
     for name, axis, one in zip(ANGLES, axes, state.iterfind(".//rotationAngles/*")):

@@ -33,25 +33,20 @@ def read_centroids(path: Path, file: str) -> dict[str, Centroids]:
         psf = check_number(row.get("psf_sigma_px", str(USUAL_PSF_PX)), file, f"{line}, psf_sigma_px")
         x, y, sigma_x, sigma_y, covariance, flux = values
         if not (abs(x) < LIMIT_PX and abs(y) < LIMIT_PX and 0.0 < psf < 100.0 and abs(flux) < 1e18):
-            raise RawDataError(
-                file, line, f"{x}, {y}, {flux}, {psf}", "positions within 1e6 px, a PSF below 100 px"
-            )
-        good = (
-            1e-6 < sigma_x < 1e3 and 1e-6 < sigma_y < 1e3 and abs(covariance) < 0.999_999 * sigma_x * sigma_y
-        )
-        if not good:
+            found, expected = f"{x}, {y}, {flux}, {psf}", "positions within 1e6 px, a PSF below 100 px"
+            raise RawDataError(file, line, found, expected)
+        good = all(1e-6 < sigma < 1e3 for sigma in (sigma_x, sigma_y))
+        if not (good and abs(covariance) < 0.999_999 * sigma_x * sigma_y):
             found = f"{sigma_x}, {sigma_y}, covariance {covariance}"
-            raise RawDataError(
-                file, f"{line}, sigma_x_px", found, "1e-6 to 1e3 px, correlated by less than 1"
-            )
+            expected = "1e-6 to 1e3 px, correlated by less than 1"
+            raise RawDataError(file, f"{line}, sigma_x_px", found, expected)
         rows.setdefault(name, []).append([*values, float(TRUTHS[blended]), psf, snr])
     return {name: _centroids(np.array(values)) for name, values in rows.items()}
 
 
 def _centroids(values: np.ndarray) -> Centroids:
-    x, y, sigma_x, sigma_y, covariance, _, blended, psf, snr = values[
-        np.argsort(-values[:, 5], kind="stable")
-    ].T
+    brightest_first = np.argsort(-values[:, 5], kind="stable")
+    x, y, sigma_x, sigma_y, covariance, _, blended, psf, snr = values[brightest_first].T
     cov_px = np.empty((len(x), 2, 2))
     cov_px[:, 0, 0], cov_px[:, 1, 1] = sigma_x**2, sigma_y**2
     cov_px[:, 0, 1] = cov_px[:, 1, 0] = covariance

@@ -19,7 +19,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.rasters import GridPlace, grid_place
 
-__all__ = ["Slip", "contradiction", "likeliest", "slips"]
+__all__ = ["contradiction", "likeliest", "slips"]
 
 # Decimals of latitude and longitude, degrees, in messages: 1e-7 degree is a centimetre on the ground.
 DECIMALS = 7
@@ -46,13 +46,12 @@ def slips(lat_deg: float, lon_deg: float) -> list[Slip]:
         if kind == "one digit":
             both = "lat_deg and lon_deg exchanged"
             found.append(Slip(lon_deg, lat_deg, both, both))
-        of_lat, of_lon = f"lat_deg ({kind})", f"lon_deg ({kind})"
-        found += [
-            Slip(float(meant), lon_deg, _words("lat_deg", meant, lat, kind), of_lat) for meant in change(lat)
-        ]
-        found += [
-            Slip(lat_deg, float(meant), _words("lon_deg", meant, lon, kind), of_lon) for meant in change(lon)
-        ]
+        for meant in change(lat):
+            words = _words("lat_deg", meant, lat, kind)
+            found.append(Slip(float(meant), lon_deg, words, f"lat_deg ({kind})"))
+        for meant in change(lon):
+            words = _words("lon_deg", meant, lon, kind)
+            found.append(Slip(lat_deg, float(meant), words, f"lon_deg ({kind})"))
     return [one for one in found if abs(one.lat_deg) <= 90.0 and -180.0 <= one.lon_deg <= 360.0]
 
 
@@ -88,11 +87,8 @@ def off_middle_m(target: Target, chip: ChipFile) -> tuple[float, float]:
         return np.nan, np.nan
     lat, lon = np.radians(np.array([place.middle_deg], dtype=float)).T
     lat_target, lon_target, _ = geodetic_from_ecef(target.p_e[None], WGS84)
-    level = np.zeros(1)
-    there, here = (
-        ecef_from_geodetic(lat, lon, level, WGS84),
-        ecef_from_geodetic(lat_target, lon_target, level, WGS84),
-    )
+    there = ecef_from_geodetic(lat, lon, np.zeros(1), WGS84)
+    here = ecef_from_geodetic(lat_target, lon_target, np.zeros(1), WGS84)
     east_m, north_m = (local_axes_e(lat, lon)[0].T @ (here - there)[0])[:2].tolist()
     return east_m, north_m
 

@@ -44,8 +44,7 @@ def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips:
 
 
 def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
-    """`RawDataError` where an orbit with states at `t_s` (N,), s, has no time of any strip; `covers` is what
-    `orbit_covers` says of it."""
+    """`RawDataError` where states at `t_s` (N,), s, cover no strip; `covers` as `orbit_covers` has it."""
     if strips and not _covered(t_s, strips):
         expected = f"states over {_dates_of(epoch, strips)}"
         raise RawDataError(file, "time of the states", covers.removeprefix(f"{file} covers "), expected)

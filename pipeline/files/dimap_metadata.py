@@ -125,13 +125,11 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
         what = " ".join(filter(None, (root.findtext(f".//{name}", "").strip()[:32] for name in names_of)))
         if root.tag == "Dimap_Document":
             found = " ".join(filter(None, ("Dimap_Document", what, f"without {_V2}")))
-            raise RawDataError(
-                file, "root element", found, f"{expected}; a file of RPC has no rigorous model"
-            )
+            expected += "; a file of RPC has no rigorous model"
+            raise RawDataError(file, "root element", found, expected)
         raise RawDataError(file, "root element", root.tag[:64], expected)
-    width, height = (
-        whole_of(root, f"{names.raster}/{name}", file, _MAX_PIXELS) for name in ("NCOLS", "NROWS")
-    )
+    places = (f"{names.raster}/{name}" for name in ("NCOLS", "NROWS"))
+    width, height = (whole_of(root, place, file, _MAX_PIXELS) for place in places)
     start = _utc(text_of(root, names.start, file), "START", file)
     epoch = Epoch.from_utc(start)
     t_first = float(epoch.seconds_from_utc([start])[0])
@@ -171,9 +169,8 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
         found = f"orbit and attitudes of lines {first:.0f} to {last:.0f}"
         raise RawDataError(file, names.point, found, f"of all lines, 0 to {height - 1}")
     _check_corners(root, pushbroom, (width, height), file)
-    return DimapStrip(
-        pushbroom, width, height, text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
-    )
+    dataset = text_of(root, "Dataset_Identification/DATASET_NAME", file)[:128]
+    return DimapStrip(pushbroom, width, height, dataset)
 
 
 def _check_corners(root: Element, pushbroom: Pushbroom, size: tuple[int, int], file: str) -> None:
@@ -265,11 +262,9 @@ def _extended(
         near = slice(-3, None) if at_end else slice(0, 3)
         t = t_s[-1] + _BEYOND * step if at_end else t_s[0] - _BEYOND * step
         where = len(t_s) if at_end else 0
-        added = [
-            np.polyval(np.polyfit((t_s[near] - t) / step, of[near], 2), 0.0) for of in (positions, velocities)
-        ]
         positions, velocities = (
-            np.insert(of, where, one, axis=0) for of, one in zip((positions, velocities), added)
+            np.insert(of, where, np.polyval(np.polyfit((t_s[near] - t) / step, of[near], 2), 0.0), axis=0)
+            for of in (positions, velocities)
         )
         t_s = np.insert(t_s, where, t)
     return t_s, positions, velocities

@@ -63,13 +63,9 @@ class Dump:
     points: tuple[StripPoints, ...] = scalar("measured image points, one record a strip")
     terrain: TerrainFiles | TargetHeights = scalar("the surface of the Earth")
     star_catalogue: StarTable | None = scalar("stars of strips of the sky; None: the bundled Hipparcos")
-    orbit_covers: str = scalar(
-        'what the orbit covers, for messages: "orbit.oem covers 2024-11-20T03:39:49 to ..."'
-    )
+    orbit_covers: str = scalar('what the orbit covers, for messages: "orbit.oem covers 2024-11-20T03 ..."')
     omissions: tuple[Entry, ...] = scalar("images that are not used, with the reasons")
-    listed: dict[str, int] = scalar(
-        "how many targets, measured points, strips and exposures of the reference head its tables list"
-    )
+    listed: dict[str, int] = scalar("targets, points, strips, reference head's exposures in its tables")
 
     def __repr__(self) -> str:
         named = ", ".join(strip.strip_id for strip in (*self.strips, *self.sky_strips)[:MOST_NAMED])
@@ -115,9 +111,7 @@ class Dump:
         return {target.target_id: target for target in (*self.targets, *measured)}
 
     def of_strips(self, wanted: Sequence[str]) -> Dump:
-        """The dump with these strips only; the others are among its omissions. `ValueError` where one is not
-        known, and for none.
-        """
+        """The dump with these strips only, others in its omissions; `ValueError`: unknown ones or none."""
         names = [strip.strip_id for strip in (*self.strips, *self.sky_strips)]
         if not wanted or (unknown := set(wanted) - set(names)):
             found = "no ids" if not wanted else repr(min(unknown))

@@ -42,13 +42,7 @@ from boresight.pipeline.files.orbit_file import Ephemeris
 from boresight.pipeline.files.remote_camera import RemoteCamera, read_remote_camera
 from boresight.pipeline.files.repeats import heads_once, points_once, strips_once
 from boresight.pipeline.files.spice_kernels import NO_KERNELS, Kernels
-from boresight.pipeline.files.star_side import (
-    Head,
-    SolvedAttitudes,
-    check_attitudes,
-    installation_of_head,
-    open_heads,
-)
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes, check_attitudes, open_heads
 from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
 from boresight.pipeline.files.terrain_files import (
@@ -99,7 +93,8 @@ class DumpParts:
         """Installation matrices of the reference head in cameras that have files of their own."""
         stated = {one.id: one.installation for one in self.head.cameras if one.installation is not None}
         files = stated.items()
-        return {name: installation_of_head(self._inside(file, "cameras"), file) for name, file in files}
+        kind = schema.InstallationFile
+        return {name: read_toml(self._inside(file, "cameras"), kind, file) for name, file in files}
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -174,8 +169,7 @@ class DumpParts:
 
     @cached_property
     def orbit_covers(self) -> str:
-        """What the orbit covers, for messages; an error if it, or all exposures, are of other times than the
-        strips."""
+        """What the orbit covers, for messages; an error if it, or all exposures, miss the times of strips."""
         ephemeris, file = self.ephemeris
         epoch, t_s = ephemeris.epoch, ephemeris.t_s
         covers = orbit_covers(epoch, t_s, ephemeris.time_system, file, self.spans)

@@ -23,7 +23,6 @@ from pydantic import (
 __all__ = [
     "DIRECTION_LENGTH",
     "LOOK_TABLES",
-    "CcdFile",
     "DumpFile",
     "EarthOrientationRow",
     "ExposureRow",
@@ -32,6 +31,7 @@ __all__ = [
     "LookCameraFile",
     "LookRow",
     "NoiseFile",
+    "PixelRow",
     "PointRow",
     "RemoteCameraFile",
     "StarCameraFile",
@@ -56,6 +56,11 @@ def _portable(text: str) -> str:
     if text.endswith(".") or text.partition(".")[0].upper() in DEVICES:
         raise ValueError("an id that names a file on every system: no . at the end, no device of Windows")
     return text
+
+
+def numbers(count: int, meaning: str) -> Any:
+    """A list of so many numbers; `meaning` says what they are."""
+    return Field(min_length=count, max_length=count, description=meaning)
 
 
 def within(low: float, high: float, meaning: str) -> Any:
@@ -89,18 +94,17 @@ HeightKind = Literal["ellipsoidal", "egm96"]
 LOOK_TABLES = "look tables"  # `model` of a remote camera
 
 
+CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)  # no other keys, finite numbers
+
+
 class _Strict(BaseModel):
-    model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", strict=True, allow_inf_nan=False, frozen=True
-    )
+    model_config: ClassVar[ConfigDict] = CLOSED | ConfigDict(strict=True)
 
 
 class _Row(BaseModel):
     """A row of a CSV file: all cells are text from which numbers are read."""
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", allow_inf_nan=False, frozen=True, str_strip_whitespace=True
-    )
+    model_config: ClassVar[ConfigDict] = CLOSED | ConfigDict(str_strip_whitespace=True)
 
 
 class Conventions(_Strict):
@@ -157,9 +161,8 @@ class Files(_Strict):
         return self.model_dump(exclude_none=True, exclude={"terrain"})
 
 
-MountingSize = Annotated[
-    float, Field(gt=0.0, le=3600.0, description="mounting between strips, per axis, arc-seconds")
-]
+MOUNTING = "mounting between strips, per axis, arc-seconds"
+MountingSize = Annotated[float, Field(gt=0.0, le=3600.0, description=MOUNTING)]
 MotionSize = Annotated[float, Field(ge=0.0, le=3600.0, description="slow motion, rms per axis, arc-seconds")]
 MotionTime = Annotated[float, Field(ge=1e-3, le=1e3, description="time over which it is smooth, s")]
 CorrelationTime = Annotated[
@@ -216,14 +219,10 @@ class Light(_Strict):
     refraction: bool = True
 
 
-OfAxes = Annotated[
-    list[Annotated[float, Field(ge=0.0, le=36_000.0)]],
-    Field(min_length=3, max_length=3, description="about x, y, z of frame s, arc-seconds, at most 10°"),
-]
-OfAxesTimes = Annotated[
-    list[Annotated[float, Field(ge=1e-3, le=1e5)]],
-    Field(min_length=3, max_length=3, description="about x, y, z of frame s, seconds"),
-]
+OfAxis = Annotated[float, Field(ge=0.0, le=36_000.0)]
+OfAxes = Annotated[list[OfAxis], numbers(3, "about x, y, z of frame s, arc-seconds, at most 10°")]
+OfTime = Annotated[float, Field(ge=1e-3, le=1e5)]
+OfAxesTimes = Annotated[list[OfTime], numbers(3, "about x, y, z of frame s, seconds")]
 
 
 class NoiseFile(_Strict):
@@ -245,10 +244,8 @@ class NoiseFile(_Strict):
         return self
 
 
-Direction = Annotated[
-    list[Annotated[float, Field(ge=-1.01, le=1.01)]],
-    Field(min_length=3, max_length=3, description="unit vector in the axes of the head's attitudes"),
-]
+OfUnit = Annotated[float, Field(ge=-1.01, le=1.01)]  # a component of a unit vector or quaternion
+Direction = Annotated[list[OfUnit], numbers(3, "unit vector in the axes of the head's attitudes")]
 SpiceName = Annotated[str, StringConstraints(pattern=r"^[A-Z0-9_+\-./]{1,32}$")]
 
 
@@ -306,9 +303,8 @@ class HeadFile(_Strict):
                 "unit vector in the axes of the quaternions ([0, 0, 1] for z): it is put right along it"
             )
         if line is not None and abs((length := math.hypot(*line)) - 1.0) > DIRECTION_LENGTH:
-            raise ValueError(
-                f"line_of_sight has length {length:.4g}, 1 within {DIRECTION_LENGTH:g} is needed"
-            )
+            needed = f"1 within {DIRECTION_LENGTH:g} is needed"
+            raise ValueError(f"line_of_sight has length {length:.4g}, {needed}")
 
 
 class GyroFile(_Strict):
@@ -318,10 +314,7 @@ class GyroFile(_Strict):
     quantity: Literal["rates", "angles"]  # at the instant of a row, or turned since the row before
     unit: Literal["rad", "deg", "arcsec"]  # of angles; of rates: in one second
     time_scale: Literal["UTC", "TAI", "GPS"] = "UTC"
-    quaternion_sg: Annotated[
-        list[Annotated[float, Field(ge=-1.01, le=1.01)]],
-        Field(min_length=4, max_length=4, description="axes of its rows to frame s, scalar last"),
-    ]
+    quaternion_sg: Annotated[list[OfUnit], numbers(4, "axes of its rows to frame s, scalar last")]
     random_walk_arcsec: float = within(1e-6, 1e3, "angle random walk: 1-sigma after one second")
     bias_walk_arcsec_s: float = within(1e-9, 1e3, "1-sigma by which the bias changes in one second")
     bias_arcsec_s: Annotated[
@@ -332,9 +325,8 @@ class GyroFile(_Strict):
     @model_validator(mode="after")
     def _is_rotation(self) -> Self:
         if abs((length := math.hypot(*self.quaternion_sg)) - 1.0) > DIRECTION_LENGTH:
-            raise ValueError(
-                f"quaternion_sg has length {length:.6g}, 1 within {DIRECTION_LENGTH:g} is needed"
-            )
+            needed = f"1 within {DIRECTION_LENGTH:g} is needed"
+            raise ValueError(f"quaternion_sg has length {length:.6g}, {needed}")
         return self
 
 
@@ -436,8 +428,7 @@ class DumpFile(_Strict):
 
 
 class SmoothDistortionFile(_Strict):
-    """Displacement of image points by Legendre polynomials, as `star-camera-calibrate` fits it to foreign
-    lenses."""
+    """Displacement by Legendre polynomials, as `star-camera-calibrate` fits it to foreign lenses."""
 
     degree: Annotated[int, Field(ge=2, le=12, description="largest sum of the orders of a term")]
     columns_px: Annotated[list[ShiftPx], Field(max_length=100, description="coefficients along columns, px")]
@@ -463,10 +454,7 @@ class StarCameraFile(_Strict):
     width_px: Samples
     height_px: Samples
     principal_point_px: Annotated[
-        list[Sample],
-        Field(
-            min_length=2, max_length=2, description="column and row where the optical axis meets the detector"
-        ),
+        list[Sample], numbers(2, "column and row where the optical axis meets the detector")
     ]
     bit_depth: BitDepth
     projection: Annotated[
@@ -477,6 +465,9 @@ class StarCameraFile(_Strict):
         ),
     ] = "tangent"
     distortion: StarDistortion
+
+
+Offset = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
 class CcdFile(_Strict):
@@ -490,11 +481,11 @@ class CcdFile(_Strict):
     principal_sample: Sample
     distortion_samples: Annotated[list[Sample], Field(max_length=10_000, description="nodes of the table")]
     distortion_offsets_um: Annotated[
-        list[Annotated[float, Field(ge=-1e5, le=1e5)]],
+        list[Offset],
         Field(max_length=10_000, description="offsets along the line at the nodes, µm, at most 10 cm"),
     ]
     distortion_across_um: Annotated[
-        list[Annotated[float, Field(ge=-1e5, le=1e5)]],
+        list[Offset],
         Field(max_length=10_000, description="offsets across the line at the nodes, µm, at most 10 cm"),
     ] = []  # none: zero
 
@@ -557,12 +548,11 @@ class InstallationFile(_Strict):
     """installation.toml"""
 
     quaternion_cs: Annotated[
-        list[Annotated[float, Field(ge=-2.0, le=2.0)]],
-        Field(min_length=4, max_length=4, description="R_cs measured before launch, scalar last"),
+        list[Annotated[float, Field(ge=-2.0, le=2.0)]], numbers(4, "R_cs measured before launch, scalar last")
     ]
     sigma_rad: Annotated[
         list[Annotated[float, Field(ge=1e-9, le=3.15)]],
-        Field(min_length=3, max_length=3, description="1-sigma rotation about the axes of c, at most 180°"),
+        numbers(3, "1-sigma rotation about the axes of c, at most 180°"),
     ]
 
     @model_validator(mode="after")
@@ -658,3 +648,12 @@ class _Measured(_Identified):
 
 class PointRow(_Surveyed, _Measured):
     """points.csv: ground points whose image positions are measured"""
+
+
+class PixelRow(BaseModel):
+    """One line of the file of pixels. (0, 0) is the centre of the first pixel."""
+
+    model_config: ClassVar[ConfigDict] = CLOSED
+    ccd: Annotated[int, Field(ge=0)]
+    sample: float
+    line: float

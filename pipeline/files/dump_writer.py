@@ -14,7 +14,7 @@ from rasterio.windows import Window
 from boresight.pipeline.files.dump_schema import FILES, head_of_dump
 from boresight.pipeline.files.images.png import png_of_noise
 from boresight.pipeline.files.images.tiff import TILES, tiff_opened, write_tiff
-from boresight.pipeline.files.oem_text import orbit_message
+from boresight.pipeline.files.orbit_file import orbit_message
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
@@ -45,13 +45,7 @@ Rendered = RenderedStrip | RenderedExposure
 Each = Callable[[Callable[[Rendered], None], Sequence[Rendered]], Iterable[None]]
 
 
-def write_dump(
-    mission: Mission,
-    root: Path,
-    *,
-    created_by: str,
-    each: Each = map,
-) -> None:
+def write_dump(mission: Mission, root: Path, *, created_by: str, each: Each = map) -> None:
     """Write the dump to `root`. `FileExistsError` if not empty.
 
     `each` applies a function to the images, one after another or in forked processes: a mission cannot be
@@ -63,9 +57,8 @@ def write_dump(
     for folder in ("exposures", "strips", *ground, "truth"):
         (root / folder).mkdir(parents=True, exist_ok=True)
     write_toml(root / "star_camera.toml", star_camera_table(mission.star_camera, mission.scenario.sky.bits))
-    write_toml(
-        root / "remote_camera.toml", remote_camera_table(mission.line_camera, mission.scenario.ground.bits)
-    )
+    remote = remote_camera_table(mission.line_camera, mission.scenario.ground.bits)
+    write_toml(root / "remote_camera.toml", remote)
     installation = {
         "quaternion_cs": mission.installation.R_cs.as_quat().tolist(),
         "sigma_rad": np.asarray(mission.installation.sigma_rad, dtype=float).tolist(),
@@ -188,39 +181,19 @@ def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
     }
     write_toml(root / "installation.toml", installation)
     write_toml(root / "scenario.toml", {"seed": truth.seed, "scenario": scenario_to_dict(mission.scenario)})
-    columns = ["strip", "ccd", "sample", "line", "lat_deg", "lon_deg", "height_m"]
     for name, points in (("check_points", truth.check_points), ("targets", truth.targets)):
-        rows = [
-            [
-                p.point_id,
-                p.strip_id,
-                p.ccd,
-                f"{p.sample:.6f}",
-                f"{p.line:.6f}",
-                f"{p.lat_deg:.11f}",
-                f"{p.lon_deg:.11f}",
-                f"{p.height_ellipsoidal_m:.5f}",
-            ]
-            for p in points
-        ]
-        write_csv(root / f"{name}.csv", ["id", *columns], rows)
+        rows = []
+        for p in points:
+            place = f"{p.lat_deg:.11f}", f"{p.lon_deg:.11f}", f"{p.height_ellipsoidal_m:.5f}"
+            rows.append([p.point_id, p.strip_id, p.ccd, f"{p.sample:.6f}", f"{p.line:.6f}", *place])
+        columns = "id strip ccd sample line lat_deg lon_deg height_m".split()
+        write_csv(root / f"{name}.csv", columns, rows)
     if truth.sky_stars:
-        stars = [
-            [
-                s.strip_id,
-                s.ccd,
-                s.hip,
-                f"{s.sample:.6f}",
-                f"{s.line:.6f}",
-                f"{s.charge_e:.1f}",
-                f"{s.v_mag:.2f}",
-            ]
-            for s in truth.sky_stars
-        ]
-        columns = ["strip", "ccd", "hip", "sample", "line", "charge_e", "v_mag"]
-        write_csv(root / "sky_stars.csv", columns, stars)
-    strips = [
-        [s.strip_id, repr(s.clock_offset_s), *np.asarray(s.position_error_m).tolist()] for s in truth.strips
-    ]
+        stars = []
+        for s in truth.sky_stars:
+            numbers = f"{s.sample:.6f}", f"{s.line:.6f}", f"{s.charge_e:.1f}", f"{s.v_mag:.2f}"
+            stars.append([s.strip_id, s.ccd, s.hip, *numbers])
+        write_csv(root / "sky_stars.csv", "strip ccd hip sample line charge_e v_mag".split(), stars)
+    strips = [[s.strip_id, repr(s.clock_offset_s), *s.position_error_m.tolist()] for s in truth.strips]
     columns = ["strip", "clock_offset_s", "error_x_m", "error_y_m", "error_z_m"]
     write_csv(root / "strips.csv", columns, strips)

@@ -15,7 +15,7 @@ from boresight.pipeline.files.dump_schema import GyroFile
 from boresight.pipeline.files.orbit_file import tai_seconds
 from boresight.pipeline.files.text_files import check_number, csv_rows
 
-__all__ = ["GYRO_AXES", "read_gyro"]
+__all__ = ["read_gyro"]
 
 GYRO_AXES = ("x", "y", "z")  # columns of rates or angles
 UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": ARCSEC}

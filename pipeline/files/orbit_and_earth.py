@@ -16,8 +16,7 @@ from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.orbit_file import Ephemeris, covered_by, joined_segments, read_segments
-from boresight.pipeline.files.spice_kernels import SPK, Kernels, is_kernel
-from boresight.pipeline.files.spice_orbit import read_spk
+from boresight.pipeline.files.spice_kernels import SPK, Kernels, is_kernel, read_spk
 from boresight.pipeline.files.text_files import read_table
 
 __all__ = ["bundled_table", "orbit_of", "read_earth_orientation", "read_orbit", "segment_over"]
@@ -34,9 +33,7 @@ def read_orbit(path: Path, file: str, kernels: Kernels) -> tuple[Ephemeris, ...]
 def segment_over(
     segments: tuple[Ephemeris, ...], strips: list[tuple[float, float]], file: str
 ) -> tuple[Ephemeris, str]:
-    """All segments joined, or where they do not follow one another, or none covers a strip, the one that
-    covers most of them; its name in errors.
-    """
+    """All segments joined or, if they do not follow or cover a strip, the one that covers most; its name."""
     covered = covered_by(segments, strips)
     if any(covered) and (all_of_them := joined_segments(segments)) is not None:
         return all_of_them, file
@@ -71,11 +68,7 @@ def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
 
 
 def orbit_of(
-    ephemeris: Ephemeris,
-    file: str,
-    table: EarthOrientationTable,
-    *,
-    allow_stale_eop: bool,
+    ephemeris: Ephemeris, file: str, table: EarthOrientationTable, *, allow_stale_eop: bool
 ) -> Orbit:
     """The orbit through the states of an ephemeris.
 
@@ -88,9 +81,8 @@ def orbit_of(
         if fault := find_orbit_fault(t[begin:end], positions, velocities, frame):
             if fault.fault.is_of_frame:
                 raise RawDataError(file, "REF_FRAME", f"{frame}, but {fault}", "the frame of the states")
-            expected = (
-                f"{frame} velocities in km/s that are the rate of change of the positions, and no jumps"
-            )
+            expected = f"{frame} velocities in km/s that are the rate of change of the positions, "
+            expected += "and no jumps"
             raise RawDataError(file, f"state {begin + fault.state + 1}", str(fault), expected)
     try:
         earth = EarthRotation.over(

@@ -1,4 +1,4 @@
-"""Read the orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM 1.0 to 3.0, CCSDS 502.0-B), KVN or XML."""
+"""The orbit of a dump: a CCSDS Orbit Ephemeris Message (OEM 1.0 to 3.0, CCSDS 502.0-B), KVN or XML."""
 
 from __future__ import annotations
 
@@ -16,12 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.geometry.inertial_frames import (
-    FrameOfDate,
-    InertialFrame,
-    of_date_to_gcrs,
-    rotation_to_gcrs,
-)
+from boresight.geometry.inertial_frames import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
@@ -29,7 +24,6 @@ from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
 
 __all__ = [
-    "OF_DATE",
     "SAME_FRAME",
     "Ephemeris",
     "calendar_date",
@@ -38,6 +32,7 @@ __all__ = [
     "check_time_system",
     "covered_by",
     "joined_segments",
+    "orbit_message",
     "read_oem",
     "read_segments",
     "tai_seconds",
@@ -82,9 +77,7 @@ _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones
 class Ephemeris:
     """States of one segment of an OEM."""
 
-    epoch: Epoch = scalar(
-        "zero of `t_s`: the whole TAI second at or before the first state of the first segment"
-    )
+    epoch: Epoch = scalar("zero of `t_s`: whole TAI second at or before the first segment's first state")
     t_s: Floats = array("N", "TAI seconds since `epoch`, strictly increasing")
     positions_m: Floats = array("N, 3", "m, axes of `frame`")
     velocities_m_s: Floats = array("N, 3", "m/s, axes of `frame`")
@@ -119,10 +112,9 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
             raise meta.error("OBJECT_ID", other, f"{first}, as in the first segment", file)
     names = [f"{file} (segment {n} of {len(read)})" for n in range(1, len(read) + 1)]
     parts = [_ephemeris(*one, name) for one, name in zip(read, names if len(read) > 1 else [file])]
-    epoch = parts[0].epoch
-    return tuple(
-        replace(one, epoch=epoch, t_s=one.t_s + float(one.epoch.tai_s - epoch.tai_s)) for one in parts
-    )
+    first = parts[0].epoch
+    later_s = [float(one.epoch.tai_s - first.tai_s) for one in parts]
+    return tuple(replace(one, epoch=first, t_s=one.t_s + later) for one, later in zip(parts, later_s))
 
 
 def covered_by(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> list[int]:
@@ -265,10 +257,8 @@ def _of_xml(text: str, file: str) -> list[Part]:
     _keywords([("", "CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
     (body,) = elements_of(root, "body", file, 1, 1)
     segments = elements_of(body, "segment", file, 1, MAX_SEGMENTS)
-    several = len(segments) > 1
-    return [
-        _of_segment(one, file, f"segment {n}, " if several else "") for n, one in enumerate(segments, start=1)
-    ]
+    inside = [f"segment {n}, " for n in range(1, len(segments) + 1)] if len(segments) > 1 else [""]
+    return [_of_segment(one, file, where) for one, where in zip(segments, inside)]
 
 
 def _of_segment(segment: Element, file: str, inside: str) -> Part:
@@ -413,9 +403,7 @@ def check_components(values: Floats, file: str) -> None:
 
 
 def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, least: int = 8) -> None:
-    """`RawDataError` for fewer than `least` states, for times (N,) that do not increase, and for positions
-    (N, 3), m, of no orbit.
-    """
+    """`RawDataError` for too few states, times (N,) not increasing, positions (N, 3), m, of no orbit."""
     if len(t_s) < max(least, 2):
         raise RawDataError(file, "states", str(len(t_s)), f"at least {max(least, 2)}")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):
@@ -425,3 +413,41 @@ def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, 
     if len(bad := np.flatnonzero((radius < 6.4e6) | (radius > 5e7))):
         found = f"{radius[bad[0]] / 1e3:.1f} km from the centre"
         raise RawDataError(file, f"state {bad[0] + 1}, position", found, "6400 to 50000 km (unit km)")
+
+
+def orbit_message(
+    object_name: str,
+    frame: str,
+    interpolation: tuple[str, int],
+    utc: Sequence[str],
+    positions_m: Floats,
+    velocities_m_s: Floats,
+    object_id: str = "",
+) -> str:
+    """Text of the message, one segment of N states: positions (N, 3) to the micrometre, velocities (N, 3) to
+    the nanometre per second, in `frame` (GCRF or ITRF), with the name and degree of their interpolation.
+    Where the international designator `object_id` ("2015-028A") is empty, the name stands for it.
+    """
+    utc = [text.rstrip("Z") for text in utc]
+    lines = [
+        "CCSDS_OEM_VERS = 2.0",
+        f"CREATION_DATE = {utc[0][:19]}",
+        "ORIGINATOR = BORESIGHT",
+        "",
+        "META_START",
+        f"OBJECT_NAME = {object_name.upper()}",
+        f"OBJECT_ID = {object_id or object_name.upper()}",
+        "CENTER_NAME = EARTH",
+        f"REF_FRAME = {frame}",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {utc[0]}",
+        f"STOP_TIME = {utc[-1]}",
+        f"INTERPOLATION = {interpolation[0].upper()}",
+        f"INTERPOLATION_DEGREE = {interpolation[1]}",
+        "META_STOP",
+        "",
+    ]
+    for instant, p, v in zip(utc, positions_m / 1e3, velocities_m_s / 1e3):
+        numbers = [f"{x:.9f}" for x in p] + [f"{x:.12f}" for x in v]
+        lines.append(f"{instant} " + " ".join(numbers))
+    return "\n".join(lines) + "\n"

@@ -8,8 +8,8 @@ bit.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from typing import Any, get_args, get_origin, get_type_hints
@@ -20,13 +20,7 @@ import pyarrow as pa
 from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
 from boresight.pipeline.files.table_files import arrow_array, column, fixed_list, list_values
 
-__all__ = [
-    "columns_of",
-    "plain",
-    "record_from_columns",
-    "record_from_table",
-    "table_from_record",
-]
+__all__ = ["columns_of", "plain", "record_from_columns", "record_from_table", "table_from_record"]
 
 _hints = cache(get_type_hints)  # evaluates every annotation
 # Arrow type of a column by the annotation of a record's field.
@@ -81,9 +75,7 @@ def table_from_record(record: Any) -> tuple[pa.Table, dict[str, Any]]:
     """A record's columns, and its other values under the names of their fields, ready for JSON."""
     table = pa.table(columns_of(record))
     of_rows = {name for name, _, _ in _row_fields(record.__class__, "N")}
-    values = {
-        f.name: plain(getattr(record, f.name)) for f in dataclasses.fields(record) if f.name not in of_rows
-    }
+    values = {f.name: plain(getattr(record, f.name)) for f in fields(record) if f.name not in of_rows}
     return table, {"record": type(record).__name__} | values
 
 
@@ -101,7 +93,7 @@ def record_from_table(kinds: Sequence[type], table: pa.Table, values: dict[str, 
 def _row_fields(kind: Any, rows: str) -> tuple[tuple[str, Any, tuple[int, ...]], ...]:
     """Name, annotation and shape of one entry, of the fields with one entry for each row."""
     hints = _hints(kind)
-    shapes = {field.name: shape_of(field) for field in dataclasses.fields(kind)}
+    shapes = {field.name: shape_of(field) for field in fields(kind)}
     return tuple(
         (name, hints[name], tuple(int(length) for length in shape[1:]))
         for name, shape in shapes.items()
@@ -116,10 +108,8 @@ def _items(hint: Any) -> list[tuple[str, Any]]:
 
 def plain(value: Any) -> Any:
     """`value` as JSON has it: a record as an object, arrays and tuples as lists, an enum as its value."""
-    if dataclasses.is_dataclass(value):
-        return {
-            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init
-        }
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value) if field.init}
     if isinstance(value, tuple):
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray):
@@ -130,7 +120,7 @@ def plain(value: Any) -> Any:
 def _restored(hint: Any, value: Any) -> Any:
     if get_origin(hint) is tuple:
         return tuple(_restored(get_args(hint)[0], item) for item in value)
-    if dataclasses.is_dataclass(hint):
+    if is_dataclass(hint):
         hints = _hints(hint)  # type: ignore[arg-type]
         return hint(**{name: _restored(hints[name], item) for name, item in value.items()})  # type: ignore
     return hint(value) if isinstance(hint, type) and issubclass(hint, Enum) else value

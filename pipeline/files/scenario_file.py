@@ -19,12 +19,7 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.simulator.ground import GroundImage
 from boresight.simulator.mission import render_mission
 from boresight.simulator.mission_records import Mission
-from boresight.simulator.scenario import (
-    Scenario,
-    ScenarioError,
-    builtin_scenario_names,
-    scenario_from_dict,
-)
+from boresight.simulator.scenario import Scenario, ScenarioError, builtin_scenario_names, scenario_from_dict
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.whole_catalogue import all_hipparcos
 

@@ -34,8 +34,7 @@ from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
 from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.gyro_file import read_gyro
-from boresight.pipeline.files.spice_attitudes import read_ck
-from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel
+from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
 from boresight.star_id.centroids import Centroids
 
@@ -139,6 +138,12 @@ class Head:
         return Subject(Kind.HEAD, head=self.name)
 
     @property
+    def times_in(self) -> tuple[str, str]:
+        """File and field of the dump that state the times of its attitudes, or exposures."""
+        source = self.source
+        return (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "utc_mid")
+
+    @property
     def line_of_sight_s(self) -> Floats:
         """Unit vector (3,) along the middle of its field of view, axes of s: z of a camera."""
         source = self.source
@@ -201,8 +206,9 @@ def _head(
         name = str(getattr(head, key))
         return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
 
+    installation_path, installation_file = inside("installation")
     installation, source = _each(
-        lambda: installation_of_head(*inside("installation")),
+        lambda: read_toml(installation_path, schema.InstallationFile, installation_file),
         lambda: _source(root, head, inside, epoch, table, kernels),
     )
     return Head(
@@ -254,11 +260,6 @@ def _each(*reads: Callable[[], Any]) -> list[Any]:
     return results
 
 
-def installation_of_head(path: Path, file: str) -> schema.InstallationFile:
-    """What an installation.toml says; `RawDataError` if it is not valid."""
-    return read_toml(path, schema.InstallationFile, file)
-
-
 def _camera(path: Path, file: str) -> tuple[StarCamera, int]:
     """The camera of a star_camera.toml, and the bits of its counts."""
     camera = read_toml(path, schema.StarCameraFile, file)
@@ -274,12 +275,9 @@ def check_attitudes(
     """
     wrong = [fault for head in heads if (fault := _contradiction(head, orbit, strips)) is not None]
     if 1 < len(heads) == sum(unexplained for _, unexplained in wrong):
-        raise RawDataError(
-            orbit_file,
-            "positions and velocities",
-            "an orbit with which no head's camera sees the Earth",
-            "the orbit of this satellite at these dates, in the stated frame",
-        )
+        found = "an orbit with which no head's camera sees the Earth"
+        expected = "the orbit of this satellite at these dates, in the stated frame"
+        raise RawDataError(orbit_file, "positions and velocities", found, expected)
     if wrong:
         raise wrong[0][0]
 
@@ -287,9 +285,7 @@ def check_attitudes(
 def _contradiction(
     head: Head, orbit: Orbit, strips: Sequence[tuple[float, float]]
 ) -> tuple[RawDataError, bool] | None:
-    """What is wrong with a head's attitudes or its line of sight, and whether the attitudes contradict the
-    orbit without a usual mistake that explains it.
-    """
+    """What is wrong with attitudes or line of sight, and if no usual mistake explains it."""
     source = head.source
     if not isinstance(source, SolvedAttitudes):
         return None
@@ -338,12 +334,7 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
 
 
 def _attitudes(
-    head: schema.HeadFile,
-    path: Path,
-    file: str,
-    epoch: Epoch,
-    table: EarthOrientationTable,
-    kernels: Kernels,
+    head: schema.HeadFile, path: Path, file: str, epoch: Epoch, table: EarthOrientationTable, kernels: Kernels
 ) -> SolvedAttitudes:
     """Attitudes with the one statement of their white noise: of each row, or of the head."""
     rows = _rows(head, path, file, epoch, kernels).to_gcrs(epoch, table, file)
@@ -378,6 +369,10 @@ def _rows(head: schema.HeadFile, path: Path, file: str, epoch: Epoch, kernels: K
 def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
     """The keys and values of a star_camera.toml, lengths to 14 digits: the inverse of `star_camera_of`."""
     focal_mm, pitch_um = (float(f"{value:.14g}") for value in (camera.focal_m * 1e3, camera.pixel_m * 1e6))
+    smooth = {}
+    if camera.smooth is not None:
+        columns, rows = camera.smooth.coefficients_px.tolist()
+        smooth = {"smooth": {"degree": camera.smooth.degree, "columns_px": columns, "rows_px": rows}}
     return {
         "focal_length_mm": focal_mm,
         "pixel_pitch_um": pitch_um,
@@ -392,14 +387,9 @@ def star_camera_table(camera: StarCamera, bits: int) -> dict[str, Any]:
             "q1_per_mm2": camera.q1,
             "q2_per_mm4": camera.q2,
             **({} if camera.q3 == 0.0 else {"q3_per_mm6": camera.q3}),
-            **({} if camera.smooth is None else {"smooth": _smooth_table(camera.smooth)}),
+            **smooth,
         },
     }
-
-
-def _smooth_table(smooth: SmoothDistortion) -> dict[str, Any]:
-    columns, rows = smooth.coefficients_px.tolist()
-    return {"degree": smooth.degree, "columns_px": columns, "rows_px": rows}
 
 
 def star_camera_of(file: schema.StarCameraFile, name: str) -> StarCamera:
@@ -468,13 +458,8 @@ def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposur
         k = int(bad[0])
         found = f"{rows[k + 1].utc_mid} ({rows[k + 1].id}) after {rows[k].utc_mid} ({rows[k].id})"
         raise RawDataError(file, f"line {k + 3}, utc_mid", found, "strictly increasing times")
-    return tuple(
-        Exposure(
-            row.id,
-            row.file,
-            path_inside(root, row.file, file=file, field=f"line {n + 2}, file"),
-            float(t),
-            row.exposure_s,
-        )
-        for n, (row, t) in enumerate(zip(rows, t_s))
-    )
+    exposures = []
+    for n, (row, t) in enumerate(zip(rows, t_s.tolist())):
+        image = path_inside(root, row.file, file=file, field=f"line {n + 2}, file")
+        exposures.append(Exposure(row.id, row.file, image, t, row.exposure_s))
+    return tuple(exposures)

@@ -159,7 +159,6 @@ def _column(table: Any, name: str, file: str) -> Floats:
         raise RawDataError(file, name, str(error), "numbers") from error
     wrong = np.flatnonzero((values < low) | (values > high))
     if len(wrong):
-        raise RawDataError(
-            file, f"row {wrong[0] + 1}, {name}", float(values[wrong[0]]), f"{low:g} to {high:g}"
-        )
+        cell = f"row {wrong[0] + 1}, {name}"
+        raise RawDataError(file, cell, float(values[wrong[0]]), f"{low:g} to {high:g}")
     return values

@@ -19,17 +19,13 @@ __all__ = ["noise_keys", "state_noise"]
 
 
 def noise_keys(noise: AttitudeNoise, with_white: bool) -> dict[str, list[float] | str]:
-    """Keys of a table [star_cameras.noise] of estimated noise; without its white part, where rows or stars
-    give it.
-    """
+    """Keys of [star_cameras.noise], estimated; without the white part where rows or stars give it."""
 
     def listed(values: Floats) -> list[float]:
         return [float(f"{value:.4g}") for value in values.tolist()]
 
-    keys: dict[str, list[float] | str] = (
-        {"white_arcsec": listed(noise.white_rad / ARCSEC)} if with_white else {}
-    )
-    return keys | {
+    return {
+        **({"white_arcsec": listed(noise.white_rad / ARCSEC)} if with_white else {}),
         "correlated_arcsec": listed(noise.correlated_rad / ARCSEC),
         "correlation_time_s": listed(noise.correlation_time_s),
         "constant_arcsec": listed(noise.constant_rad / ARCSEC),

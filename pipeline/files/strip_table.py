@@ -28,9 +28,7 @@ class Strip:
 
     strip_id: str = scalar("id of the table")
     images: StripFiles = scalar("image files by CCD")
-    t_first_row_s: float = scalar(
-        "label of row 0, TAI seconds since the epoch (see the camera's `time_of_row`)"
-    )
+    t_first_row_s: float = scalar("label of row 0 (see `time_of_row`), TAI seconds since the epoch")
     row_period_s: float = scalar("s")
     lines: int = scalar("number of rows, from the first of any CCD to the last")
     first_row: dict[int, float] = scalar("row of the strip at which line 0 of a CCD's image lies, by CCD")
@@ -100,9 +98,8 @@ def check_what_strips_show(ground: Sequence[Strip], sky: Sequence[Strip], head: 
     """`RawDataError` for a strip without an image and without points, and for ground without any targets."""
     files = head.files
     if ground and files.targets is None and files.points is None:
-        expected = (
-            "files.targets (chips) or files.points (measured image points), for its strips of the ground"
-        )
+        expected = "files.targets (chips) or files.points (measured image points), "
+        expected += "for its strips of the ground"
         raise RawDataError("dump.toml", "files.targets", "nothing", expected)
     bare = [strip.strip_id for strip in ground if not strip.images.names] if files.points is None else []
     if bare := bare + [strip.strip_id for strip in sky if not strip.images.names]:
@@ -136,9 +133,8 @@ def _check_alike(members: list[StripMember], file: str) -> None:
         same = ("kind", "camera", "row_period_s", *(("utc_first_row", "lines") if together else ()))
         for key in same:
             if (got := getattr(row, key)) != (expected := getattr(reference, key)):
-                raise RawDataError(
-                    file, f"{where}, {key}", str(got), f"{expected}, as for CCD {reference.ccd}"
-                )
+                alike = f"{expected}, as for CCD {reference.ccd}"
+                raise RawDataError(file, f"{where}, {key}", str(got), alike)
 
 
 def _strip_images(

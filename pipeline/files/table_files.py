@@ -144,6 +144,6 @@ def _values(array: pa.Array) -> np.ndarray:
         return np.array(array.to_pylist(), dtype=object)
     if array.null_count:
         return np.array([np.nan if value is None else value for value in array.to_pylist()])
-    return (
-        np.array(array.to_pylist(), dtype=bool) if array.type == pa.bool_() else np.from_dlpack(array).copy()
-    )
+    if array.type == pa.bool_():
+        return np.array(array.to_pylist(), dtype=bool)
+    return np.from_dlpack(array).copy()

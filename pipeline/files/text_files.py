@@ -117,10 +117,8 @@ def utf8_text(raw: bytes, file: str) -> str:
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte 0x{raw[error.start]:02x}"
-        raise RawDataError(
-            file, f"byte {error.start}", found, "text in UTF-8 (of a spreadsheet: CSV UTF-8)"
-        ) from error
+        found, expected = f"byte 0x{raw[error.start]:02x}", "text in UTF-8 (of a spreadsheet: CSV UTF-8)"
+        raise RawDataError(file, f"byte {error.start}", found, expected) from error
 
 
 def toml_tables(path: Path, file: str) -> dict[str, Any]:
@@ -208,9 +206,7 @@ def each_once(ids: Sequence[str], file: str) -> None:
 def csv_rows(
     path: Path, required: Sequence[str], optional: Sequence[str], file: str
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Rows of a CSV file as ("line N", cells by column); `RawDataError` for other columns, or other numbers
-    of cells than the header has.
-    """
+    """Rows as ("line N", cells by column); `RawDataError` for other columns or numbers of cells."""
     rows = csv.reader(_lines(read_text(path, file), file), strict=True)
     count = 0
     try:
@@ -247,9 +243,8 @@ def check_number(cell: str, file: str, field: str) -> float:
 def _check_header(header: Sequence[str], required: Sequence[str], optional: Sequence[str], file: str) -> None:
     expected = f"columns {', '.join(required)}" + (f" and perhaps {', '.join(optional)}" if optional else "")
     if len(header) == 1 and (other := [mark for mark in ";\t|" if mark in header[0]]):
-        raise RawDataError(
-            file, "header", f"columns separated by {other[0]!r}", "columns separated by commas"
-        )
+        found = f"columns separated by {other[0]!r}"
+        raise RawDataError(file, "header", found, "columns separated by commas")
     if missing := [name for name in required if name not in header]:
         raise RawDataError(file, f"column {missing[0]}", "no such column", expected)
     if unknown := [name for name in header if name not in (*required, *optional)]:
@@ -307,35 +302,28 @@ def expected_of(error: Mapping[str, Any]) -> str:
         case "literal_error":
             return str(limits["expected"]).replace(" or ", ", ").replace("'", '"')
         case "too_short" | "too_long":
-            some = (
-                f"at least {limits['min_length']}"
-                if "min_length" in limits
-                else f"at most {limits['max_length']}"
-            )
+            least = "min_length" in limits
+            some = f"at least {limits['min_length']}" if least else f"at most {limits['max_length']}"
             return f"{some} values, not {limits['actual_length']}"
         case "string_too_short":
             return f"text of at least {limits['min_length']} characters"
         case "string_too_long":
             return f"text of at most {limits['max_length']} characters"
-        case "int_type" | "int_parsing" | "int_from_float":
-            return "an integer without quotes"
-        case "float_type" | "float_parsing":
-            return "a number without quotes and unit"
-        case "finite_number":
-            return "a finite number"
-        case "string_type":
-            return "text in quotes"
-        case "bool_type":
-            return "true or false"
-        case "string_pattern_mismatch":
-            return "text of this form"
         case "value_error":
             return str(limits.get("error", message))
-        case "list_type" | "tuple_type":
-            return "a list: [.., ..]"
-        case "model_type" | "dict_type" | "model_attributes_type":
-            return "a table"
-    return message[0].lower() + message[1:]
+    return OF_KINDS.get(error["type"], message[0].lower() + message[1:])
+
+
+OF_KINDS = {  # what other kinds of pydantic's errors ask for
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "an integer without quotes"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number without quotes and unit"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list: [.., ..]"),
+    **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "a table"),
+    "finite_number": "a finite number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "string_pattern_mismatch": "text of this form",
+}
 
 
 def _description(model: type[BaseModel], location: Sequence[int | str]) -> str:

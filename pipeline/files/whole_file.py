@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import json
+import math
 import os
 import platform
 import re
@@ -14,13 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.files.json_text import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
     "is_vacant",
+    "json_text",
     "make_own_folder",
     "remove_abandoned",
     "write_figure",
@@ -59,9 +61,7 @@ def is_vacant(folder: Path) -> bool:
 
 
 def make_own_folder(folder: Path) -> None:
-    """Make a folder inside a result; its parent has to be there. `RawDataError` where it is a link or a file:
-    what a run writes stays inside the folder that the user named.
-    """
+    """Make a folder inside a result, whose parent is there; `RawDataError` for a link or a file."""
     with suppress(FileExistsError):
         folder.mkdir()
     if folder.is_symlink() or not folder.is_dir():
@@ -70,9 +70,7 @@ def make_own_folder(folder: Path) -> None:
 
 
 def write_inside(path: Path, write: Any) -> None:
-    """`write_whole` into the folder of a result, made where it is missing; `RawDataError` where it is a link,
-    or has become one during the run.
-    """
+    """`write_whole` into a folder of a result, made if missing; `RawDataError` where it has become a link."""
     make_own_folder(path.parent)
     write_whole(path, write)
 
@@ -113,3 +111,18 @@ def _abandoned(path: Path, host: str, process: int) -> bool:
 
 def _host() -> str:
     return f"{zlib.crc32(platform.node().encode()):08x}"
+
+
+def json_text(content: Any) -> str:
+    """`content` as JSON text; null stands for what is not finite, and a NumPy array becomes a list."""
+    return json.dumps(_finite(content), indent=2, allow_nan=False)
+
+
+def _finite(content: Any) -> Any:
+    if hasattr(content, "tolist"):  # arrays and numbers of NumPy
+        content = content.tolist()
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -28,17 +28,13 @@ _ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-
 
 
 def read_xml(path: Path, file: str) -> Element:
-    """The root element of an XML file, plain or compressed with gzip; `RawDataError` for anything else, and
-    for a DTD.
-    """
+    """The root of an XML file, plain or compressed with gzip; `RawDataError` for anything else, or a DTD."""
     raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
     return xml_of_bytes(unpacked(raw, file, MAX_TEXT_BYTES) if raw.startswith(GZIP) else raw, file)
 
 
 def xml_of_bytes(raw: bytes, file: str) -> Element:
-    """The root element of XML in UTF-8, in UTF-16 with a byte-order mark, or in the encoding that its first
-    line states; otherwise as `xml_root`.
-    """
+    """The root of XML in UTF-8, UTF-16 with a mark, or the stated encoding; otherwise as `xml_root`."""
     stated = _ENCODING.match(raw)
     is_other = stated is not None and stated[1].upper() not in (b"UTF-8", b"UTF8")
     is_other |= raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
@@ -52,9 +48,8 @@ def xml_root(text: str | bytes, file: str) -> Element:
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
-        raise RawDataError(
-            file, "XML", type(error).__name__, "XML without DTD, entities or references"
-        ) from error
+        expected = "XML without DTD, entities or references"
+        raise RawDataError(file, "XML", type(error).__name__, expected) from error
     except (ParseError, ValueError, LookupError) as error:  # LookupError: an encoding of no known name
         raise RawDataError(file, "XML", str(error), "well-formed XML") from error
     assert isinstance(root, Element)
@@ -75,16 +70,13 @@ def text_of(root: Element, where: str, file: str, inside: str = "") -> str:
     """The text of the one element at a path; `RawDataError` for none, several or an empty one."""
     found = root.findall(where)
     if len(found) != 1 or not (found[0].text or "").strip():
-        raise RawDataError(
-            file, inside + where, f"{len(found)} such elements, or an empty one", "one element with text"
-        )
+        elements = f"{len(found)} such elements, or an empty one"
+        raise RawDataError(file, inside + where, elements, "one element with text")
     return (found[0].text or "").strip()
 
 
 def numbers_of(root: Element, where: str, file: str, number: int, inside: str = "") -> list[float]:
-    """The `number` finite numbers of the one element at a path; `RawDataError` for other text, which names
-    what the element is `inside` of ("state 7, ") and the path.
-    """
+    """The finite numbers of one element `inside` another ("state 7, "); `RawDataError` for other text."""
     words = text_of(root, where, file, inside).split()
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:

@@ -16,12 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion, interpolation_weights
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 
-__all__ = ["CrossAngles", "MeasuredStrip", "cross_angles"]
-
-Array = NDArray[np.float64]
+__all__ = ["MeasuredStrip", "cross_angles"]
 
 
 @record(kw_only=True)
@@ -31,7 +29,7 @@ class MeasuredStrip:
     strip: StripSightings = scalar("sightings of the strip")
     orbit: NominalMotion = scalar("nominal motion: the orbit, or the scan of the sky")
     R_si: Rotation = array("K", "attitude at each exposure, GCRS -> star camera")
-    covariance_s: Array = array("K, 3, 3", "of each attitude, frame s, rad²")
+    covariance_s: Floats = array("K, 3, 3", "of each attitude, frame s, rad²")
     stars_kept: tuple[NDArray[np.bool_], ...] = array("K", "arrays (N,): the stars used of each exposure")
     targets_kept: NDArray[np.bool_] = array("J", "the targets used")
 
@@ -44,8 +42,8 @@ class CrossAngles:
     target_id: NDArray[np.str_] = array("N", "target")
     exposure_id: NDArray[np.str_] = array("N", "exposure")
     hip: NDArray[np.int64] = array("N", "catalogue number of the star")
-    z: Array = array("N", "cosine measured minus cosine known")
-    sigma: Array = array("N", "predicted 1 sigma of z")
+    z: Floats = array("N", "cosine measured minus cosine known")
+    sigma: Floats = array("N", "predicted 1 sigma of z")
 
 
 def cross_angles(motions: list[MeasuredStrip], R_cs: Rotation, settings: CalibrationSettings) -> CrossAngles:
@@ -63,7 +61,7 @@ def cross_angles(motions: list[MeasuredStrip], R_cs: Rotation, settings: Calibra
 
 def _of_strip(
     motion: MeasuredStrip, R_cs: Rotation, settings: CalibrationSettings
-) -> Iterator[tuple[str, str, str, NDArray[np.int64], Array, Array]]:
+) -> Iterator[tuple[str, str, str, NDArray[np.int64], Floats, Floats]]:
     strip, ground = motion.strip, motion.strip.ground
     times = strip.times_s
     if len(times) < 2 or not any(kept.any() for kept in motion.stars_kept):
@@ -91,7 +89,7 @@ def _of_strip(
         yield (*names, stars.hip[kept], z, np.sqrt(variance))
 
 
-def _target_covariances(motion: MeasuredStrip, R_ci: Array, settings: CalibrationSettings) -> Array:
+def _target_covariances(motion: MeasuredStrip, R_ci: Floats, settings: CalibrationSettings) -> Floats:
     """Covariance (J, 3, 3) of each target's direction, frame c, rad²: image measurement and stated errors.
     `R_ci` (J, 3, 3) are the attitudes of the camera.
     """

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats
 from boresight.pipeline import __version__
-from boresight.pipeline.files.json_text import json_text
+from boresight.pipeline.files.whole_file import json_text
 
 __all__ = ["calibration_text"]
 

@@ -68,9 +68,7 @@ def rms_test(direction: str, error_m: Floats, covariance: Floats) -> RmsTest:
 
 
 def probability_beyond(eigenvalues: Floats, x: float) -> float:
-    """Probability that sum_i lambda_i z_i² exceeds x, z_i independent standard normal, lambda_i >= 0 the
-    eigenvalues (N,).
-    """
+    """Probability that sum_i lambda_i z_i² > x, z_i standard normal, eigenvalues lambda_i (N,) >= 0."""
     lam = eigenvalues[eigenvalues > 1e-12 * eigenvalues.max(initial=0.0)]
     if not len(lam) or x <= 0.0:
         return float(x <= 0.0)

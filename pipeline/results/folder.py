@@ -20,6 +20,11 @@ itself what is joint: no stars, exposures and work.
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 
 from boresight.pipeline.errors import RawDataError
@@ -27,7 +32,16 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import remove_abandoned
 from boresight.pipeline.run.unit_store import UnitStore
 
-__all__ = ["DUMPS", "INTERIOR", "VALIDATION", "begin_result", "dumps_in", "results_in", "store_of"]
+__all__ = [
+    "DUMPS",
+    "INTERIOR",
+    "VALIDATION",
+    "ScratchFolder",
+    "begin_result",
+    "dumps_in",
+    "results_in",
+    "store_of",
+]
 
 DUMPS, VALIDATION = "dumps.json", "validation.json"  # names of files in a result's folder
 # File of a result, below its folder, that holds an interior orientation; its picture and camera file lie
@@ -41,9 +55,7 @@ def store_of(result: Path) -> UnitStore:
 
 
 def begin_result(result: Path) -> None:
-    """Make the folder; remove the files that mark an earlier run as finished, and incomplete ones of killed
-    processes.
-    """
+    """Make the folder; remove the marks of a finished run, and incomplete files of killed processes."""
     result.mkdir(parents=True, exist_ok=True)
     remove_abandoned(result)
     evidence = ("evidence/context.json", "evidence/budget.json")
@@ -66,3 +78,20 @@ def results_in(result: Path) -> list[Path]:
     if not (names := dumps_in(result)):
         return [result]
     return [result / name for name in names if (result / name / "installation.json").is_file()]
+
+
+class ScratchFolder:
+    """A folder that exists as long as this object: the files of a result that was given no folder, written by
+    `fill` when they are first asked for.
+    """
+
+    def __init__(self, fill: Callable[[Path], object] = lambda path: None) -> None:
+        self._fill = fill
+
+    @cached_property
+    def path(self) -> Path:
+        """The folder, filled."""
+        path = Path(tempfile.mkdtemp(prefix="boresight-"))
+        weakref.finalize(self, shutil.rmtree, path, ignore_errors=True)
+        self._fill(path)
+        return path

@@ -82,9 +82,8 @@ def head_track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, F
 
 def noise_of_tracks(dump: Dump, tracks: Sequence[HeadTrack], lowest_hz: float = LOWEST_HZ) -> HeadNoise:
     """As `noise_of_heads`, of tracks in the order of the heads; raises `DataNotSufficientError`, too."""
-    longest = max(
-        (strip.lines * strip.row_period_s for strip in (*dump.strips, *dump.sky_strips)), default=0.0
-    )
+    every = (*dump.strips, *dump.sky_strips)
+    longest = max((strip.lines * strip.row_period_s for strip in every), default=0.0)
     signal = _single(tracks[0], lowest_hz) if len(tracks) == 1 else _differences(dump, tracks)[0]
     try:
         fit = fit_noise(signal, max(longest, PIECE_S))

@@ -78,9 +78,7 @@ def identity_of_result(result: Path) -> Identity:
 
 
 def write_about(result: Path, file: Path | None) -> bool:
-    """Keep what a TOML file says of a result in its folder; whether one was given. An earlier one is
-    replaced. `RawDataError` names a wrong key.
-    """
+    """Keep what a TOML file says of a result, if one is given, and whether; `RawDataError`: a wrong key."""
     if file is None:
         return False
     write_json(result / ABOUT, read_toml(file, About, str(file)).model_dump(exclude_none=True))

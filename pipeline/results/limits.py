@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
@@ -58,11 +58,7 @@ def validation_limits(
         ("max-nees", validation.nees, max_nees, "NEES"),
         ("max-ground-m", ground_m, max_ground_m, "rms along or across, m,"),
     )
-    return [
-        Limit(name=name, found=found, limit=limit, what=what)
-        for name, found, limit, what in figures
-        if limit is not None
-    ]
+    return _given(figures)
 
 
 def centroid_limits(
@@ -85,10 +81,13 @@ def centroid_limits(
         ("max-x-bound", x_bound, max_x_bound, f"error over bound {stars}"),
         ("min-complete", complete, min_complete, f"share found {stars}"),
     )
+    return _given(figures)
+
+
+def _given(figures: Iterable[tuple[str, float, float | None, str]]) -> list[Limit]:
+    """The limits that are given, of name, figure, limit and words."""
     return [
-        Limit(name=name, found=float(found), limit=limit, what=what)
-        for name, found, limit, what in figures
-        if limit is not None
+        Limit(name=n, found=float(f), limit=limit, what=w) for n, f, limit, w in figures if limit is not None
     ]
 
 

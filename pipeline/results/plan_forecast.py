@@ -22,7 +22,6 @@ from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = [
     "PLAN_DRAWS",
-    "Improvement",
     "SkyPart",
     "compare_campaigns",
     "forecast_of_plan",
@@ -36,19 +35,12 @@ OUTER_SHARE = 0.1  # of the swath, at each end: where targets determine the rota
 
 
 def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> CalibrationSettings:
-    """Calibration settings whose priors are the errors that the plan states; those of CCDs by themselves need
-    the cameras.
-    """
+    """Calibration settings with the plan's errors as priors; those of CCDs need the cameras."""
     shift, slope, bend = plan.sigma_ccd_rad
+    same = "sigma_position_m sigma_clock_s sigma_vibration_rad sigma_motion_rad motion_time_s".split()
+    same += "sigma_distortion_rad distortion_length_px distortion_pixel_rad".split()
     return CalibrationSettings(
-        sigma_position_m=plan.sigma_position_m,
-        sigma_clock_s=plan.sigma_clock_s,
-        sigma_vibration_rad=plan.sigma_vibration_rad,
-        sigma_motion_rad=plan.sigma_motion_rad,
-        motion_time_s=plan.motion_time_s,
-        sigma_distortion_rad=plan.sigma_distortion_rad,
-        distortion_length_px=plan.distortion_length_px,
-        distortion_pixel_rad=plan.distortion_pixel_rad,
+        **{name: getattr(plan, name) for name in same},
         sigma_ccd_shift_rad=shift,
         sigma_ccd_slope_rad=slope,
         sigma_ccd_bend_rad=bend,
@@ -59,9 +51,8 @@ def settings_of_plan(plan: StripPlan, cameras: CameraPair | None = None) -> Cali
 def forecast_of_plan(plan: StripPlan, cameras: CameraPair, *, draws: int = PLAN_DRAWS) -> Forecast:
     """The forecast of a plan from `draws` of its strips, with targets and stars at random positions."""
     settings = replace(settings_of_plan(plan, cameras), robust=False)
-    return forecast_from_strips(
-        _drawn(plan, draws, cameras, np.random.default_rng(0)), cameras.R_cs, settings
-    )
+    strips = _drawn(plan, draws, cameras, np.random.default_rng(0))
+    return forecast_from_strips(strips, cameras.R_cs, settings)
 
 
 def _drawn(
@@ -117,29 +108,9 @@ class Improvement:
 def improvements(
     strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings, camera: LineSensor
 ) -> tuple[Improvement, ...]:
-    """What more or other data would change, from the information of the strips of a calibration.
-
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        The strips that were calibrated.
-    R_cs : Rotation
-        Their installation matrix.
-    settings : CalibrationSettings
-        Their error model.
-    camera : LineSensor
-        The remote-sensing camera, for the ends of its swath.
-
-    Returns
-    -------
-    tuple of Improvement
-        Twice as many strips, twice as many targets, targets at the ends of the swath, half the error of
-        position, half that of the clock; in this order.
-
-    Raises
-    ------
-    ValueError
-        If no strip has a target between usable star exposures.
+    """What more or other data would change in a calibration of `strips` with `settings`: twice as many
+    strips, twice as many targets, targets at the ends of the swath of `camera`, half the error of position,
+    half that of the clock; in this order. `ValueError` if no strip has a target between usable exposures.
     """
     model, n = replace(settings, robust=False), len(strips)
     strips = [carried(strip) for strip in strips]
@@ -149,15 +120,16 @@ def improvements(
     def sigma(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
         return forecast_from_strips(these, R_cs, model).sigma(n)
 
+    def half(name: str) -> CalibrationSettings:
+        return replace(model, **{name: 0.5 * getattr(model, name)})
+
     moved = [_with_targets_at_ends(strip, R_cs, camera) for strip in strips]
     cases = {
         "twice as many strips": now.sigma(2 * n),
         "twice as many targets in each strip": sigma([_with_targets_twice(strip) for strip in strips], model),
         "the same number of targets, all near the ends of the swath": sigma(moved, model),
-        "half the error of position": sigma(
-            strips, replace(model, sigma_position_m=0.5 * model.sigma_position_m)
-        ),
-        "half the error of the clock": sigma(strips, replace(model, sigma_clock_s=0.5 * model.sigma_clock_s)),
+        "half the error of position": sigma(strips, half("sigma_position_m")),
+        "half the error of the clock": sigma(strips, half("sigma_clock_s")),
     }
     return tuple(Improvement(change=text, sigma_ratio=after / before) for text, after in cases.items())
 

@@ -44,29 +44,11 @@ OTHERS = ("earth/", "reference/", "camera/")  # beginnings of names of further u
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
 # Keys of the verdict in installation.json, and of each of its checks.
-VERDICT_KEYS = {
-    "outcome",
-    "sentence",
-    "checks",
-    "findings",
-    "probability_false_alarm",
-    "weakest_axis_c",
-    "weakest_sigma_rad",
-}
-CHECK_KEYS = {
-    "kind",
-    "statistic",
-    "expected",
-    "n",
-    "p_value",
-    "p_plain",
-    "limit",
-    "holds",
-    "fails",
-    "is_caution",
-    "look_at",
-    "names",
-}
+VERDICT_KEYS = set("outcome sentence checks findings probability_false_alarm".split())
+VERDICT_KEYS |= {"weakest_axis_c", "weakest_sigma_rad"}
+CHECK_KEYS = set(
+    "kind statistic expected n p_value p_plain limit holds fails is_caution look_at names".split()
+)
 
 
 @record(kw_only=True)
@@ -96,7 +78,7 @@ class SavedResult:
     covariance_s: Floats = array("K, 3, 3", "covariance of their errors, frame s, rad²")
     usable: Bools = array("K", "whether enough stars were kept to determine the attitude")
     earth: SavedEarth = scalar(
-        "errors of predicted Earth orientation; none where it was measured", default=NO_EARTH
+        "errors of predicted Earth orientation, if it was not measured", default=NO_EARTH
     )
 
 
@@ -116,18 +98,15 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
 
 
 def read_installation(result: Path) -> dict[str, Any]:
-    """Content of a result's installation.json. `RawDataError` for one that is not there, or whose verdict is
-    not as the program writes it.
-    """
+    """Content of installation.json; `RawDataError` if it is missing, or its verdict not as written here."""
     name = str(result / "installation.json")
     content = read_json(result / "installation.json", name)
     verdict = content.get("verdict")
     checks = verdict.get("checks") if isinstance(verdict, dict) else None
     parts = [(verdict, VERDICT_KEYS), *((one, CHECK_KEYS) for one in checks or ())]
     if not all(isinstance(one, dict) and keys <= one.keys() for one, keys in parts):
-        raise RawDataError(
-            name, "verdict", "missing or incomplete", "what `calibrate` writes; calibrate again"
-        )
+        expected = "what `calibrate` writes; calibrate again"
+        raise RawDataError(name, "verdict", "missing or incomplete", expected)
     return content
 
 
@@ -164,8 +143,7 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
 
 
 def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, Any]:
-    """What a result's installation.json says of one of several cameras; of a single one, all.
-    `RawDataError` for another camera."""
+    """What installation.json says of one of several cameras, or the only one; `RawDataError` for another."""
     matrices = {str(one.get("name")): one for one in content.get("cameras") or ()}
     if not camera and not matrices:
         return content
@@ -176,17 +154,13 @@ def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, A
 
 
 def matrix_in(content: dict[str, Any], camera: str, result: Path) -> tuple[Rotation, Floats, Floats]:
-    """R_cs, theta (3,), rad, and its covariance (3, 3), rad², of a result's installation.json, of several
-    cameras those of `camera`.
-    """
+    """R_cs, theta (3,), rad, covariance (3, 3), rad², of an installation.json, or of one `camera` in it."""
     file, matrix = str(result / "installation.json"), of_camera(content, camera, result)
     return *_matrix(matrix, file), _numbers(matrix, "covariance_rad2", (3, 3), file)
 
 
 def read_matrices(result: Path) -> tuple[tuple[str, ...], Rotation, Floats, Floats]:
-    """Names of the C cameras, their matrices, theta (3 C,), rad, and its covariance (3 C, 3 C), rad²; a
-    single camera has no name.
-    """
+    """Names of C cameras ("": the only one), matrices, theta (3 C,), rad, covariance (3 C, 3 C), rad²."""
     file = str(result / "installation.json")
     content = read_json(result / "installation.json", file)
     if not (cameras := content.get("cameras")):
@@ -214,9 +188,8 @@ def _earth(content: dict[str, Any], file: str) -> SavedEarth:
     try:
         predictions = predictions_of(names)
     except (TypeError, ValueError, AttributeError) as error:
-        raise RawDataError(
-            file, "predicted_earth.unknowns", names, f"names of rotations ({error})"
-        ) from error
+        expected = f"names of rotations ({error})"
+        raise RawDataError(file, "predicted_earth.unknowns", names, expected) from error
     n = 3 * len(predictions)
     return SavedEarth(
         predictions=predictions,
@@ -236,9 +209,7 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         joint = read_saved_result(result, camera)
         folders = [name for name in dumps_in(result) if name in (camera, f"{dump and dump.name}-{camera}")]
         if not folders:
-            raise RawDataError(
-                str(result), "--dump", "nothing" if dump is None else str(dump), "one of its dumps"
-            )
+            raise RawDataError(str(result), "--dump", str(dump or "nothing"), "one of its dumps")
         folder = result / folders[0]
         if dump is not None:
             check_dump_of(folder, dump)
@@ -253,12 +224,10 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         origin = origin_of(result / name)
         if origin is not None and origin.dump == identity:
             joint, own = read_saved_result(result), read_saved_result(result / name)
-            matrix = {
-                key: getattr(joint, key) for key in ("R_cs", "theta", "cov_theta", "installation", "earth")
-            }
-            return result / name, dataclasses.replace(own, **matrix)
+            of_joint = ("R_cs", "theta", "cov_theta", "installation", "earth")
+            return result / name, dataclasses.replace(own, **{key: getattr(joint, key) for key in of_joint})
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
-    raise RawDataError(str(result), "--dump", "nothing" if dump is None else str(dump), expected)
+    raise RawDataError(str(result), "--dump", str(dump or "nothing"), expected)
 
 
 def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Floats:

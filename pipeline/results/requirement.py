@@ -24,9 +24,7 @@ class Requirement:
     """Largest 1-sigma that is allowed about each axis of the remote-sensing camera; None: not required."""
 
     arcsec: float | None = scalar("of the rotation, arc-seconds", default=None)
-    m: float | None = scalar(
-        "of its effect on the ground, m: X, Y at the axis, Z at the swath's edge", default=None
-    )
+    m: float | None = scalar("on the ground, m: X, Y at the axis, Z at the swath's edge", default=None)
 
     def __bool__(self) -> bool:
         return self.arcsec is not None or self.m is not None

@@ -9,7 +9,7 @@ from typing import Any
 from boresight.geometry.ledger import Entry
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
-from boresight.pipeline.calibration.matchings import is_settled
+from boresight.pipeline.calibration.rounds import is_settled
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table
@@ -27,7 +27,7 @@ from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["RunStatus", "StageStatus", "kept_units", "run_status", "saved_omissions", "status_lines"]
+__all__ = ["kept_units", "run_status", "saved_omissions", "status_lines"]
 
 OUTCOMES = (StarSightings, MatchedTargets, StripStars, Entry)  # records that a finished unit may hold
 
@@ -62,9 +62,8 @@ class RunStatus:
 def run_status(result: Path) -> RunStatus:
     """The state of the run in a folder; `RawDataError` for a folder that is not one of a run."""
     if names := dumps_in(result):
-        dumps = tuple(
-            run_status(result / name) if (result / name).is_dir() else _none(result / name) for name in names
-        )
+        folders = [result / name for name in names]
+        dumps = tuple(run_status(one) if one.is_dir() else _none(one) for one in folders)
         return _status(result, (), saved_omissions(result), dumps=dumps)
     work = result / "work"
     if not work.is_dir() and not (result / "installation.json").is_file():
@@ -77,9 +76,8 @@ def run_status(result: Path) -> RunStatus:
     if (result / "installation.json").is_file():
         return _status(result, stages, saved_omissions(result))
     try:
-        return _status(
-            result, _with_missing(stages, open_dump(dump_folder_of(result), allow_stale_eop=True)), omissions
-        )
+        dump = open_dump(dump_folder_of(result), allow_stale_eop=True)
+        return _status(result, _with_missing(stages, dump), omissions)
     except (RawDataError, OSError) as error:
         return _status(result, stages, omissions, unknown=f"what is missing is not known: {error}")
 
@@ -104,19 +102,14 @@ def status_lines(status: RunStatus) -> list[str]:
     lines += [status.unknown] if status.unknown else []
     whole = "all dumps together: " if status.dumps else ""
     if not status.finished:
-        return [
-            *lines,
-            f"{whole}not finished: no installation.json yet; the same `boresight calibrate` goes on",
-        ]
+        unfinished = "not finished: no installation.json yet; the same `boresight calibrate` goes on"
+        return [*lines, f"{whole}{unfinished}"]
     return [*lines, f"{whole}finished" + (f", verdict {status.outcome}" if status.outcome else "")]
 
 
 def kept_units(result: Path) -> str:
     """What a run that is interrupted has finished, for a message."""
-    stores = (
-        result / "work",
-        *(dump / "work" for dump in result.glob("*")),
-    )
+    stores = (result / "work", *(dump / "work" for dump in result.glob("*")))
     folders = sorted(path for store in stores for path in store.glob("*"))
     counts = [(path.name, len(list(path.glob("*.parquet")))) for path in folders if path.is_dir()]
     done = ", ".join(f"{n} of {stage_words(name)}" for name, n in counts if n)

@@ -8,14 +8,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Ints, record, scalar
+from boresight.geometry.record import Floats, Ints, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -25,8 +24,7 @@ from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.results.ownership import MARKER, check_dump_of, dump_folder_of
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, settings_from_values
-from boresight.pipeline.stages.coverage import rows_not_covered
-from boresight.pipeline.stages.head_rows import rows_of_heads
+from boresight.pipeline.stages.coverage import rows_not_covered, rows_of_heads
 
 __all__ = [
     "Calibrated",
@@ -41,8 +39,6 @@ __all__ = [
     "terrain_sigma_m",
     "whole_strip_model",
 ]
-
-Array = NDArray[np.float64]
 
 
 @record(kw_only=True)
@@ -92,9 +88,7 @@ def terrain_sigma_m(dump: Dump) -> float:
 
 
 def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
-    """The model of one strip. `RawDataError` for a strip that is not in the dump, `DataNotSufficientError`
-    for one whose rows the result's star exposures do not cover.
-    """
+    """The model of a strip; `RawDataError`: not in the dump, `DataNotSufficientError`: rows not covered."""
     dump, result = calibrated.dump, calibrated.result
     strips = {strip.strip_id: strip for strip in dump.strips}
     if strip_id not in strips:
@@ -124,10 +118,10 @@ def attitude_track(result: SavedResult, dump: Dump, near: Ints) -> AttitudeTrack
     return smoothed_track(rows, dump.orbit, gyro=gyro, t_s=every)
 
 
-def attitude_errors_s(track: AttitudeTrack, result: SavedResult, dump: Dump, near: Ints, t_s: Array) -> Array:
-    """Rotation (N, 3, A) about the axes of s, at instants (N,), by independent errors, 1 sigma, of the
-    attitudes of exposures (K,) through which a track goes.
-    """
+def attitude_errors_s(
+    track: AttitudeTrack, result: SavedResult, dump: Dump, near: Ints, t_s: Floats
+) -> Floats:
+    """Rotation (N, 3, A) about axes of s at instants (N,) by independent 1-sigma errors of attitudes (K,)."""
     covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
     each = np.arange(len(near))
     covariance[each, :, each, :] += result.covariance_s[near]

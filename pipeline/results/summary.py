@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.ledger import Kind, Reason, either_of
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
@@ -41,7 +41,6 @@ __all__ = [
     "verdict_lines",
 ]
 
-Array = NDArray[np.float64]
 # Most reasons why something is not used that the console lists without --verbose.
 MOST_REASONS = 8
 # Told after what went wrong.
@@ -113,10 +112,8 @@ def kind_of(cause: str) -> str:
     return "orbit or targets" if kind == "datum of the targets" else kind
 
 
-def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Array) -> list[str]:
-    """The kinds of error with most effect that the data cannot show at all, in one line; `sigma_rad` (T,) is
-    the 1-sigma of theta.
-    """
+def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Floats) -> list[str]:
+    """The errors with most effect that data cannot show at all, in one line; 1-sigma of theta (T,), rad."""
     kinds: dict[str, Mapping[str, Any]] = {}
     for one in spots:
         if one["is_unseen"] and np.abs(one["effect_rad"]).max() >= LEAST_EFFECT_RAD:
@@ -127,7 +124,7 @@ def blind_lines(spots: Sequence[Mapping[str, Any]], sigma_rad: Array) -> list[st
     return [f"{'cannot show' if n == 0 else '':26s}{text}" for n, text in enumerate(shown)]
 
 
-def unit_effect(one: Mapping[str, Any], sigma_rad: Array) -> str:
+def unit_effect(one: Mapping[str, Any], sigma_rad: Floats) -> str:
     """What one unit of an error does to the axis that it moves most, and to all that it moves by more than
     their 1-sigma (T,): "1 ms: 2.8″ Y".
     """
@@ -149,7 +146,7 @@ def _equal_names(group: Sequence[str]) -> str:
     return " = ".join(group[:3]) + (f" = ... ({len(group)} in all)" if len(group) > 3 else "")
 
 
-def _matrix_lines(estimate: InstallationEstimate, n: int, m_per_rad: Array) -> list[str]:
+def _matrix_lines(estimate: InstallationEstimate, n: int, m_per_rad: Floats) -> list[str]:
     """Matrix of a camera, angles in arc-seconds, their 1 sigma in metres on the ground."""
     name, own = estimate.cameras[n], slice(3 * n, 3 * n + 3)
     R_cs, _ = estimate.of_camera(name)
@@ -166,7 +163,7 @@ def _matrix_lines(estimate: InstallationEstimate, n: int, m_per_rad: Array) -> l
     return lines
 
 
-def _between_lines(estimate: InstallationEstimate, sigma_rad: Array | None) -> Iterator[str]:
+def _between_lines(estimate: InstallationEstimate, sigma_rad: Floats | None) -> Iterator[str]:
     """The rotations between cameras: their deviation from those before launch, its 1 sigma and verdict."""
     for one in estimate.between(sigma_rad):
         yield _row(f"{one.cameras[1]} to {one.cameras[0]}"[:25], one.theta / ARCSEC, "+.3f")
@@ -178,8 +175,8 @@ def _between_lines(estimate: InstallationEstimate, sigma_rad: Array | None) -> I
 def _estimate_lines(
     estimate: InstallationEstimate,
     strips: Sequence[StripSightings],
-    grounds: Sequence[Array],
-    sigma_rad: Array | None = None,
+    grounds: Sequence[Floats],
+    sigma_rad: Floats | None = None,
 ) -> list[str]:
     """The matrix of each camera, the rotations between them, and what they come from."""
     lines = [line for n, ground in enumerate(grounds) for line in _matrix_lines(estimate, n, ground)]
@@ -215,9 +212,8 @@ def _seen(estimate: InstallationEstimate, strips: Sequence[StripSightings]) -> s
 def _doubt_lines(estimate: InstallationEstimate) -> list[str]:
     """Groups of targets of which one is wrong, the likeliest first."""
     text = "is wrong; the data do not tell which: they have less weight."
-    return [
-        f"{'one target in doubt':26s}{group} {text}" for group in map(either_of, estimate.targets.doubtful)
-    ]
+    groups = map(either_of, estimate.targets.doubtful)
+    return [f"{'one target in doubt':26s}{group} {text}" for group in groups]
 
 
 def validation_summary(validation: TruthErrors) -> str:
@@ -255,7 +251,7 @@ def check_point_words(test: RmsTest) -> str:
     )
 
 
-def _row(name: str, values: Array, form: str) -> str:
+def _row(name: str, values: Floats, form: str) -> str:
     width = 14 if len(values) < 4 else 13  # 80 columns
     return f"{name:26s}" + "".join(f"{format(value, form):>{width}s}" for value in values)
 
@@ -289,6 +285,5 @@ def _causes(rows: Sequence[Mapping[str, Any]]) -> str:
     largest = float(np.sqrt(max(gross))) if gross else None
     sized = f" (up to {largest:.1f} sigma)" if largest is not None and counts["gross error"] > 1 else ""
     sized = f" ({largest:.1f} sigma)" if largest is not None and not sized else sized
-    return ", ".join(
-        f"{n} {cause}{sized if cause == 'gross error' else ''}" for cause, n in counts.most_common()
-    )
+    texts = {cause: f"{n} {cause}" for cause, n in counts.most_common()}
+    return ", ".join(text + (sized if cause == "gross error" else "") for cause, text in texts.items())

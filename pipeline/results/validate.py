@@ -29,8 +29,7 @@ from boresight.pipeline.results.check_point_test import (
     predicted_covariance,
     rms_test,
 )
-from boresight.pipeline.results.earth_error import common_covariance
-from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import (
     attitude_errors_s,

@@ -57,22 +57,8 @@ __all__ = [
 
 # Of installation.json, in their order (docs/result-format.md).
 FIELDS = (
-    "verdict",
-    "blind_spots",
-    "R_cs",
-    "quaternion",
-    "theta_rad",
-    "euler_zxy_deg",
-    "covariance_rad2",
-    "ground_m_per_rad",
-    "frames",
-    "stars",
-    "targets",
-    "rows",
-    "chi2",
-    "dof",
-    "settings",
-    "version",
+    *"verdict blind_spots R_cs quaternion theta_rad euler_zxy_deg covariance_rad2 ground_m_per_rad".split(),
+    *"frames stars targets rows chi2 dof settings version".split(),
 )
 OF_CAMERAS = ("cameras", "between_cameras", "cameras_covariance_rad2")  # of several, in place of a matrix
 
@@ -217,9 +203,7 @@ def installation_facts(
     the `ground_m_per_rad` (3,) of each camera, `sigma_installation_rad` (3 C,) the 1-sigma before launch.
     """
     error_model, settings = given
-    used = dataclasses.asdict(dataclasses.replace(settings, calibration=())) | {
-        "calibration": dataclasses.asdict(error_model)
-    }
+    used = dataclasses.asdict(settings) | {"calibration": dataclasses.asdict(error_model)}
     values = {
         "verdict": verdict_json(verdict, rows),
         "blind_spots": blind_spots_json(verdict),
@@ -359,9 +343,7 @@ def _target_groups(
 
 
 def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
-    """One row for each strip of the estimate: time, position in the orbit and the Sun's height over its plane
-    in the middle, ground track, camera.
-    """
+    """A row for each strip of the estimate: time, place in orbit, height of the Sun, track, camera."""
     used = {strip.strip_id for strip in calibration.strips}
     every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]
     tasks = [task for task in every if task.strip.strip_id in used]
@@ -403,13 +385,8 @@ def _write_groups(path: Path, groups: Sequence[pa.Table]) -> None:
     """One Parquet file, one row group a table, without dictionaries: few values repeat."""
 
     def write(target: Path) -> None:
-        with pq.ParquetWriter(
-            target,
-            groups[0].schema,
-            compression="zstd",
-            use_dictionary=False,
-            write_page_checksum=True,
-        ) as file:
+        how = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
+        with pq.ParquetWriter(target, groups[0].schema, **how) as file:
             for group in groups:
                 file.write_table(group, row_group_size=max(len(group), 1))
 

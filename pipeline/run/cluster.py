@@ -25,7 +25,7 @@ from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.program_key import library_versions, program_digest
 
-__all__ = ["Fingerprint", "OnCluster", "UnfitWorkerError", "fingerprint", "on_cluster"]
+__all__ = ["Fingerprint", "OnCluster", "fingerprint", "on_cluster"]
 
 PER_THREAD = 8  # units in flight for each thread of the workers: enough while answers travel
 # Time between two looks at the state of the cluster's workers, s.
@@ -47,9 +47,7 @@ class Fingerprint:
 
     versions: dict[str, str] = scalar("of Python and of the libraries")
     code: str = scalar("digest of the program's source and data files")
-    files: dict[str, str] = scalar(
-        "SHA-256 of the probe files by path; a sentence for one that is not readable"
-    )
+    files: dict[str, str] = scalar("SHA-256 of the probe files by path; a sentence for unreadable ones")
 
     def difference(self, other: Fingerprint) -> str:
         """In what `other` differs, as one sentence; empty if in nothing."""
@@ -137,9 +135,7 @@ class _Run:
         self.cluster, self.call, self.items, self.done = cluster, call, items, done
         self.checker = ThreadPoolExecutor(max_workers=8)  # a worker may take seconds to load the libraries
         self.waiting = deque(range(len(items)))
-        self.running: dict[
-            Any, tuple[int, frozenset[str] | None]
-        ] = {}  # unit, and the workers it is bound to
+        self.running: dict[Any, tuple[int, frozenset[str] | None]] = {}  # unit, workers it is bound to
         self.outcomes: dict[int, Any] = {}
         self.failures: Counter[int] = Counter()
         self.checks: dict[str, Any] = {}  # of workers that have joined: futures of the reason to refuse them
@@ -201,9 +197,8 @@ class _Run:
             self.cluster.say(f"waiting for workers at {self.cluster.address}: {missing}")
             self.said = missing
         if self.cluster.wait_s is not None and time.monotonic() - self.idle_since > self.cluster.wait_s:
-            raise WorkerError(
-                f"no usable worker at {self.cluster.address} for {self.cluster.wait_s:g} s: {missing}"
-            )
+            waited = f"no usable worker at {self.cluster.address} for {self.cluster.wait_s:g} s"
+            raise WorkerError(f"{waited}: {missing}")
 
     def _submit(self) -> None:
         bound = None if self.all_accepted else frozenset(self.threads)
@@ -251,10 +246,7 @@ class _Run:
             self._again(n, f"worker {address} cannot do it: {reason}")
         except KilledWorker as error:
             raise WorkerError(f"unit {n + 1} of {len(self.items)}: {error}") from error
-        except (
-            ImportError,
-            CancelledError,
-        ) as error:  # a worker without boresight; a scheduler that restarts
+        except (ImportError, CancelledError) as error:  # a worker without boresight; a restarted scheduler
             self._again(n, f"{type(error).__name__}: {error}")
         else:
             future.release()
@@ -269,9 +261,8 @@ class _Run:
     def _again(self, n: int, reason: str) -> None:
         self.failures[n] += 1
         if self.failures[n] == MAX_FAILURES:
-            raise WorkerError(
-                f"unit {n + 1} of {len(self.items)} failed {MAX_FAILURES} times; last: {reason}"
-            )
+            unit = f"unit {n + 1} of {len(self.items)}"
+            raise WorkerError(f"{unit} failed {MAX_FAILURES} times; last: {reason}")
         self.waiting.appendleft(n)
 
 

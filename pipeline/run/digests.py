@@ -41,9 +41,7 @@ def digest(*values: Any) -> str:
 
 
 def rounded_digest(content: Any) -> str:
-    """`digest` of what JSON can hold, its numbers to 10 digits: the same for cameras whose files differ by
-    the rounding of a conversion of units.
-    """
+    """`digest` of JSON with numbers to 10 digits: files of one camera differ by rounding of units."""
     return digest(json.loads(json.dumps(content), parse_float=lambda number: f"{float(number):.10g}"))
 
 
@@ -129,8 +127,7 @@ def sources_of(*modules: str) -> dict[str, Any]:
 
 @cache
 def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
-    """Source of a module, what it imports from its package, and the data files of a package; None if there is
-    no such module."""
+    """Source of a module, its imports from its package, data files of a package; None: no such module."""
     if (file := _file_of(name)) is None:
         return None
     source, imported, data = file.read_bytes(), [], None
@@ -176,6 +173,5 @@ def _imports(source: bytes, package: str) -> Iterator[str]:
     for match in _IMPORT.finditer(source.decode("utf-8")):
         module, names, plain = match.groups()
         if (module or plain).partition(".")[0] == package:
-            yield from (
-                [plain] if plain else [module, *(f"{module}.{name}" for name in re.findall(r"\w+", names))]
-            )
+            yield plain or module
+            yield from (f"{module}.{name}" for name in re.findall(r"\w+", names or ""))

@@ -26,13 +26,7 @@ from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
-__all__ = [
-    "RunSettings",
-    "Settings",
-    "calibration_settings",
-    "read_settings",
-    "settings_from_tables",
-]
+__all__ = ["RunSettings", "Settings", "calibration_settings", "read_settings", "settings_from_tables"]
 
 Record = TypeVar("Record")
 RENAMED = {"run.passes": "rounds"}  # keys of before, which are read with a remark
@@ -43,16 +37,10 @@ FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite 
 class RunSettings:
     """How the stages are put together."""
 
-    exposure_margin_s: float = (
-        1.0  # exposures this far before the first and after the last row belong to a strip
-    )
+    exposure_margin_s: float = 1.0  # exposures so far before the first and after the last row are a strip's
     rematch_sigma_rad: float = 5e-6  # 1-sigma of the search in the second matching: position and clock errors
-    rounds: int = (
-        2  # matchings: the first starts from the pre-launch matrix, each later one from the last result
-    )
-    settled_px: float = (
-        2.0  # a strip whose targets are all this close to where they were predicted is not matched again
-    )
+    rounds: int = 2  # matchings: the first from the pre-launch matrix, each later one from the last result
+    settled_px: float = 2.0  # a strip whose targets are all predicted so closely is not matched again
 
     def __post_init__(self) -> None:
         if self.rounds < 1:
@@ -76,9 +64,7 @@ class Settings:
 
 
 def read_settings(path: Path | None) -> Settings:
-    """Settings from a TOML file; `RawDataError` names an unknown section or key, or a value of the wrong
-    type.
-    """
+    """Settings from a TOML file; `RawDataError` names an unknown section or key, or a wrong value."""
     if path is None:
         return Settings()
     return settings_from_tables(toml_tables(path, str(path)), str(path))
@@ -94,14 +80,12 @@ def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
             raise RawDataError(file, section, content, "a table")
     calibration = tables.get("calibration", {})
     settings_from_values(CalibrationSettings, calibration, file, "calibration")
-    return Settings(
-        stars=settings_from_values(StarSettings, tables.get("stars", {}), file, "stars"),
-        match=settings_from_values(MatchSettings, tables.get("match", {}), file, "match"),
-        calibration=tuple(sorted(calibration.items())),
-        run=settings_from_values(RunSettings, tables.get("run", {}), file, "run"),
-        verdict=settings_from_values(VerdictSettings, tables.get("verdict", {}), file, "verdict"),
-        sky_strips=settings_from_values(StripStarSettings, tables.get("sky_strips", {}), file, "sky_strips"),
-    )
+    kinds: dict[str, type] = {"stars": StarSettings, "match": MatchSettings, "run": RunSettings}
+    kinds |= {"verdict": VerdictSettings, "sky_strips": StripStarSettings}
+    parts: dict[str, Any] = {
+        name: settings_from_values(kind, tables.get(name, {}), file, name) for name, kind in kinds.items()
+    }
+    return Settings(calibration=tuple(sorted(calibration.items())), **parts)
 
 
 def calibration_settings(settings: Settings, errors: Errors, camera: LineSensor) -> CalibrationSettings:
@@ -136,9 +120,8 @@ def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, 
             warnings.warn(f"{file}: {section}.{key} is called {section}.{new} now", stacklevel=2)
             key = new
         if key not in hints:
-            raise RawDataError(
-                file, f"{section}.{key}", "an unknown key", f"one of {', '.join(sorted(hints))}"
-            )
+            expected = f"one of {', '.join(sorted(hints))}"
+            raise RawDataError(file, f"{section}.{key}", "an unknown key", expected)
         if dataclasses.is_dataclass(hints[key]):
             if not isinstance(value, dict):
                 raise RawDataError(file, f"{section}.{key}", value, "a table")

@@ -2,28 +2,40 @@
 
 A stage is a function from a task to a record. Its entry in the store is known by a digest of the task and of
 everything installed that the outcome depends on (`program`). An entry that exists is read, not computed.
+A failure ends its own task, whose reason names the exception, and not the run.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
+import cv2
+
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import record, scalar
+from boresight.pipeline.errors import printable
 from boresight.pipeline.files.content import Identity, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
 from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
-from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
-from boresight.pipeline.stages.unit_log import log_unit
 
-__all__ = ["Progress", "StageRunner", "Task", "Unit"]
+__all__ = ["UNFORESEEN", "Progress", "StageRunner", "Task", "Unit", "internal_error", "log_unit"]
+
+# Errors of computations that end one item with a reason, and not the run.
+UNFORESEEN = (ValueError, ArithmeticError, LookupError, cv2.error)
+
+
+def internal_error(error: Exception, where: str) -> str:
+    """The reason of an item whose computation raised `error`."""
+    return f"internal error in {where}: {type(error).__name__}: {str(error)[:300]}; please report"
+
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
 
@@ -111,3 +123,21 @@ def _contents(task: Task) -> tuple[tuple[Path, Identity, str], ...]:
     with suppress(OSError):  # missing: the outcome says so
         return tuple((path, *with_identity(path)) for path in files_in(task))
     return ()
+
+
+log = logging.getLogger("boresight.commands.units")  # shown by commands with --verbose, kept by --log-file
+
+
+def log_unit(stage: str, outcome: Any, computed: bool) -> None:
+    """Log the outcome of one exposure or strip of a stage, and each reason why something is not used."""
+    if not log.isEnabledFor(logging.DEBUG):
+        return
+    found = "" if computed else " (from an earlier run)"
+    for n, line in enumerate(_lines(outcome)):
+        log.debug("%s", printable(f"{stage} {line}{found}" if n == 0 else f"    {line}"))
+
+
+def _lines(outcome: Any) -> list[str]:
+    if isinstance(outcome, Entry):
+        return [f"{outcome.subject.name}: not used, {outcome.text}"]
+    return outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]

@@ -1,15 +1,19 @@
-"""Which star exposures belong to a strip, or why it cannot be used."""
+"""Which star exposures belong to a strip, or why it cannot be used; the attitudes of all heads around it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import NominalMotion
+from boresight.geometry.attitude_smoother import HeadRows
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
+from boresight.geometry.sightings import GroundSightings, HeadAttitudes, StripSightings
 from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -18,26 +22,27 @@ from boresight.pipeline.files.strip_table import Strip
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
 
+    Carrier = tuple[HeadSightings, Ints] | Entry  # head, rows (K,) of exposures; or why there is none
+
 __all__ = [
-    "attitudes_around",
     "attitudes_in_s",
     "carriers",
     "covered_strips",
     "covers",
     "rows_not_covered",
+    "rows_of_heads",
     "stated_mountings",
+    "strip_sightings",
     "turn_to_reference",
 ]
 
 
-def carriers(
-    dump: Dump, heads: Sequence[HeadSightings], margin_s: float
-) -> dict[str, tuple[HeadSightings, Ints] | Entry]:
+def carriers(dump: Dump, heads: Sequence[HeadSightings], margin_s: float) -> dict[str, Carrier]:
     """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
     reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
     without that nothing ties its matrix to theirs.
     """
-    found: dict[str, tuple[HeadSightings, Ints] | Entry] = {}
+    found: dict[str, Carrier] = {}
     strips = (*dump.strips, *dump.sky_strips)
     by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
     able = heads if any(not isinstance(rows, Entry) for rows in by_reference) else heads[:1]
@@ -52,11 +57,9 @@ def carriers(
 
 
 def covered_strips(
-    strips: Sequence[Strip], covering: Mapping[str, tuple[HeadSightings, Ints] | Entry]
+    strips: Sequence[Strip], covering: Mapping[str, Carrier]
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
-    """Strips with what `carriers` found for them, head and rows (K,) of its exposures, and the omissions of
-    all others.
-    """
+    """Strips with head and rows (K,) of exposures that `carriers` found, and omissions of the others."""
     pairs = [(strip, covering[strip.strip_id]) for strip in strips]
     omitted = [carrier for _, carrier in pairs if isinstance(carrier, Entry)]
     return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Entry)], omitted
@@ -133,10 +136,96 @@ def _others_that_cover(dump: Dump, first: float, last: float) -> str:
 
 def covers(dump: Dump, strip: Strip) -> bool:
     """Whether the orbit has states for every row of a strip."""
-    label = np.array([0.0, strip.lines - 1.0]) * strip.row_period_s + strip.t_first_row_s
-    instants = label + dump.line_camera.delay_to_middle_s(strip.row_period_s)
     try:
-        dump.orbit.positions_i(instants)
+        dump.orbit.positions_i(np.array(dump.span_s(strip)))
     except ValueError:
         return False
     return True
+
+
+INSTANT_S = 1e-7  # instants that are one and the same
+
+
+def rows_of_heads(
+    dump: Dump,
+    t_s: Floats,
+    mountings: Mapping[str, Rotation],
+    carrier: str = "",
+    nominal: NominalMotion | None = None,
+) -> list[HeadRows]:
+    """Attitudes that the carrier, else the reference head, has solved from the first of instants (K,) to the
+    last, and those of all other such heads, in frame s of the reference head by the matrices of all, relative
+    to a nominal motion; None: the orbit's.
+    """
+    nominal = nominal or dump.orbit
+    by_name = {head.name: head for head in dump.heads if head.is_smoothed}
+    first, R_cs = by_name.pop(carrier or dump.heads[0].name), mountings[dump.heads[0].name]
+    rows = []
+    for head in (first, *by_name.values()):
+        assert isinstance(head.source, SolvedAttitudes)
+        of_head = head.source.rows
+        at = np.flatnonzero((of_head.t_s >= t_s[0] - INSTANT_S) & (of_head.t_s <= t_s[-1] + INSTANT_S))
+        if not len(at):
+            continue
+        R_sh, white = R_cs.inv() * mountings[head.name], head.noise.white_covariance_s
+        own = np.tile(white, (len(at), 1, 1)) if of_head.covariance_s is None else of_head.covariance_s[at]
+        A, R_hi = R_sh.as_matrix(), head.source.with_all_aberration(at, dump.epoch, dump.orbit)
+        rows.append(
+            HeadRows(
+                t_s=of_head.t_s[at],
+                R_so=R_sh * R_hi * nominal.R_oi(of_head.t_s[at]).inv(),
+                covariance_s=A @ own @ A.T,
+                noise=replace(head.noise, R_sn=R_sh * head.noise.R_sn),
+            )
+        )
+    return rows
+
+
+def strip_sightings(
+    strip_id: str,
+    sightings: GroundSightings,
+    t_attitude_s: Floats,
+    nominal: NominalMotion,
+    heads: Sequence[HeadSightings],
+    carrier: str = "",
+    *,
+    earth: str = "",
+) -> StripSightings:
+    """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
+    where another head, `carrier`, covers the strip. `earth` is the prediction of Earth orientation.
+    """
+    reference = heads[0]
+    by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
+    own = carrier in ("", reference.head.name)
+    rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
+    return StripSightings(
+        strip_id=strip_id,
+        exposures=tuple(reference.stars[k] for k in rows),
+        ground=sightings,
+        R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
+        R_oi_targets=nominal.R_oi(sightings.t_s),
+        attitudes=reference.attitudes.take(rows),
+        noise=reference.head.noise,
+        others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
+        gyro=reference.head.gyro_around(t_attitude_s, nominal),
+        interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
+        earth=earth,
+    )
+
+
+def _around(
+    other: HeadSightings, reference: HeadSightings, t_attitude_s: Floats, nominal: NominalMotion
+) -> HeadAttitudes:
+    """Attitudes of a further head around a strip."""
+    times = np.array([exposure.t_s for exposure in other.stars])
+    first, last = t_attitude_s[0], t_attitude_s[-1]
+    rows = np.flatnonzero(other.attitudes.usable & (times >= first) & (times <= last))
+    return HeadAttitudes(
+        head=other.head.name,
+        t_s=times[rows],
+        R_hi=Rotation.from_matrix(other.attitudes.R_si[rows]) if len(rows) else Rotation.identity(0),
+        covariance_h=other.attitudes.covariance_s[rows],
+        noise=other.head.noise,
+        R_oi=nominal.R_oi(times[rows]),
+        R_sh=reference.head.R_cs0.inv() * other.head.R_cs0,
+    )

@@ -7,9 +7,9 @@ A task holds all that the outcome of one exposure depends on, so it can be sent 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -33,26 +33,17 @@ from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_centroids, sight_stars
 
-__all__ = [
-    "CentroidTask",
-    "StarTask",
-    "centroid_tasks",
-    "exposure_image",
-    "in_order",
-    "is_identified",
-    "sight_exposure",
-    "sight_exposure_centroids",
-    "star_tasks",
-]
+__all__ = ["StarTask", "exposure_image", "is_identified", "sight_exposure", "star_tasks"]
 
 
 @record(kw_only=True)
 class StarTask:
     """One exposure and everything that its sightings depend on."""
 
-    exposure: Exposure = scalar("file and time of the exposure")
+    exposure: Exposure = scalar("name, file and time of the exposure")
     camera: StarCamera = scalar("model of the star camera")
-    bit_depth: int = scalar("of the raw image")
+    bit_depth: int = scalar("of the raw image; 0: its centroids are given", default=0)
+    centroids: Centroids | None = scalar("what was found in its image; None: the image is read", default=None)
     observer: Observer = scalar("the satellite at mid-exposure")
     settings: StarSettings = scalar("thresholds of detection and identification")
 
@@ -62,21 +53,30 @@ class StarTask:
         return self.exposure.item
 
 
-def star_tasks(dump: Dump, images: StarImages, settings: StarSettings) -> tuple[list[StarTask], list[Entry]]:
-    """A task for each exposure of a head that the orbit covers, and an omission for each other one."""
-    if settings.saturation_dn is None:
-        settings = replace(settings, saturation_dn=float(2**images.bit_depth - 1))
+def star_tasks(
+    dump: Dump, source: StarImages | StarCentroids, settings: StarSettings
+) -> tuple[list[StarTask], list[Entry]]:
+    """A task for each exposure with image or centroids that the orbit covers, an omission for each other."""
+    of_images = isinstance(source, StarImages)
+    depth, lists = (source.bit_depth, ()) if isinstance(source, StarImages) else (0, source.lists)
+    if of_images and settings.saturation_dn is None:
+        settings = replace(settings, saturation_dn=float(2**depth - 1))
     tasks, omitted = [], []
-    for exposure in images.exposures:
+    for exposure, centroids in zip_longest(source.exposures, lists):
+        if centroids is None and not of_images:
+            reason = "the list of centroids has no star of it"
+            omitted.append(exposure.item.because(Reason.NOT_IDENTIFIED, reason))
+            continue
         observer = _observer(dump, exposure)
         if isinstance(observer, Entry):
             omitted.append(observer)
             continue
         tasks.append(
             StarTask(
-                exposure=exposure,
-                camera=images.camera,
-                bit_depth=images.bit_depth,
+                exposure=exposure if of_images else replace(exposure, path=Path()),
+                camera=source.camera,
+                bit_depth=depth,
+                centroids=centroids,
                 observer=observer,
                 settings=settings,
             )
@@ -94,89 +94,31 @@ def _observer(dump: Dump, exposure: Exposure) -> Observer | Entry:
     return Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0])
 
 
-@record(kw_only=True)
-class CentroidTask:
-    """The centroids of one exposure and everything that its sightings depend on."""
-
-    exposure: Exposure = scalar("name and time of the exposure")
-    stars: Centroids = scalar("what was found in its image")
-    camera: StarCamera = scalar("model of the star camera")
-    observer: Observer = scalar("the satellite at mid-exposure")
-    settings: StarSettings = scalar("thresholds of identification")
-
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return self.exposure.item
-
-
-def centroid_tasks(
-    dump: Dump, source: StarCentroids, settings: StarSettings
-) -> tuple[list[CentroidTask], list[Entry]]:
-    """A task for each exposure with centroids that the orbit covers, and an omission for each other one."""
-    tasks, omitted = [], []
-    for exposure, stars in zip(source.exposures, source.lists):
-        if stars is None:
-            reason = "the list of centroids has no star of it"
-            omitted.append(exposure.item.because(Reason.NOT_IDENTIFIED, reason))
-            continue
-        observer = _observer(dump, exposure)
-        if isinstance(observer, Entry):
-            omitted.append(observer)
-            continue
-        tasks.append(
-            CentroidTask(
-                exposure=Exposure(
-                    exposure.exposure_id, exposure.file, Path(), exposure.t_s, exposure.exposure_s
-                ),
-                stars=stars,
-                camera=source.camera,
-                observer=observer,
-                settings=settings,
-            )
-        )
-    return tasks, omitted
-
-
-def sight_exposure_centroids(task: CentroidTask) -> StarSightings | Entry:
-    """Directions of the identified stars of a list of centroids; an omission where none are identified."""
-    index = _index_of(task.camera, task.observer)
-    found = sight_centroids(
-        task.exposure.exposure_id, task.stars, task.camera, index, task.observer, task.settings
-    )
-    if isinstance(found, NotIdentified):
-        return task.item.because(Reason.NOT_IDENTIFIED, f"not identified: {found.reason}")
-    return found
-
-
 def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:
     """Raw image (H, W) of an exposure, counts. `RawDataError` where size or depth are not the camera's."""
     return read_exposure(
-        exposure.path,
-        exposure.file,
-        width=camera.width_px,
-        height=camera.height_px,
-        bit_depth=bit_depth,
+        exposure.path, exposure.file, width=camera.width_px, height=camera.height_px, bit_depth=bit_depth
     )
 
 
 def sight_exposure(task: StarTask) -> StarSightings | Entry:
-    """Directions of the identified stars of one exposure; an omission where the image cannot be read or its
-    stars are not identified.
-    """
+    """Directions of identified stars; an omission where the image is unreadable or none are identified."""
     try:
-        image = exposure_image(task.exposure, task.camera, task.bit_depth)
+        sightings = _sighted(task)
     except RawDataError as error:
         return task.item.because(Reason.UNREADABLE, str(error))
-    sightings = _sighted(task, image)
     if isinstance(sightings, NotIdentified):
         return task.item.because(Reason.NOT_IDENTIFIED, f"not identified: {sightings.reason}")
     return sightings
 
 
-def _sighted(task: StarTask, image: NDArray) -> StarSightings | NotIdentified:
-    index = _index_of(task.camera, task.observer)
-    return sight_stars(task.exposure.exposure_id, image, task.camera, index, task.observer, task.settings)
+def _sighted(task: StarTask, image: NDArray | None = None) -> StarSightings | NotIdentified:
+    """The sightings of a task's centroids, else of an image (H, W) in the place of the exposure's own."""
+    name, index = task.exposure.exposure_id, _index_of(task.camera, task.observer)
+    if task.centroids is not None:
+        return sight_centroids(name, task.centroids, task.camera, index, task.observer, task.settings)
+    image = exposure_image(task.exposure, task.camera, task.bit_depth) if image is None else image
+    return sight_stars(name, image, task.camera, index, task.observer, task.settings)
 
 
 def is_identified(task: StarTask, image: NDArray) -> bool:
@@ -185,7 +127,7 @@ def is_identified(task: StarTask, image: NDArray) -> bool:
 
 
 @lru_cache(maxsize=2)
-def star_index(fov_rad: float, year: int) -> StarIndex:
+def _star_index(fov_rad: float, year: int) -> StarIndex:
     """Index of catalogue triangles for a field of view (rad), read once in each process."""
     return cached_index(hipparcos_stars().places, float(year), fov_rad)
 
@@ -193,9 +135,4 @@ def star_index(fov_rad: float, year: int) -> StarIndex:
 def _index_of(camera: StarCamera, observer: Observer) -> StarIndex:
     year = round(float(observer.epoch.julian_year(observer.t_s)))
     fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
-    return star_index(fov_rad, year)
-
-
-def in_order(sightings: Sequence[StarSightings]) -> list[StarSightings]:
-    """Sightings sorted by time, then by id: the order in which sums are made."""
-    return sorted(sightings, key=lambda s: (s.t_s, s.exposure_id))
+    return _star_index(fov_rad, year)

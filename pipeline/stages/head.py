@@ -9,10 +9,12 @@ Attitudes that a head has solved become exposures without stars, so that all lev
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
 from boresight.geometry.attitude_smoother import smoothed_track
@@ -26,25 +28,13 @@ from boresight.geometry.sightings import (
     solved_attitudes,
 )
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarCentroids
+from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.exposure import (
-    centroid_tasks,
-    in_order,
-    sight_exposure,
-    sight_exposure_centroids,
-    star_tasks,
-)
-from boresight.pipeline.stages.head_rows import rows_of_heads
+from boresight.pipeline.stages.coverage import rows_of_heads
+from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 
-__all__ = [
-    "HeadSightings",
-    "around_strips",
-    "before_calibration",
-    "covered_instants",
-    "sight_head",
-]
+__all__ = ["Basis", "HeadSightings", "around_strips", "before_calibration", "covered_instants", "sight_head"]
 
 UNKNOWN_ALIGNMENT_RAD = 0.1  # 1-sigma of alignments that the rows themselves tell better
 
@@ -54,9 +44,7 @@ class HeadSightings:
     """Exposures of one head with their attitudes."""
 
     head: Head = scalar("the head")
-    stars: tuple[StarSightings, ...] = array(
-        "K", "in order of time; without stars where the head solved them"
-    )
+    stars: tuple[StarSightings, ...] = array("K", "in order of time; none where the head solved attitudes")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     omissions: tuple[Entry, ...] = scalar("what cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")
@@ -69,13 +57,10 @@ def sight_head(
     if isinstance(head.source, SolvedAttitudes):
         return _solved(dump, head, head.source, settings.run.exposure_margin_s)
     folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
-    if isinstance(head.source, StarCentroids):
-        lists, uncovered = centroid_tasks(dump, head.source, settings.stars)
-        outcomes, computed = runner.run(sight_exposure_centroids, lists, folder=folder)
-    else:
-        tasks, uncovered = star_tasks(dump, head.source, settings.stars)
-        outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
-    stars = in_order([one for one in outcomes if isinstance(one, StarSightings)])
+    tasks, uncovered = star_tasks(dump, head.source, settings.stars)
+    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    stars = [one for one in outcomes if isinstance(one, StarSightings)]
+    stars.sort(key=lambda one: (one.t_s, one.exposure_id))  # the order in which sums are made
     failed = [one for one in outcomes if isinstance(one, Entry)]
     return HeadSightings(
         head=head,
@@ -122,9 +107,7 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
 def before_calibration(
     dump: Dump, t_s: Floats, mountings: Mapping[str, Rotation], carrier: str, nominal: NominalMotion
 ) -> AttitudeTrack:
-    """Attitudes at those of a carrier (K,), in frame s, by the rows of all heads and the gyro, while only the
-    rows tell their alignments.
-    """
+    """Attitudes at a carrier's (K,), frame s, by all heads and the gyro; only rows tell their alignments."""
     rows = rows_of_heads(dump, t_s, mountings, carrier, nominal)
     gyro = dump.heads[0].gyro_around(t_s, nominal)
     return smoothed_track(rows, nominal, UNKNOWN_ALIGNMENT_RAD, gyro)
@@ -145,3 +128,19 @@ def covered_instants(orbit: Orbit, t_s: Floats, wanted: Bools) -> Bools:
             continue
         covered[k] = True
     return covered
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What every round and every test of a calibration rests on, the same for all of them."""
+
+    dump: Dump
+    heads: tuple[HeadSightings, ...]  # its star cameras with their attitudes; the first defines frame s
+    settings: Settings
+    errors: CalibrationSettings  # of the estimate, with the errors that the dump states
+    runner: StageRunner
+
+    @property
+    def reference(self) -> str:
+        """Name of the star camera that defines frame s."""
+        return self.heads[0].head.name

@@ -25,13 +25,9 @@ class MatchPictures:
     surface_png: bytes = scalar("correlation surface of the search around that position; empty: of a star")
     surface_low: float = scalar("correlation shown black; of a star the counts that its strip shows black")
     surface_high: float = scalar("correlation shown white; of a star counts")
-    place_x: float = scalar(
-        "column of the target's point in chip and strip, px; NaN: of a star", default=np.nan
-    )
+    place_x: float = scalar("column of the target's point in chip and strip, px; NaN: star", default=np.nan)
     place_y: float = scalar("its row", default=np.nan)
-    off_x_px: float = scalar(
-        "its sample found minus that predicted for the search; NaN: not found", default=np.nan
-    )
+    off_x_px: float = scalar("its sample found minus that predicted; NaN: not found", default=np.nan)
     off_y_px: float = scalar("the same of the line", default=np.nan)
     surface_x: float = scalar("column of the predicted place in the surface", default=np.nan)
     surface_y: float = scalar("its row", default=np.nan)

@@ -24,6 +24,7 @@ from boresight.pipeline.stages.coverage import (
     carriers,
     covered_strips,
     stated_mountings,
+    strip_sightings,
     turn_to_reference,
 )
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
@@ -35,7 +36,6 @@ from boresight.pipeline.stages.sky_strip import (
     sky_sightings,
 )
 from boresight.pipeline.stages.strip import orbit_around
-from boresight.pipeline.stages.strip_sightings import strip_sightings
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "named_sightings", "scatter_px"]
@@ -49,6 +49,11 @@ class SkySide:
     found: tuple[StripStars, ...] = array("S", "detections in the same strips")
     omissions: tuple[Entry, ...] = scalar("strips that cannot be used, with the reasons")
     computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
+
+    def only(self, rows: Sequence[int]) -> SkySide:
+        """Some of the strips, without what was left out of them."""
+        tasks, found = (tuple(part[n] for n in rows) for part in (self.tasks, self.found))
+        return replace(self, tasks=tasks, found=found, omissions=(), computed=())
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
         """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head
@@ -96,9 +101,7 @@ def name_in_sky_strips(
 
 
 def scatter_px(dump: Dump, task: SkyTask) -> float:
-    """1-sigma of what displaces one star of a strip against another: distortion, vibration and, where two
-    exposures do not show it, motion.
-    """
+    """1-sigma of one star against another: distortion, vibration, and motion if not shown by 3 exposures."""
     motion = dump.errors.motion_arcsec if len(task.t_attitude_s) < FEWEST_SHOW else 0.0
     moved = np.hypot(dump.errors.vibration_arcsec, motion) * ARCSEC / dump.line_camera.pixel_rad
     return float(np.hypot(dump.errors.look_px, moved))

@@ -183,7 +183,8 @@ def name_sky_stars(
         voted = vote_for_rotation(seen, field, settings.brightest, settings.max_false_alarm_probability)
         if isinstance(voted, NoRotation):
             reason = _not_identified(task, found, field, R_cs, voted)
-            return _none_named(task, found, stars, task.item.because(Reason.NOT_IDENTIFIED, reason))
+            omission, none = task.item.because(Reason.NOT_IDENTIFIED, reason), np.zeros(0, dtype=np.int64)
+            return NamedStars(task.strip.strip_id, found, none, stars.take(none), np.zeros(0), (omission,))
         theta, root = voted.theta_rad, voted.theta_root
     named = name_stars(
         seen,
@@ -252,9 +253,8 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
 def as_matched(named: NamedStars) -> MatchedTargets:
     """The named stars as targets measured in a strip."""
     found = named.found.take(named.rows)
-    return measured_points(
-        named.strip_id, named.names, found.ccd, found.xy_px, found.cov_px, named.probability_wrong
-    )
+    places = found.ccd, found.xy_px, found.cov_px
+    return measured_points(named.strip_id, named.names, *places, named.probability_wrong)
 
 
 def strip_motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
@@ -362,7 +362,7 @@ def _field(
     t_s = task.instants(np.array([0.5 * (strip.lines - 1.0)]))
     p_i, v_i = task.orbit.states_i(t_s)
     axis_i = (R_cs * task.track.R_si(t_s)).inv().apply([0.0, 0.0, 1.0])[0]
-    half_swath = _half_swath_rad(camera)
+    half_swath = float(np.arccos(end_looks(camera)[:, 2].min()))  # of a pixel's line of sight from the axis
     duration = strip.lines * strip.row_period_s
     long = float(np.linalg.norm(task.nominal.omega_o)) * duration
     limit = np.maximum(settings.sigmas * np.asarray(sigma_rad, dtype=float), 1e-9)
@@ -378,11 +378,6 @@ def _field(
         slack_rad=2.0 * NOT_STATED_PX * camera.pixel_rad,
         strip_area=2.0 * half_swath * long,
     )
-
-
-def _half_swath_rad(camera: LineSensor) -> float:
-    """Largest angle of a pixel's line of sight from the axis."""
-    return float(np.arccos(end_looks(camera)[:, 2].min()))
 
 
 def _not_identified(
@@ -406,15 +401,3 @@ def _not_identified(
     if voted.detections < 4 or len(field.u_i) < 4:
         return f"too few stars: {counts}; 4 are needed"
     return f"its stars are not those of the catalogue: {counts}"
-
-
-def _none_named(task: SkyTask, found: StripStars, stars: SurveyedStars, omission: Entry) -> NamedStars:
-    none = np.zeros(0, dtype=np.int64)
-    return NamedStars(
-        strip_id=task.strip.strip_id,
-        found=found,
-        rows=none,
-        places=stars.take(none),
-        probability_wrong=np.zeros(0),
-        omissions=(omission,),
-    )

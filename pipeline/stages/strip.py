@@ -102,6 +102,11 @@ class StripTask:
         """Kind, id and file of what is processed, without a reason."""
         return Entry(self.strip.subject)
 
+    @property
+    def places(self) -> dict[str, Target]:
+        """Its targets and measured points by id."""
+        return {target.target_id: target for target in (*self.targets, *self.points.targets)}
+
 
 @record(kw_only=True)
 class MatchedTargets:
@@ -117,10 +122,7 @@ class MatchedTargets:
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
     omissions: tuple[Entry, ...] = scalar("chips that could not be read, targets that were rejected")
-    farthest_px: float = scalar(
-        "largest distance along an axis of a position from where its template was predicted; 0: no template",
-        default=0.0,
-    )
+    farthest_px: float = scalar("largest distance on an axis from a prediction; 0: no template", default=0.0)
 
     def told(self) -> list[str]:
         """Lines of the log: counts, and each reason why something is not used."""
@@ -189,9 +191,7 @@ def measured_points(
     cov_px: Floats,
     probability_wrong: Floats | None = None,
 ) -> MatchedTargets:
-    """Image points (N, 2) of a strip, with covariances (N, 2, 2), that no template was matched to: without
-    pictures, with NaN where matching would give a number.
-    """
+    """Image points (N, 2), covariances (N, 2, 2), of no template: NaN where matching gives a number."""
     n = len(ccd)
     unknown = np.full(n, np.nan)
     return MatchedTargets(
@@ -231,11 +231,8 @@ def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
     names = np.array([target.target_id for target in points.targets], dtype=str)
     measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
     columns = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
-    rows = {
-        name: np.concatenate([getattr(matched, name), getattr(measured, name)])
-        for name in columns
-        if name != "pictures"
-    }
+    columns.remove("pictures")
+    rows = {name: np.concatenate([getattr(matched, name), getattr(measured, name)]) for name in columns}
     return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
 
 
@@ -277,17 +274,9 @@ class _Chips(Sequence[Chip]):
 def strip_matches(
     task: StripTask, parts: Executor = IN_ORDER, keep: Callable[[TargetMatch], TargetMatch] = keep_whole
 ) -> tuple[StripMatches | None, list[Entry]]:
-    """Outcome of the matcher for one strip (None if its images are damaged), and unreadable files. `keep`
-    returns what is kept of a match.
-    """
+    """The matcher's outcome (None: damaged images), and unreadable files; `keep`: what is kept of a match."""
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
-    readable, omitted = [], []
-    for n, file in enumerate(task.chips):
-        try:
-            read(n)
-            readable.append(n)
-        except RawDataError as error:
-            omitted.append(_unreadable(file, error))
+    readable, omitted = _readable(task.chips, read)
 
     def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
         return parts.map(function, items, lambda n, outcome: None)
@@ -312,9 +301,9 @@ def strip_matches(
 
 def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
     """The matched targets of a strip, with the positions that the matrix of the task predicts."""
-    place = {target.target_id: target.p_e for target in task.targets}
+    place = task.places
     n = len(matched.ccd) - len(task.points.ccd)  # points measured by others come last: see `with_points`
-    p_e = np.array([place[name] for name in matched.target_id[:n].tolist()], dtype=float).reshape(n, 3)
+    p_e = np.array([place[name].p_e for name in matched.target_id[:n].tolist()], dtype=float).reshape(n, 3)
     off_px, _ = displacements(pushbroom_of(task), p_e, matched.ccd[:n], matched.xy_px[:n])
     predicted_px = matched.predicted_px.copy()
     predicted_px[:n] = matched.xy_px[:n] - off_px
@@ -323,17 +312,20 @@ def predicted_again(matched: MatchedTargets, task: StripTask) -> MatchedTargets:
 
 def unreadable_chips(files: Sequence[ChipFile]) -> list[Entry]:
     """Chips that cannot be read, with the reasons."""
-    omitted = []
-    for file in files:
+    return _readable(files, lambda n: read_chip(files[n]))[1]
+
+
+def _readable(files: Sequence[ChipFile], read: Callable[[int], Chip]) -> tuple[list[int], list[Entry]]:
+    """Numbers of the chips that can be read, and entries for the others."""
+    readable, omitted = [], []
+    for n, file in enumerate(files):
         try:
-            read_chip(file)
+            read(n)
+            readable.append(n)
         except RawDataError as error:
-            omitted.append(_unreadable(file, error))
-    return omitted
-
-
-def _unreadable(file: ChipFile, error: RawDataError) -> Entry:
-    return Entry(Subject(Kind.CHIP, id=file.target_id), Reason.UNREADABLE, str(error), file.file)
+            chip = Subject(Kind.CHIP, id=file.target_id)
+            omitted.append(Entry(chip, Reason.UNREADABLE, str(error), file.file))
+    return readable, omitted
 
 
 def read_chip(file: ChipFile) -> Chip:
@@ -349,9 +341,8 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     strip, subject = task.strip, refusal.subject
     detail, slip = "", ""
     if refusal.reason is Reason.INCONSISTENT:
-        detail = (
-            f"its chip or coordinates lie about {compass(*_displaced_m(task, refusal))} of the true place"
-        )
+        off = compass(*_displaced_m(task, refusal))
+        detail = f"its chip or coordinates lie about {off} of the true place"
     elif refusal.reason is Reason.OUTSIDE_CHIP:
         n = next(n for n, target in enumerate(task.targets) if target.target_id == subject.id)
         detail, slip = contradiction(task.targets[n], task.chips[n], task.chips)
@@ -365,22 +356,16 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
 
 
 def _displaced_m(task: StripTask, refusal: Entry) -> tuple[float, float]:
-    """How far the stated place of an inconsistent target lies east and north of the one that the strip
-    shows, m.
-    """
+    """How far the stated place of an inconsistent target lies east and north of the one shown, m."""
     name, ccd = refusal.subject.id, refusal.subject.ccd
-    p_e = next(target.p_e for target in task.targets if target.target_id == name)
-    sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[None])
+    sample, line = pushbroom_of(task).pixels_from_ground(ccd, task.places[name].p_e[None])
     off_x, off_y = refusal.more
     return displaced_m(task, name, ccd, (float(sample[0]) + off_x, float(line[0]) + off_y))
 
 
 def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, ...]) -> tuple[float, float]:
-    """How far the stated place of a target lies east and north of the one that the strip shows at a
-    (sample, line), by the matrix of the task, m.
-    """
-    every = (*task.targets, *task.points.targets)
-    p_e = next(one.p_e for one in every if one.target_id == target_id)
+    """How far a target's stated place lies east and north of that shown at (sample, line), m."""
+    p_e = task.places[target_id].p_e
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
     there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)
@@ -399,7 +384,7 @@ def compass(east_m: float, north_m: float) -> str:
 def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSightings:
     """Directions of the matched targets: measured by the camera, and computed from ground and orbit."""
     model = pushbroom_of(task)
-    place = {target.target_id: target for target in (*task.targets, *task.points.targets)}
+    place = task.places
     rows = [place[name] for name in matched.target_id.tolist()]
     p_e = np.array([target.p_e for target in rows], dtype=float).reshape(-1, 3)
     sigma_m = np.array([target.sigma_m for target in rows], dtype=float).reshape(-1, 3)
@@ -488,17 +473,12 @@ def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
     spare = orbit.nodes_needed + 2
     first = max(int(np.searchsorted(orbit.t_s, t_first_s)) - spare, 0)
     last = min(int(np.searchsorted(orbit.t_s, t_last_s)) + spare, len(orbit.t_s))
-    velocities = None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last]
     usual_step = float(np.median(np.diff(orbit.t_s)))
-    return Orbit(
-        epoch=orbit.epoch,
+    return replace(
+        orbit,
         t_s=orbit.t_s[first:last],
         positions_m=orbit.positions_m[first:last],
-        velocities_m_s=velocities,
-        frame=orbit.frame,
-        degree=orbit.degree,
-        earth=orbit.earth,
-        method=orbit.method,
+        velocities_m_s=None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last],
         max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
         begins=tuple(n - first for n in orbit.begins if first < n < last),
     )

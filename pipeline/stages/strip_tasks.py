@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
@@ -25,7 +24,13 @@ from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import attitudes_in_s, carriers, covered_strips, stated_mountings
+from boresight.pipeline.stages.coverage import (
+    attitudes_in_s,
+    carriers,
+    covered_strips,
+    stated_mountings,
+    strip_sightings,
+)
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
@@ -35,7 +40,6 @@ from boresight.pipeline.stages.strip import (
     pushbroom_of,
     targets_near,
 )
-from boresight.pipeline.stages.strip_sightings import strip_sightings
 
 __all__ = [
     "before_launch",
@@ -46,7 +50,6 @@ __all__ = [
     "strips_with_stars",
 ]
 
-Array = NDArray[np.float64]
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
 
 
@@ -54,7 +57,7 @@ def strip_tasks(
     dump: Dump,
     heads: Sequence[HeadSightings],
     R_cs: Rotation,
-    sigma_rad: Array,
+    sigma_rad: Floats,
     mountings: Mapping[str, Rotation],
     settings: Settings,
     *,
@@ -106,9 +109,7 @@ def strip_tasks(
 
 
 def matched_strips(
-    tasks: Sequence[StripTask],
-    matched: Sequence[MatchedTargets],
-    heads: Sequence[HeadSightings],
+    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
 ) -> list[StripSightings]:
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
     return [
@@ -136,9 +137,7 @@ def strips_to_match(
 
 
 def strips_with_stars(
-    dump: Dump,
-    settings: Settings,
-    shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]],
+    dump: Dump, settings: Settings, shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]]
 ) -> list[StripSightings]:
     """The strips of a dump with its star exposures and the image points that `shown` states for each, with
     the pre-launch installation matrix; without strips that show nothing.
@@ -181,9 +180,8 @@ def _without_hidden_points(task: StripTask, with_slips: bool) -> tuple[StripTask
     for n in np.flatnonzero(hidden).tolist():
         target = points.targets[n]
         slip = fitting_slip(task, target, int(points.ccd[n]), points.xy_px[n]) if with_slips else ""
-        where = (
-            "beyond the horizon" if beyond[n] else "so low that its refraction is not known, near the horizon"
-        )
+        low = "so low that its refraction is not known, near the horizon"
+        where = "beyond the horizon" if beyond[n] else low
         reason = f"{where} of the satellite{slip or '; correct points.csv'}"
         subject = Subject(Kind.TARGET, strip=task.strip.strip_id, id=target.target_id)
         found.append(Entry(subject, Reason.HIDDEN, reason, "points.csv"))

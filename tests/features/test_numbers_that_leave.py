@@ -40,7 +40,7 @@ from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.pipeline.diagnosis.earth_table import EarthTableCheck
+from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.results.sightings_tables import sightings_schema
 from boresight.pipeline.results.writing import installation_facts, write_installation

@@ -17,14 +17,7 @@ from boresight.pipeline.files.content import (
     small_content,
 )
 
-__all__ = [
-    "MAX_STAR_PIXELS",
-    "PNG_MAGIC",
-    "ImageFile",
-    "check_length",
-    "check_star_pixels",
-    "open_image",
-]
+__all__ = ["PNG_MAGIC", "ImageFile", "check_length", "check_star_pixels", "open_image"]
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"  # PNG 3rd ed., 5.2
 # Formats by the first bytes of their files; of a TIFF little-endian or big-endian, classic (42) or Big (43).
@@ -100,12 +93,7 @@ class ImageFile:
 
 
 def open_image(
-    path: Path,
-    name: str,
-    *,
-    whole: bool = True,
-    size: tuple[int, int] | None = None,
-    bits: int | None = None,
+    path: Path, name: str, *, whole: bool = True, size: tuple[int, int] | None = None, bits: int | None = None
 ) -> ImageFile:
     """An image file that is read `whole`, or by window; `RawDataError` if it cannot be read."""
     check_regular(path, name, "an image")

@@ -20,12 +20,14 @@ from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
 
-__all__ = ["GridImage", "GridPlace", "grid_place", "read_grid"]
+__all__ = ["GridPlace", "grid_place", "read_grid"]
 
 PIXEL_SIDE_M = (0.01, 1e5)  # of a chip, terrain model or ground image; 1e-5 m would be a wrong unit
 # Mean radius of the Earth, m: turns pixels in degrees into metres where only their size matters.
 EARTH_RADIUS_M = 6.371e6
 MAX_COORDINATE = 1e9  # of a map, in its unit
+
+Affinity = tuple[float, float, float, float, float, float]
 
 
 @record
@@ -33,9 +35,7 @@ class GridImage:
     """A georeferenced raster."""
 
     values: NDArray[np.float32] = array("H, W", "NaN where the file has no data")
-    transform: tuple[float, float, float, float, float, float] = scalar(
-        "(a, b, c, d, e, f): x = a column + b row + c"
-    )
+    transform: Affinity = scalar("(a, b, c, d, e, f): x = a column + b row + c")
     crs: str = scalar("coordinate reference system as WKT")
 
 
@@ -79,7 +79,7 @@ class GridPlace:
     """Where a georeferenced raster lies, by its header."""
 
     shape: tuple[int, int] = scalar("rows, columns")
-    transform: tuple[float, float, float, float, float, float] = scalar("as of `GridImage`")
+    transform: Affinity = scalar("as of `GridImage`")
     crs: str = scalar("coordinate reference system as WKT")
 
     @property

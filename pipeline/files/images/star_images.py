@@ -61,8 +61,7 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
-    """Values (height, width) of any star image of up to 2^28 px; colours become grey. Floating-point values
-    that are no number become the image's median."""
+    """Values (height, width) of any star image up to 2^28 px, colours grey; no number: the median."""
     return grey_image(_decoded(open_image(path, file)), file)
 
 
@@ -126,17 +125,25 @@ def opened_fits(image: ImageFile, **options: bool) -> Iterator[Any]:
 
     if b"END" + b" " * 77 not in image.first(MAX_FITS_HEADER_BYTES):
         raise RawDataError(image.name, "FITS header", "no END", f"END within {MAX_FITS_HEADER_BYTES} bytes")
+    with _decoding(image.name, "FITS header", "a FITS image"):
+        content = io.BytesIO(image.whole())
+        with fits.open(content, memmap=False, lazy_load_hdus=True, **options) as hdus:
+            yield hdus
+
+
+@contextmanager
+def _decoding(file: str, field: str, expected: str) -> Iterator[None]:
+    """What a library raises at a damaged file, of whatever kind, as a `RawDataError`; warnings, of what is
+    refused where it matters, are not shown.
+    """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged headers, which are refused where they matter
-            content = io.BytesIO(image.whole())
-            with fits.open(content, memmap=False, lazy_load_hdus=True, **options) as hdus:
-                yield hdus
+            warnings.simplefilter("ignore")
+            yield
     except RawDataError:
         raise
-    except Exception as error:  # astropy raises many kinds for damaged headers
-        found = f"{type(error).__name__}: {error}"
-        raise RawDataError(image.name, "FITS header", found, "a FITS image") from error
+    except Exception as error:
+        raise RawDataError(file, field, f"{type(error).__name__}: {error}", expected) from error
 
 
 def _read_raw_fits(image: ImageFile) -> NDArray[Any]:
@@ -205,15 +212,10 @@ def _check_fits_size(hdu: Any, image: ImageFile) -> None:
 
 def _read_npy(image: ImageFile) -> NDArray[Any]:
     check_bytes(image.path, image.name, MAX_STAR_BYTES)
-    try:
+    with _decoding(image.name, "npy", "an array without objects"):
         values = np.load(image.path, mmap_mode="r", allow_pickle=False)
         check_star_pixels(image.name, values.size // 4, 1, 4 * values.itemsize)
         return np.array(values)
-    except RawDataError:
-        raise
-    except Exception as error:  # of a damaged header NumPy raises also what its tokenizer does
-        found = f"{type(error).__name__}: {error}"
-        raise RawDataError(image.name, "npy", found, "an array without objects") from error
 
 
 def _read_netpbm(image: ImageFile) -> NDArray[Any]:
@@ -268,23 +270,16 @@ def _netpbm_text(content: bytes, start: int, shape: tuple[int, ...], file: str) 
 
 def _by_pillow(image: ImageFile, kind: str) -> NDArray[Any]:
     """What Pillow decodes as a file of one kind, and as nothing else."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of metadata, and of sizes, which are limited here
-            with image.stream() as stream, Image.open(stream, formats=(kind,)) as picture:
-                check_star_pixels(image.name, *picture.size)
-                check_length(image.path, image.name, 4 * picture.width * picture.height)
-                frames = getattr(picture, "n_frames", 1)
-                if frames > 1 and picture.format != "MPO":  # MPO: previews follow
-                    raise RawDataError(image.name, "frames", str(frames), "one image")
-                if kind == "JPEG" and picture.mode == "RGB":
-                    picture.draft("L", picture.size)  # the luminance that the file holds
-                return _planes(picture.convert("RGB") if picture.mode == "P" else picture, image.name)
-    except RawDataError:
-        raise
-    except Exception as error:  # Pillow raises many kinds for damaged files
-        found = f"{type(error).__name__}: {error}"
-        raise RawDataError(image.name, "pixels", found, "an image that decodes") from error
+    with _decoding(image.name, "pixels", "an image that decodes"):
+        with image.stream() as stream, Image.open(stream, formats=(kind,)) as picture:
+            check_star_pixels(image.name, *picture.size)
+            check_length(image.path, image.name, 4 * picture.width * picture.height)
+            frames = getattr(picture, "n_frames", 1)
+            if frames > 1 and picture.format != "MPO":  # MPO: previews follow
+                raise RawDataError(image.name, "frames", str(frames), "one image")
+            if kind == "JPEG" and picture.mode == "RGB":
+                picture.draft("L", picture.size)  # the luminance that the file holds
+            return _planes(picture.convert("RGB") if picture.mode == "P" else picture, image.name)
 
 
 def _planes(image: Image.Image, file: str) -> NDArray[Any]:

@@ -20,7 +20,7 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.enums import Compression, Interleaving
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
@@ -49,6 +49,7 @@ MAX_BLOCK_BYTES = 2**29  # a row of tiles or a strip of a TIFF is decoded as a w
 LARGE_PIXELS, MOST_PIXELS_A_BYTE = 2**26, 10_000
 TILES = {"tiled": True, "blockxsize": 256, "blockysize": 256}  # options of images that are read by window
 _INFLATED_BYTES = 2**20  # of a block that is inflated to see its checksum, at once
+UNDECODED = (RasterioError, ValueError, MemoryError)  # of pixels that do not decode
 _BANDS = (1, 2, 3, 4)  # grey, colours, either with opacity
 # Number of the TIFF tag PhotometricInterpretation; most tags of a directory that are read.
 _PHOTOMETRIC, _MOST_TAGS = 262, 4096
@@ -74,7 +75,7 @@ def read_tiff(image: ImageFile) -> NDArray[Any]:
         _check_deflated(tiff, image)
         try:
             return np.asarray(tiff.read())
-        except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
+        except UNDECODED as error:
             raise RawDataError(image.name, "pixels", str(error), "pixels that decode") from error
 
 
@@ -135,7 +136,7 @@ def tiff_window(tiff: Any, file: str, window: Window) -> NDArray[Any]:
     """Pixels (rows, columns) of the first band of an open TIFF; `RawDataError` where they do not decode."""
     try:
         return np.asarray(tiff.read(1, window=window))
-    except (RasterioError, RasterioIOError, ValueError, MemoryError) as error:
+    except UNDECODED as error:
         where = f"rows {window.row_off}..{window.row_off + window.height - 1}"
         raise RawDataError(file, where, str(error), "pixels that decode") from error
 
@@ -173,9 +174,8 @@ def _check_deflated(tiff: Any, image: ImageFile) -> None:
     for band in bands:
         for (row, column), _ in tiff.block_windows(band):
             place = f"{column}_{row}"
-            start, size = (
-                tiff.get_tag_item(f"BLOCK_{key}_{place}", "TIFF", band) for key in ("OFFSET", "SIZE")
-            )
+            start = tiff.get_tag_item(f"BLOCK_OFFSET_{place}", "TIFF", band)
+            size = tiff.get_tag_item(f"BLOCK_SIZE_{place}", "TIFF", band)
             if start is None or size is None:
                 continue  # a block that is not there is zero
             stream = zlib.decompressobj()
@@ -191,9 +191,7 @@ def _check_deflated(tiff: Any, image: ImageFile) -> None:
 
 
 def _check_photometric(image: ImageFile) -> None:
-    """`RawDataError` unless a TIFF states once whether black is zero: of another number of values programs
-    take none, or the first.
-    """
+    """`RawDataError` unless a TIFF states once whether black is zero: programs differ on other numbers."""
     head = image.head
     order, is_big = ("<" if head[:2] == b"II" else ">"), head[2:4] in (b"+\0", b"\0+")
     counts, entry = (order + "Q", order + "HHQ8x") if is_big else (order + "H", order + "HHI4x")

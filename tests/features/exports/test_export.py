@@ -26,8 +26,7 @@ from boresight.features.exports.notes import notes_of
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.spice_attitudes import read_ck
-from boresight.pipeline.files.spice_kernels import Kernels
+from boresight.pipeline.files.spice_kernels import Kernels, read_ck
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.results.validate import validation_of
 

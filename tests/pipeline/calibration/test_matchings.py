@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration import rounds
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.matchings import is_settled, match_again, match_first, match_strips
+from boresight.pipeline.calibration.rounds import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore

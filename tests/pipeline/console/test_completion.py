@@ -20,7 +20,7 @@ from boresight.features.operators.sentinel2_product import BANDS
 from boresight.features.paper.tables import EXPERIMENTS
 from boresight.features.table import features
 from boresight.pipeline.console.messages import Accepted
-from boresight.pipeline.console.spine import SPINE
+from boresight.pipeline.console.program import SPINE
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = "import sys; sys.argv = ['boresight']; import boresight.console as c; c.run_command_line()"

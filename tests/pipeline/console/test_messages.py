@@ -23,10 +23,9 @@ from boresight.features.table import features
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.console.feature import Job
 from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
-from boresight.pipeline.console.spine import SPINE
+from boresight.pipeline.console.program import SPINE
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.unit_log import log_unit
+from boresight.pipeline.stages.cached import StageRunner, log_unit
 
 runner = CliRunner()
 COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_commands if c.callback] + [

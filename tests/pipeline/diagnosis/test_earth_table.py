@@ -12,7 +12,7 @@ from handmade import write_handmade_dump
 from boresight.calib.finding import MOST_WORDS
 from boresight.gct_match.records import Target
 from boresight.geometry.orbit import Orbit
-from boresight.pipeline.diagnosis.earth_table import check_earth_table, earth_findings
+from boresight.pipeline.diagnosis.input_findings import check_earth_table, earth_findings
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of, read_earth_orientation

@@ -21,7 +21,13 @@ TIMES_S = 311.0 + STEP_S * np.arange(N)
 NAMES = [f"x{k:02d}" for k in range(N)]
 ORBIT = SimpleNamespace(R_oi=lambda t_s: Rotation.from_rotvec(np.outer(t_s, [2e-4, -1.0e-3, 3e-4])))
 HEAD = SimpleNamespace(
-    name="STR7", source=None, noise=None, noise_is_assumed=False, R_cs0=Rotation.identity(), gyro=None
+    name="STR7",
+    source=None,
+    noise=None,
+    noise_is_assumed=False,
+    R_cs0=Rotation.identity(),
+    gyro=None,
+    times_in=("exposures.csv", "utc_mid"),
 )
 MOUNTING = Rotation.from_euler("xyz", [-35.0, 70.0, 115.0], degrees=True)
 
@@ -174,7 +180,8 @@ def record_of(
     stars = tuple(exposure_without_stars(f"STR7-{k:06d}", t) for k, t in enumerate(t_s.tolist()))
     subject = Subject(Kind.HEAD, head="STR7")
     gyro = gyro_of(true, t_s, rng) if with_gyro else None
-    head = SimpleNamespace(**{**vars(HEAD), "source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro})
+    own = {"source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro, "times_in": (ROWS.file, "utc")}
+    head = SimpleNamespace(**{**vars(HEAD), **own})
     return HeadSightings(
         head=head,
         stars=stars,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.verdict import Outcome
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.diagnosis.causes import _agreeing_strips
+from boresight.pipeline.diagnosis.missing import _agreeing_strips
 from boresight.pipeline.diagnosis.readings import Reading, best_reading, readings_of_dump
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -24,9 +24,8 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.basis import Basis
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.head import sight_head
+from boresight.pipeline.stages.head import Basis, sight_head
 
 GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
 LAST_LINE, LAST_SAMPLE, LAST_CCD = 1999, 511, 3  # of the CCDs of the dump, from 0

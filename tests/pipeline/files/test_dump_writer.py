@@ -13,7 +13,7 @@ from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.scenario_file import fly, named_scenario
-from boresight.pipeline.run.processes import FORKS, Processes
+from boresight.pipeline.run.executor import FORKS, Processes
 from boresight.simulator.mission_records import Mission
 
 OF_EACH_CCD = ("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px")

@@ -17,8 +17,7 @@ from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephem
 from boresight.geometry.epoch import Epoch
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, dump_or_faults, open_dump
-from boresight.pipeline.files.spice_attitudes import read_ck
-from boresight.pipeline.files.spice_kernels import Kernels
+from boresight.pipeline.files.spice_kernels import Kernels, read_ck
 from boresight.pipeline.files.star_side import SolvedAttitudes
 
 SATELLITE, BUS, HEAD = -999, -999000, -999001

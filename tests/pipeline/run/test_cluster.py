@@ -19,7 +19,7 @@ import pytest
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run import cluster
 from boresight.pipeline.run.cluster import Fingerprint, OnCluster, fingerprint, on_cluster
-from boresight.pipeline.run.workers import executor_for
+from boresight.pipeline.run.executor import executor_for
 
 dask = pytest.importorskip("dask", reason="dask is in the extra `cluster`")
 distributed = pytest.importorskip("distributed", reason="dask is in the extra `cluster`")

@@ -7,9 +7,8 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from boresight.pipeline.files.array_file import write_arrays
 from boresight.pipeline.run import index_cache
-from boresight.pipeline.run.index_cache import cache_folder, cached_index
+from boresight.pipeline.run.index_cache import cache_folder, cached_index, write_arrays
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.triangle_index import StarIndex, TriangleTable, build_index
 

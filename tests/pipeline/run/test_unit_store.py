@@ -18,8 +18,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.table_files import fixed_list, list_values
 from boresight.pipeline.run import digests, program_key
 from boresight.pipeline.run.digests import _module, digest
-from boresight.pipeline.run.executor import InOrder
-from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.run.executor import InOrder, Processes
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.run_inputs import inputs_of
 from boresight.pipeline.run.settings import Settings

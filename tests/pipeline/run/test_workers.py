@@ -15,8 +15,7 @@ from command_line import ran
 from fixture_strips import begun
 
 from boresight.pipeline.errors import WorkerError
-from boresight.pipeline.run.executor import InOrder
-from boresight.pipeline.run.workers import executor_for
+from boresight.pipeline.run.executor import InOrder, executor_for
 
 forked = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
 BORESIGHT = (sys.executable, "-m", "boresight")
@@ -156,7 +155,7 @@ def test_workers_of_a_killed_run_end_by_themselves(tmp_path: Path) -> None:
     program = """
 import os, sys, time
 from pathlib import Path
-from boresight.pipeline.run.processes import Processes
+from boresight.pipeline.run.executor import Processes
 
 def slow(number):
     Path(sys.argv[1], str(os.getpid())).touch()

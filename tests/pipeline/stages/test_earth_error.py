@@ -27,8 +27,7 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.files import dump_parts
 from boresight.pipeline.files.orbit_and_earth import bundled_table
-from boresight.pipeline.results.earth_error import common_covariance
-from boresight.pipeline.results.ground_moves import ground_moves
+from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of

@@ -18,9 +18,8 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.ledger import Reason
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds
+from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds, named_alone, star_ledger
 from boresight.pipeline.diagnosis.readings import exchanged_in_sky, reversed_strips, strips_without_stars
-from boresight.pipeline.diagnosis.sky_losses import named_alone, star_ledger
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.tiff import StripFiles
