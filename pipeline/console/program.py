@@ -56,7 +56,8 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
                     help=about, no_args_is_help=True, cls=_ByJob, rich_markup_mode=None
                 )
                 app.add_typer(groups[group], name=group)
-            _add(groups.get(group, app), name, command, words is None or _named(command, words))
+            place = feature.place_of(command) if words is None or _named(command, words) else ""
+            _add(groups.get(group, app), name, command, place)
     return app
 
 
@@ -112,9 +113,9 @@ def _named(command: Command, words: Sequence[str]) -> bool:
     return [word for word in words if not word.startswith("-")][: len(named)] == named
 
 
-def _add(app: typer.Typer, name: str, command: Command, is_called: bool) -> None:
-    if is_called:
-        function = with_messages(function_at(command.place), command.name, with_json=command.with_json)
+def _add(app: typer.Typer, name: str, command: Command, place: str) -> None:
+    if place:  # else it is only listed
+        function = with_messages(function_at(place), command.name, with_json=command.with_json)
         app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
     else:
         app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)
