@@ -16,7 +16,7 @@ from boresight.features.exports.formats import (
     export,
     strips_left_out,
 )
-from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.features.exports.spice_kernels import SpiceFrames
 from boresight.pipeline.console.arguments import (
     CameraOption,
     DumpOption,

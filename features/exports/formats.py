@@ -13,10 +13,14 @@ from scipy.spatial.transform import Rotation
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds, parameter_covariance
 from boresight.features.exports.dimap_product import corrected_dimap
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_geojson import points_geojson
-from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
 from boresight.features.exports.gipp_product import corrected_gipp
+from boresight.features.exports.ground_control_points import (
+    GroundPoints,
+    points_asp,
+    points_envi,
+    points_geojson,
+    points_qgis,
+)
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
@@ -24,13 +28,14 @@ from boresight.features.exports.operator_parameters import operator_parameters
 from boresight.features.exports.quaternions import instants_to_interpolate
 from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
-from boresight.features.exports.spice_attitude import (
+from boresight.features.exports.spice_kernels import (
+    SpiceFrames,
     attitude_kernel,
     clock_kernel,
+    frame_kernel,
     instrument_kernel,
     on_ticks,
 )
-from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
 from boresight.geometry.constants import WGS84
