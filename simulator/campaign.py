@@ -40,7 +40,6 @@ __all__ = [
     "noisy_frames",
     "strip_every_s",
     "unit",
-    "vibration",
 ]
 
 Array = NDArray[np.float64]
@@ -112,7 +111,6 @@ class StripPlan:
     clock_bias_s: float = 0.0  # stated less true instant of the rows, common to all strips
     sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
     sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
-    vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
     sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
     distortion_length_px: float = 2000.0
     distortion_pixel_rad: float = 0.0  # angle of a pixel: one curve over the field; 0: one for each CCD
@@ -427,7 +425,8 @@ def _draw_targets(
     ccd, sample, u_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
     R_ci_true = R_ci if np.array_equal(t_true, t) else motion.R_ci(t_true)
-    R_ic = (Rotation.from_rotvec(vibration(t - motion.begin_s, plan, rng)) * R_ci_true).inv()
+    vibration = rng.normal(0.0, plan.sigma_vibration_rad, (J, 3))  # that the exposures do not follow
+    R_ic = (Rotation.from_rotvec(vibration) * R_ci_true).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     error_m = rng.normal(0.0, plan.sigma_position_m, 3) if error_m is None else error_m
@@ -477,16 +476,6 @@ def looks_across(place: Array, cameras: CameraPair) -> tuple[NDArray[np.int64], 
         for c in np.unique(ccd).tolist():
             looks[n, ccd == c] = camera.directions_from_pixels(c, sample[ccd == c])
     return ccd, sample, looks[0], looks[1]
-
-
-def vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
-    """Turns (J, 3) that the exposures do not follow."""
-    if plan.vibration_hz == 0.0:
-        return rng.normal(0.0, plan.sigma_vibration_rad, (len(t), 3))
-    phase = rng.uniform(0, 2 * np.pi, 3)
-    return (
-        plan.sigma_vibration_rad * np.sqrt(2.0) * np.sin(2 * np.pi * plan.vibration_hz * t[:, None] + phase)
-    )
 
 
 def _star_field(n: int, cameras: CameraPair, rng: np.random.Generator) -> Array:

@@ -95,20 +95,11 @@ def render_mission(
     ground_image: GroundImage | None = None,
     survey: SurveyedStars | None = None,
 ) -> Mission:
-    """A mission simulated from a scenario. `ValueError` if it is inconsistent.
+    """A mission simulated from a scenario; equal seeds give equal bytes. `ValueError` if it is inconsistent.
 
-    Parameters
-    ----------
-    stars : StarPlaces
-        All stars to be rendered, those unfit for calibration included.
-    table, geoid : EarthOrientationTable, Geoid
-        Earth orientation, and the geoid to which heights refer.
-    seed : int
-        Seed of all random numbers. Equal seeds give equal bytes.
-    ground_image : GroundImage, optional
-        The ortho-image that `scenario.ground.image` names; the caller reads it.
-    survey : SurveyedStars, optional
-        Stars with their errors, as faint as the remote-sensing camera sees them, for scans of the sky.
+    `stars` are all that are rendered, those unfit for calibration included; heights refer to `geoid`;
+    `ground_image` is the ortho-image that `scenario.ground.image` names; `survey` has stars with their
+    errors, as faint as the remote-sensing camera sees them, for scans of the sky.
     """
     if scenario.sky_strips.scans and survey is None:
         raise ValueError("sky_strips.scans: a scan of the sky needs `survey`, the stars that it shows")

@@ -24,7 +24,6 @@ from boresight.simulator.campaign import (
     noisy,
     strip_every_s,
     unit,
-    vibration,
 )
 
 __all__ = ["DrawnSkyScan", "draw_sky_strips"]
@@ -105,7 +104,8 @@ def _draw_strip(
     t = scan.begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, J))
     ccd, sample, true_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
-    R_ic = (Rotation.from_rotvec(vibration(t - scan.begin_s, plan, rng)) * scan.R_ci(t_true)).inv()
+    vibration = rng.normal(0.0, plan.sigma_vibration_rad, (J, 3))  # that the exposures do not follow
+    R_ic = (Rotation.from_rotvec(vibration) * scan.R_ci(t_true)).inv()
     catalogue_i = noisy(R_ic.apply(true_c), sigma_star_rad, rng)
     seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
     sigma = plan.sigma_c_px * cameras.pixel_rad

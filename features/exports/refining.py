@@ -52,32 +52,12 @@ def fit_correction(
 ) -> LineOfSightCorrection:
     """Least-squares correction from J lines of sight with errors of equal size across the line.
 
-    Parameters
-    ----------
-    v_s : (J, 3) array
-        Known directions of the points, frame s (by the attitude of the star side).
-    u_c : (J, 3) array
-        Measured look directions, frame c.
-    t_s : (J,) array
-        Their instants, TAI seconds since the epoch.
-    R_cs0 : Rotation
-        Installation matrix before the correction.
-    t0_s : float
-        Origin of the polynomials.
-    degree : int
-        Of the polynomials: 0 for constant angles.
-    with_scale : bool
-        Whether h is a parameter.
+    `v_s` (J, 3) are the known directions of the points, frame s, by the attitude of the star side; `u_c`
+    (J, 3) the measured look directions, frame c; `t_s` (J,) their instants, TAI seconds since the epoch.
+    `R_cs0` is the matrix before the correction, `t0_s` the origin of the polynomials, `degree` 0 means
+    constant angles. The covariance has the variance of the residuals.
 
-    Returns
-    -------
-    LineOfSightCorrection
-        Its covariance has the variance of the residuals.
-
-    Raises
-    ------
-    ValueError
-        For fewer than P/2 + 1 points, or points that do not determine the parameters.
+    Raises `ValueError` for fewer than P/2 + 1 points, or points that do not determine the parameters.
     """
     powers = (t_s - t0_s)[:, None] ** np.arange(degree + 1)
     n = 3 * (degree + 1) + int(with_scale)

@@ -26,8 +26,20 @@ FEATURE = Feature(
             "Make a points.csv of points measured elsewhere.",
             module="import_command",
         ),
-        Command("dimap", Job.EXCHANGE, "Geolocate by a DIMAP product, or check its grid.", with_json=True),
-        Command("sentinel2", Job.EXCHANGE, "Check a Sentinel-2 model against its grid.", with_json=True),
+        Command(
+            "dimap",
+            Job.EXCHANGE,
+            "Geolocate by a DIMAP product, or check its grid.",
+            with_json=True,
+            module="grid_command",
+        ),
+        Command(
+            "sentinel2",
+            Job.EXCHANGE,
+            "Check a Sentinel-2 model against its grid.",
+            with_json=True,
+            module="grid_command",
+        ),
     ),
     groups={"import": "Make a dump of an operator's own files."},
 )

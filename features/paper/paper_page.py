@@ -30,8 +30,7 @@ from boresight.features.paper.paper_tables import (
     TABLE_4_RMS_ARCSEC,
     TABLE_5,
 )
-from boresight.features.paper.provenance import record_head
-from boresight.features.paper.tables import EXPERIMENTS, run_experiment
+from boresight.features.paper.tables import EXPERIMENTS, record_head, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.whole_file import write_text

@@ -20,7 +20,7 @@ from boresight.features.sky_images.identify_images import (
     read_sky_image,
     sky_index,
 )
-from boresight.features.sky_images.whereabouts import NOWHERE, Whereabouts
+from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
