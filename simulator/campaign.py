@@ -144,11 +144,7 @@ class StripTruth:
 
 
 def draw_strips(
-    plan: StripPlan,
-    cameras: CameraPair,
-    rng: np.random.Generator,
-    *,
-    curve: DistortionCurve | None = None,
+    plan: StripPlan, cameras: CameraPair, rng: np.random.Generator, *, curve: DistortionCurve | None = None
 ) -> tuple[list[StripSightings], StripTruth]:
     """Strips of one campaign with noise drawn from `rng`, and with the camera's distortion `curve`; None:
     drawn too.
@@ -363,11 +359,7 @@ def _draw_strip(
     shared = curve, survey_i
     ground, wrong_rows, look_c, error_m = _draw_targets(name, rows, plan, cameras, motion, shared, rng)
     strip = StripSightings(
-        strip_id=name,
-        exposures=exposures,
-        ground=ground,
-        R_oi_exposures=R_oi_stars,
-        R_oi_targets=R_oi,
+        strip_id=name, exposures=exposures, ground=ground, R_oi_exposures=R_oi_stars, R_oi_targets=R_oi
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     return strip, StripTruth(

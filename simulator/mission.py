@@ -60,13 +60,7 @@ from boresight.simulator.mission_records import (
     TrueStrip,
     Truth,
 )
-from boresight.simulator.motion import (
-    TrueAttitude,
-    flown_orbit,
-    reported_orbit,
-    scan_attitude,
-    true_attitude,
-)
+from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, scan_attitude, true_attitude
 from boresight.simulator.relief import Affine, relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
 from boresight.simulator.scan import TrueScene, all_panels, needed_sample_step, panels_near, scan
@@ -293,12 +287,7 @@ def _sky_strips(
 
 
 def _scenes(
-    scenario: Scenario,
-    plan: _Plan,
-    world: _World,
-    geoid: Geoid,
-    seed: int,
-    ground_image: GroundImage | None,
+    scenario: Scenario, plan: _Plan, world: _World, geoid: Geoid, seed: int, ground_image: GroundImage | None
 ) -> tuple[list[TrueScene], TerrainReport]:
     """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
     models = [

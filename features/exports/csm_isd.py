@@ -209,11 +209,7 @@ def _common(
         "starting_ephemeris_time": centre_et_s + start_from_centre_s,
         "center_ephemeris_time": centre_et_s,
         "line_scan_rate": [[0.5, start_from_centre_s, pushbroom.rows.row_period_s]],
-        "radii": {
-            "semimajor": WGS84.semi_major_m / 1e3,
-            "semiminor": WGS84.semi_minor_m / 1e3,
-            "unit": "km",
-        },
+        "radii": {"semimajor": WGS84.semi_major_m / 1e3, "semiminor": WGS84.semi_minor_m / 1e3, "unit": "km"},
         "reference_height": {"minheight": -1000.0, "maxheight": 9000.0, "unit": "m"},
         "focal_length_model": {"focal_length": focal_m * 1e3},
         "body_rotation": _orientation([times[0], times[-1]], [[1.0, 0.0, 0.0, 0.0]] * 2, [[0.0] * 3] * 2),

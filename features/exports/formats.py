@@ -163,9 +163,7 @@ def _message(request: ExportRequest, ending: str, text_of: Callable[..., str]) -
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
         header = AemHeader(
-            creation_utc=request.creation_utc,
-            object_name=dump.mission,
-            object_id=request.object_id,
+            creation_utc=request.creation_utc, object_name=dump.mission, object_id=request.object_id
         )
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
         comments += [*_line_times(model, dump.epoch), *notes.lines()]

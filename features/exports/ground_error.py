@@ -15,12 +15,7 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.results.check_point_test import StripMoves, predicted_covariance
 from boresight.pipeline.results.earth_error import common_covariance
 from boresight.pipeline.results.ground_moves import ground_moves
-from boresight.pipeline.results.strip_model import (
-    Calibrated,
-    StripModel,
-    attitude_errors_s,
-    exposures_around,
-)
+from boresight.pipeline.results.strip_model import Calibrated, StripModel, attitude_errors_s, exposures_around
 
 __all__ = ["GroundError", "ground_error"]
 

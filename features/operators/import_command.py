@@ -111,8 +111,7 @@ def import_points_command(
         Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
     ] = "ellipsoidal",
     image: Annotated[
-        str | None,
-        typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of),
+        str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
     ] = None,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.

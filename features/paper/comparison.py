@@ -9,11 +9,7 @@ import pandas as pd
 from scipy.stats import chi2, kstest
 from scipy.stats import f as f_distribution
 
-from boresight.features.paper.geometry_search import (
-    covariance_shapes,
-    predicted_sigma,
-    star_camera_rotation,
-)
+from boresight.features.paper.geometry_search import covariance_shapes, predicted_sigma, star_camera_rotation
 from boresight.features.paper.paper_tables import (
     FIGURE_7_CELLS,
     FIGURE_7_MEAN_ARCSEC,

@@ -23,8 +23,7 @@ __all__ = ["experiment_command"]
 
 def experiment_command(
     name: Annotated[
-        str,
-        typer.Argument(help=f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments),
+        str, typer.Argument(help=f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments)
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
     runs: Annotated[

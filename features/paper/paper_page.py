@@ -131,10 +131,7 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
         for n, axis in enumerate(AXES):
             cells, paper = part[part["axis"] == axis], FIGURE_7_SIGMA_ARCSEC[n]
             rms, bound = rms_of(cells["rms_arcsec"]), rms_of(cells["bound_arcsec"])
-            yield (
-                f"Fig. 7, σ of {axis}, {frames} frames",
-                *_beside(paper, rms, bound, smaller="smaller"),
-            )
+            yield (f"Fig. 7, σ of {axis}, {frames} frames", *_beside(paper, rms, bound, smaller="smaller"))
     last = ours[ours["frames"] == ours["frames"].max()]
     for n, axis in enumerate(AXES):
         mean, cells = FIGURE_7_MEAN_ARCSEC[n], last[last["axis"] == axis]
@@ -222,11 +219,7 @@ GROUND_HEAD = ("", "paper, m", "ours, m", "Wang: paper", "ours")
 
 # title, columns, rows
 SECTIONS: dict[str, tuple[str, Row, Callable[[pd.DataFrame], Iterator[Row]]]] = {
-    "inputs": (
-        "Tables 1 to 3: inputs",
-        ("", "paper", "ours", "arithmetic", "verdict"),
-        _inputs,
-    ),
+    "inputs": ("Tables 1 to 3: inputs", ("", "paper", "ours", "arithmetic", "verdict"), _inputs),
     "figure4": (
         "Fig. 4: motion of the attitude",
         ("", "paper", "rms, ″", "one exposure, ″", "verdict"),

@@ -21,11 +21,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.features.paper.geometry_search import bound_of_frames
-from boresight.features.paper.paper_tables import (
-    FIGURE_7_CELLS,
-    FIGURE_7_SIGMA_ARCSEC,
-    TABLE_4,
-)
+from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
@@ -44,11 +40,7 @@ from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.campaign import unit
 
-__all__ = [
-    "PixelSettings",
-    "grid_from_pixels",
-    "table4_from_pixels",
-]
+__all__ = ["PixelSettings", "grid_from_pixels", "table4_from_pixels"]
 
 Progress = Callable[[int, int], None]
 

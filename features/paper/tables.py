@@ -22,11 +22,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.geometry_search import geometry_map
 from boresight.features.paper.inputs import inputs
-from boresight.features.paper.pixels import (
-    PixelSettings,
-    grid_from_pixels,
-    table4_from_pixels,
-)
+from boresight.features.paper.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
 from boresight.features.paper.plots import PLOTS
 from boresight.features.paper.vector_experiments import (
     ExperimentSettings,
@@ -46,13 +42,7 @@ from boresight.simulator.campaign import CameraPair
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.version import version_text
 
-__all__ = [
-    "EXPERIMENTS",
-    "FROM_PIXELS",
-    "hipparcos_fields",
-    "record_head",
-    "run_experiment",
-]
+__all__ = ["EXPERIMENTS", "FROM_PIXELS", "hipparcos_fields", "record_head", "run_experiment"]
 
 Progress = Callable[[int, int], None]
 
@@ -74,10 +64,7 @@ FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rende
 
 
 def run_experiment(
-    name: str,
-    out: Path,
-    settings: ExperimentSettings | PixelSettings,
-    progress: Progress | None = None,
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one of `EXPERIMENTS`, with `PixelSettings` one of `FROM_PIXELS` through rendered images; its table,
     and the files written into `out`: `NAME.csv`, `NAME.png` and `NAME.txt`, or those of `NAME-pixels`.

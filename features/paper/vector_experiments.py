@@ -177,9 +177,7 @@ def grid(settings: ExperimentSettings, progress: Progress | None = None) -> pd.D
 
 
 def table4(
-    settings: ExperimentSettings,
-    star_fields: Sequence[Floats],
-    progress: Progress | None = None,
+    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress | None = None
 ) -> pd.DataFrame:
     """Table 4: rms error over many runs beside the paper's single draws, "information" from many frames.
 
@@ -461,12 +459,7 @@ def _rms(parts: list[GroundErrors]) -> tuple[float, float]:
 
 
 def _long_form(
-    runs: tuple[Floats, Floats],
-    sigma_s: float,
-    sigma_c: float,
-    method: str,
-    frames: int,
-    paper: Floats,
+    runs: tuple[Floats, Floats], sigma_s: float, sigma_c: float, method: str, frames: int, paper: Floats
 ) -> pd.DataFrame:
     errors, covariances = runs
     nees = float(np.mean(np.einsum("ra,rab,rb->r", errors, np.linalg.inv(covariances), errors)))

@@ -26,13 +26,7 @@ from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
 from boresight.star_id.observer import Observer
 
-__all__ = [
-    "SkyImage",
-    "SkyImages",
-    "observer_at",
-    "observers_of",
-    "open_sky_images",
-]
+__all__ = ["SkyImage", "SkyImages", "observer_at", "observers_of", "open_sky_images"]
 
 
 @record
