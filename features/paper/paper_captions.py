@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pandas as pd
 
-from boresight.features.paper.comparison import GAIN_M, rms_of
+from boresight.features.paper.comparison import GAIN_M, errors_of_axes, rms_of
 from boresight.features.paper.paper_tables import (
     FIGURE_7_CELLS,
     FIGURE_7_MEAN_ARCSEC,
@@ -74,8 +74,7 @@ def of_grid(table: pd.DataFrame) -> str:
     """Our scatter beside the paper's, its mean of Z, and the bound."""
     ours = table[table["method"] == "information"]
     last = ours[ours["frames"] == ours["frames"].max()]
-    rms = [rms_of(last[last["axis"] == axis]["rms_arcsec"]) for axis in AXES]
-    bounds = [rms_of(last[last["axis"] == axis]["bound_arcsec"]) for axis in AXES]
+    _, rms, bounds = zip(*errors_of_axes(last))
     times = [one / paper for one, paper in zip(rms, FIGURE_7_SIGMA_ARCSEC)]
     z_away = abs(FIGURE_7_MEAN_ARCSEC[2]) / FIGURE_7_SIGMA_ARCSEC[2] * np.sqrt(len(FIGURE_7_CELLS))
     return (

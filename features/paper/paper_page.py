@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 import pandas as pd
 
-from boresight.features.paper.comparison import COMPARISONS, rms_of
+from boresight.features.paper.comparison import COMPARISONS, errors_of_axes, rms_of
 from boresight.features.paper.paper_captions import (
     CAPTIONS,
     FAR_SIGMAS,
@@ -128,10 +128,8 @@ def _convergence(table: pd.DataFrame) -> Iterator[Row]:
 def _grid(table: pd.DataFrame) -> Iterator[Row]:
     ours = table[table["method"] == "information"]
     for frames, part in ours.groupby("frames"):
-        for n, axis in enumerate(AXES):
-            cells, paper = part[part["axis"] == axis], FIGURE_7_SIGMA_ARCSEC[n]
-            rms, bound = rms_of(cells["rms_arcsec"]), rms_of(cells["bound_arcsec"])
-            yield (f"Fig. 7, σ of {axis}, {frames} frames", *_beside(paper, rms, bound, smaller="smaller"))
+        for (axis, *errors), paper in zip(errors_of_axes(part), FIGURE_7_SIGMA_ARCSEC):
+            yield f"Fig. 7, σ of {axis}, {frames} frames", *_beside(paper, *errors, smaller="smaller")
     last = ours[ours["frames"] == ours["frames"].max()]
     for n, axis in enumerate(AXES):
         mean, cells = FIGURE_7_MEAN_ARCSEC[n], last[last["axis"] == axis]
@@ -139,11 +137,9 @@ def _grid(table: pd.DataFrame) -> Iterator[Row]:
         verdict = "contradicts itself" if away > FAR_SIGMAS else "reproduced"
         found = f"{cells['mean_arcsec'].mean():+.4f}"
         yield f"Fig. 7, mean of {axis}", f"{mean:+.4f}, {away:.1f} σ from 0", found, "0", verdict
-    wang = table[table["method"] == "wang"]
-    for n, axis in enumerate(AXES):
-        cells, paper = wang[wang["axis"] == axis], TABLE_4_RMS_ARCSEC["wang"][n]
-        rms, bound = rms_of(cells["rms_arcsec"]), rms_of(cells["bound_arcsec"])
-        yield f"Fig. 9, Wang in {axis}", *_beside(paper, rms, bound, smaller="smaller")
+    wang = errors_of_axes(table[table["method"] == "wang"])
+    for (axis, *errors), paper in zip(wang, TABLE_4_RMS_ARCSEC["wang"]):
+        yield f"Fig. 9, Wang in {axis}", *_beside(paper, *errors, smaller="smaller")
 
 
 def _table4(table: pd.DataFrame) -> Iterator[Row]:
@@ -153,12 +149,10 @@ def _table4(table: pd.DataFrame) -> Iterator[Row]:
         "strips": ("wang", "ours, the same {} strips"),
     }
     for method, (who, name) in names.items():
-        for n, axis in enumerate(AXES):
-            part = table[(table["method"] == method) & (table["axis"] == axis)]
-            rms, bound = rms_of(part["rms_arcsec"]), rms_of(part["bound_arcsec"])
-            head = f"{axis}, {name.format(int(part['frames'].iloc[0]))}"
-            smaller = "smaller" if method == "wang" else "better"
-            yield head, *_beside(TABLE_4_RMS_ARCSEC[who][n], rms, bound, smaller=smaller)
+        part, smaller = table[table["method"] == method], "smaller" if method == "wang" else "better"
+        said = name.format(int(part["frames"].iloc[0]))
+        for (axis, *errors), paper in zip(errors_of_axes(part), TABLE_4_RMS_ARCSEC[who]):
+            yield f"{axis}, {said}", *_beside(paper, *errors, smaller=smaller)
 
 
 def _table5(table: pd.DataFrame) -> Iterator[Row]:
