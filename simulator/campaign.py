@@ -5,6 +5,10 @@ From a plan to `StripSightings` and their truth, or to `VectorSets`; no images. 
 at rest, nadir pointing with waves on all three axes, a line scanner whose rows have their own times.
 Strips follow one another; each has an orbit of its own, drawn anew. Frames: i inertial, o orbital (x along
 the velocity, z to nadir), c = o but for the waves, s by the installation matrix. SI units, radians.
+
+A strip of the sky scans it at a constant rate about an axis of the remote-sensing camera, so that stars move
+along the columns as the ground does; a rate of the other sign scans backwards. No position of the satellite,
+no refraction, no map has a part in it. Scans lie before t = 0, where a campaign of the ground begins.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
@@ -30,12 +35,12 @@ __all__ = [
     "LinePair",
     "StripPlan",
     "StripTruth",
-    "draw_exposures",
+    "Waves",
     "draw_frames",
     "draw_other_camera",
+    "draw_sky_strips",
     "draw_strips",
     "installation_by_tilt",
-    "looks_across",
     "noisy",
     "noisy_frames",
     "strip_every_s",
@@ -249,6 +254,25 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Waves:
+    """Oscillation of the attitude: a sine about each axis of c."""
+
+    amplitude: Array  # (3,) rad
+    omega: Array  # (3,) rad/s
+    phase: Array  # (3,) rad
+
+    @classmethod
+    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> Waves:
+        """Waves drawn at random."""
+        amplitude, omega = rng.uniform(*plan.wave_rad, 3), 2 * np.pi / rng.uniform(*plan.wave_s, 3)
+        return cls(amplitude, omega, rng.uniform(0, 2 * np.pi, 3))
+
+    def at(self, t_s: Array) -> Array:
+        """Rotation vectors (N, 3), rad, at instants (N,)."""
+        return np.asarray(self.amplitude * np.sin(self.omega * t_s[:, None] + self.phase))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DrawnStripMotion:
     """Circular orbit and waves of one strip."""
 
@@ -256,24 +280,15 @@ class DrawnStripMotion:
     radius_m: float
     rate: float  # rad/s
     R_ie: Rotation  # orbit's axes (x to the node, z along the orbit's normal) to i
-    amplitude: Array  # (3,)
-    omega: Array  # (3,)
-    phase: Array  # (3,)
+    waves: Waves
     turn: Rotation | None = None  # from the camera whose axes oscillate to another one
 
     @classmethod
     def draw(cls, plan: StripPlan, begin_s: float, rng: np.random.Generator) -> DrawnStripMotion:
         """A motion of one strip drawn at random."""
         radius = WGS84.semi_major_m + plan.height_m
-        return cls(
-            begin_s,
-            radius,
-            float(np.sqrt(GM_EARTH / radius**3)),
-            Rotation.identity() if plan.same_targets else Rotation.random(rng=rng),
-            rng.uniform(*plan.wave_rad, 3),
-            2 * np.pi / rng.uniform(*plan.wave_s, 3),
-            rng.uniform(0, 2 * np.pi, 3),
-        )
+        R_ie = Rotation.identity() if plan.same_targets else Rotation.random(rng=rng)
+        return cls(begin_s, radius, float(np.sqrt(GM_EARTH / radius**3)), R_ie, Waves.draw(plan, rng))
 
     def position_i(self, t: Array) -> Array:
         """Positions (N, 3) of the satellite, frame i, m, at instants (N,), s."""
@@ -293,8 +308,7 @@ class DrawnStripMotion:
 
     def R_co(self, t: Array) -> Rotation:
         """Rotations (N,) from the orbital frame to the remote-sensing camera, without vibration."""
-        waves = np.sin(self.omega * (t - self.begin_s)[:, None] + self.phase)
-        return Rotation.from_rotvec(self.amplitude * waves)
+        return Rotation.from_rotvec(self.waves.at(t - self.begin_s))
 
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
@@ -483,3 +497,74 @@ def noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
 def unit(v: Array) -> Array:
     """Vectors (..., 3) scaled to length one."""
     return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def draw_sky_strips(
+    plan: StripPlan,
+    cameras: CameraPair,
+    rng: np.random.Generator,
+    *,
+    rates_rad_s: tuple[float, ...] = (-0.0145, 0.0145),
+    sigma_star_rad: float = 0.0,
+    curve: DistortionCurve | None = None,
+) -> list[StripSightings]:
+    """Strips of one campaign of `plan.strips` scans, at the rates in turn (10 m camera: a row of 1 µrad in
+    0.07 ms). `plan.targets` is the number of stars a strip, `sigma_star_rad` the error of their catalogue,
+    `curve` the camera's distortion; None: drawn here.
+    """
+    curve = curve or DistortionCurve.draw(plan, cameras, rng)
+    strips = []
+    for n in range(plan.strips):
+        begin_s, rate = -(n + 1) * strip_every_s(plan), rates_rad_s[n % len(rates_rad_s)]
+        scan = ConstantRate(begin_s, Rotation.random(rng=rng), np.array([0.0, rate, 0.0]))  # about y of c
+        strips.append(_draw_sky_strip(f"sky{n:04d}", plan, scan, cameras, curve, sigma_star_rad, rng))
+    return strips
+
+
+def _draw_sky_strip(
+    name: str,
+    plan: StripPlan,
+    scan: ConstantRate,
+    cameras: CameraPair,
+    curve: DistortionCurve,
+    sigma_star_rad: float,
+    rng: np.random.Generator,
+) -> StripSightings:
+    margin, J, waves = plan.exposure_margin_s, plan.targets, Waves.draw(plan, rng)
+
+    def R_ci(t_s: Array) -> Rotation:
+        """Attitudes of the camera, without vibration."""
+        return Rotation.from_rotvec(waves.at(t_s - scan.t_s)) * scan.R_oi(t_s)
+
+    since: Array = np.linspace(-margin, plan.duration_s + margin, plan.exposures, dtype=np.float64)
+    t_stars = scan.t_s + since
+    exposures, _ = draw_exposures(name, t_stars, plan, cameras, R_ci(t_stars), rng)
+    t = scan.t_s + plan.duration_s * np.sort(rng.uniform(*plan.along, J))
+    ccd, sample, true_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
+    t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
+    vibration = rng.normal(0.0, plan.sigma_vibration_rad, (J, 3))  # that the exposures do not follow
+    R_ic = (Rotation.from_rotvec(vibration) * R_ci(t_true)).inv()
+    catalogue_i = noisy(R_ic.apply(true_c), sigma_star_rad, rng)
+    seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
+    sigma = plan.sigma_c_px * cameras.pixel_rad
+    measured = noisy(seen, sigma, rng)
+    stars = GroundSightings(
+        target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
+        ccd=ccd,
+        xy_px=np.column_stack([sample, t - scan.t_s]),
+        t_s=t,
+        u_c=measured,
+        u_i=catalogue_i,
+        cov_c=isotropic_covariance(measured, sigma),
+        range_m=np.full(J, np.inf),
+        v_rel_i=np.zeros((J, 3)),
+        cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
+        earth_i=np.zeros((len(catalogue_i), 3, 3)),
+    )
+    return StripSightings(
+        strip_id=name,
+        exposures=exposures,
+        ground=stars,
+        R_oi_exposures=scan.R_oi(t_stars),
+        R_oi_targets=scan.R_oi(t),
+    )

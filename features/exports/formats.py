@@ -24,9 +24,8 @@ from boresight.features.exports.ground_control_points import (
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
-from boresight.features.exports.operator_parameters import operator_parameters
+from boresight.features.exports.operator_parameters import fit_correction, operator_parameters
 from boresight.features.exports.quaternions import instants_to_interpolate
-from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.spice_kernels import (
     SpiceFrames,

@@ -50,6 +50,7 @@ from boresight.geometry.vector_sets import VectorSets
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,
+    Waves,
     draw_frames,
     draw_strips,
     installation_by_tilt,
@@ -341,10 +342,9 @@ def _waves(settings: ExperimentSettings, t_s: Floats) -> tuple[Floats, np.random
     """Attitude (N, 3) at `t_s` about the three axes, arcsec, of the one motion of Figs. 4 and 8, and its
     generator.
     """
-    rng, plan = _stream(settings, 7, 0), StripPlan()
-    amplitude = rng.uniform(*plan.wave_rad, 3) / ARCSEC
-    omega, phase = 2 * np.pi / rng.uniform(*plan.wave_s, 3), rng.uniform(0, 2 * np.pi, 3)
-    return np.asarray(amplitude * np.sin(omega * t_s[:, None] + phase)), rng
+    rng = _stream(settings, 7, 0)
+    drawn = Waves.draw(StripPlan(), rng)
+    return replace(drawn, amplitude=drawn.amplitude / ARCSEC).at(t_s), rng
 
 
 def _estimated(

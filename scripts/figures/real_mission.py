@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from real_sentinel2 import BULLETIN, grid_of, looks
 from record import SHARED
 
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.operators.sentinel2_grid import operator_orbit
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2, read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
