@@ -27,7 +27,7 @@ from boresight.features.exports.notes import Notes, notes_of
 from boresight.features.exports.operator_parameters import fit_correction, operator_parameters
 from boresight.features.exports.quaternions import instants_to_interpolate
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
-from boresight.features.exports.spice_kernels import (
+from boresight.features.exports.spice_export import (
     SpiceFrames,
     attitude_kernel,
     clock_kernel,

@@ -31,7 +31,7 @@ from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.reliability import HypothesisTest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
-from boresight.features.exports.spice_kernels import SpiceFrames, instrument_kernel
+from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
 from boresight.features.mission import joint_trend
 from boresight.features.targets.target_matches import StripLine, matches_table
@@ -527,7 +527,7 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "boresight/array_stars.py": lists_of_stars,
     "features/targets/target_matches.py": matches,
     "features/mission/joint_trend.py": trend,
-    "features/exports/spice_kernels.py": fields_of_view,
+    "features/exports/spice_export.py": fields_of_view,
     "features/interior/interior_files.py": interior,
     "pipeline/results/writing.py": installations,
 }

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
 from boresight.features.exports.ground_control_points import GroundPoints, points_asp, points_envi
 from boresight.features.exports.kml import kml_text
-from boresight.features.exports.spice_kernels import SpiceFrames, frame_kernel
+from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps
 from boresight.geometry.epoch import Epoch
