@@ -311,7 +311,7 @@ def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Floats, Floats],
     for axis, target in enumerate((x, y)):
         fit = np.polynomial.Polynomial.fit(ideal[:, 1], offset[:, axis], 3)
         misfit[:, axis] = offset[:, axis] - fit(ideal[:, 1])
-        terms = fit.convert().coef
+        terms = np.asarray(fit.convert().coef, dtype=np.float64)
         target[[0, 2, 5, 9][: len(terms)]] += terms
     residual_px = float(np.hypot(*misfit.T).max()) * 1e-3 / detector.pixel_m
     return (x, y), residual_px

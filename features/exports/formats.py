@@ -117,11 +117,8 @@ def export(name: str, request: ExportRequest, folder: Path) -> Iterator[Path | R
 def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
     """Why strips of the dump are in no file of their own, where no strips were requested."""
     calibrated = _opened(request)
-    for strip in () if request.strips else calibrated.dump.strips:
-        try:
-            whole_strip_model(calibrated, strip.strip_id)
-        except DataNotSufficientError as error:
-            yield Remark(f"not exported: {error}")
+    if not request.strips:
+        yield from (one for one in _every_model(calibrated) if isinstance(one, Remark))
 
 
 def _spice(request: ExportRequest) -> Made:
@@ -390,16 +387,20 @@ def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripMo
     if wanted:
         yield from (whole_strip_model(calibrated, name) for name in wanted)
         return
-    none = True
+    models = (one for one in _every_model(calibrated) if isinstance(one, StripModel))
+    if (first := next(models, None)) is None:
+        raise DataNotSufficientError("no strip has star exposures around it")
+    yield first
+    yield from models
+
+
+def _every_model(calibrated: Calibrated) -> Iterator[StripModel | Remark]:
+    """The model of each strip, or why there is none."""
     for strip in calibrated.dump.strips:
         try:
-            model = whole_strip_model(calibrated, strip.strip_id)
-        except DataNotSufficientError:  # see `strips_left_out`
-            continue
-        none = False
-        yield model
-    if none:
-        raise DataNotSufficientError("no strip has star exposures around it")
+            yield whole_strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError as error:
+            yield Remark(f"not exported: {error}")
 
 
 def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
