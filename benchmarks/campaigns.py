@@ -38,11 +38,11 @@ from boresight.simulator.campaign import (
     CameraPair,
     DistortionCurve,
     StripPlan,
+    draw_sky_strips,
     draw_strips,
     installation_by_tilt,
 )
 from boresight.simulator.head_attitudes import HeadPlan, with_heads
-from boresight.simulator.sky_campaign import draw_sky_strips
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))  # the paper's
 R_CS0 = deviation_from_theta(np.array(MATRIX_28)).inv() * CAMERAS.R_cs

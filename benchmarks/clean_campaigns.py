@@ -53,12 +53,12 @@ from boresight.simulator.campaign import (
     DistortionCurve,
     StripPlan,
     draw_other_camera,
+    draw_sky_strips,
     draw_strips,
     installation_by_tilt,
 )
 from boresight.simulator.head_attitudes import HeadPlan, with_heads
 from boresight.simulator.scenario import LineCameraSettings
-from boresight.simulator.sky_campaign import draw_sky_strips
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0), np.radians(37.0)))
 R_CS0 = Rotation.from_rotvec([3e-3, 2e-3, 1e-3]) * CAMERAS.R_cs

@@ -41,8 +41,14 @@ from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.cameras import calibrated_line_camera
-from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips, installation_by_tilt
-from boresight.simulator.sky_campaign import draw_sky_strips
+from boresight.simulator.campaign import (
+    CameraPair,
+    LinePair,
+    StripPlan,
+    draw_sky_strips,
+    draw_strips,
+    installation_by_tilt,
+)
 
 R_CS = installation_by_tilt(np.radians(15.0))  # the paper's mounting
 R_CS0 = deviation_from_theta(np.array(MATRIX_28)).inv() * R_CS

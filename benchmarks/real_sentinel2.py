@@ -26,7 +26,7 @@ from record import SHARED, exit_status, head, judge_largest, not_run, verdict
 from scipy.stats import chi2
 
 from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.heads.alignment import heads_alone
 from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.imported_mission import write_imported

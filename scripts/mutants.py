@@ -110,101 +110,92 @@ def copy_of_tree(folder: Path) -> Path:
     return folder
 
 
-def is_killed(mutant: Mutant, tree: Path) -> bool:
-    """Whether the nearest tests fail with the mutation made in `tree`, which is restored afterwards."""
-    return bool(killer(mutant, tree, mutant.tests))
+def killer(mutant: Mutant, tree: Path, known: Collection[str], unsound: set[str], most_cpu_s: float) -> str:
+    """The first of the mutation's tests that fails with it in `tree`, or a file that cannot be imported.
 
-
-def killer(
-    mutant: Mutant,
-    tree: Path,
-    tests: Sequence[str],
-    without: Collection[str] = (),
-    most_cpu_s: float = LONGEST_CPU_S,
-) -> str:
-    """The first of some tests, but those in `without`, that fails with the mutation made in `tree`; else "".
-    The tree is restored afterwards.
+    "" where all pass. A test that also fails without a mutation joins `unsound`, and the others are asked;
+    tests that are not `known` any more are not. The tree is restored afterwards.
     """
     path = tree / mutant.file
     sound, times = path.read_text(encoding="utf-8"), path.stat()
-    path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
-    try:
-        return first_failure([*tests, *(f"--deselect={one}" for one in without)], tree, most_cpu_s)
-    finally:
-        path.write_text(sound, encoding="utf-8")
-        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as its compiled form says
+    tests = [one for one in mutant.tests if "::" not in one or one in known]
+    while tests:
+        path.write_text(sound.replace(mutant.old, mutant.new, 1), encoding="utf-8")
+        try:
+            asked = [*tests, *(f"--deselect={one}" for one in unsound)]
+            test = failure(asked, tree, most_cpu_s=int(most_cpu_s), most_s=LONGEST_S)
+        finally:
+            path.write_text(sound, encoding="utf-8")
+            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # as its compiled form says
+        if (
+            not test
+            or test.endswith(NO_END)
+            or not failure([test], tree, most_cpu_s=LONGEST_CPU_S, most_s=LONGEST_S)
+        ):
+            return test
+        unsound.add(test)
+    return ""
 
 
-def first_failure(tests: Sequence[str], tree: Path, most_cpu_s: float = LONGEST_CPU_S) -> str:
-    """The first of some tests that fails in a tree, or a file that cannot be imported; "" where all pass."""
-    return failure(tests, tree, most_cpu_s=int(most_cpu_s), most_s=LONGEST_S)
-
-
-def failures_without_mutation(chosen: Sequence[Mutant], jobs: int) -> str:
-    """The end of what pytest prints if the named tests do not pass on the unchanged tree, else ""."""
-    tests = sorted({test for mutant in chosen for test in mutant.tests})
-    with tempfile.TemporaryDirectory() as folder:
-        tree = copy_of_tree(Path(folder))
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", str(jobs), *tests]
-        environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
-    return done.stdout[-2000:] if done.returncode else ""
-
-
-def tried(chosen: Sequence[Mutant], jobs: int) -> Iterator[tuple[Mutant, bool, float]]:
-    """Each mutation with whether it was killed and the seconds that took, as they finish."""
+def tried(chosen: Sequence[Mutant], jobs: int, most_cpu_s: float) -> Iterator[tuple[Mutant, str, float]]:
+    """Each mutation with the test that notices it, and the seconds that took, as they finish."""
+    unsound: set[str] = set()
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
         trees: Queue[Path] = Queue()
-        import_libraries(ROOT)
+        known = import_libraries(ROOT)
+        known |= {test.partition("[")[0] for test in known}
         for n in range(jobs):
             trees.put(copy_of_tree(Path(folder) / str(n)))
 
-        def one(mutant: Mutant) -> tuple[Mutant, bool, float]:
+        def one(mutant: Mutant) -> tuple[Mutant, str, float]:
             tree, begun = trees.get(), time.perf_counter()
             try:
-                return mutant, is_killed(mutant, tree), time.perf_counter() - begun
+                return mutant, killer(mutant, tree, known, unsound, most_cpu_s), time.perf_counter() - begun
             finally:
                 trees.put(tree)
 
         yield from pool.map(one, chosen)
+    print(f"left out, since they fail without a mutation: {', '.join(sorted(unsound)) or 'none'}")
 
 
-def record(rows: Sequence[tuple[Mutant, bool, float]], seconds: float) -> str:
+def outcome_of(mutant: Mutant, killed: bool) -> str:
+    """What became of a mutation."""
+    if not mutant.tests:
+        return "untested"
+    return "killed" if killed else "equivalent" if mutant.equivalent else "survives"
+
+
+def counted(rows: Sequence[tuple[Mutant, bool]]) -> list[str]:
+    """Outcomes by room, as lines of a table in Markdown."""
+    lines = ["| room | mutations | killed | equivalent | survive |", "| --- | --: | --: | --: | --: |"]
+    for room in (*dict.fromkeys(mutant.room for mutant, _ in rows), "all"):
+        own = Counter(outcome_of(*row) for row in rows if room in (row[0].room, "all"))
+        left = own["survives"] + own["untested"]
+        lines.append(f"| {room} | {own.total()} | {own['killed']} | {own['equivalent']} | {left} |")
+    return lines
+
+
+def record(rows: Sequence[tuple[Mutant, bool]], seconds: float) -> str:
     """The record as Markdown."""
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True
     ).stdout
-    rooms = Counter(m.room for m, _, _ in rows)
-    killed = Counter(m.room for m, dead, _ in rows if dead)
-    equal = Counter(m.room for m, dead, _ in rows if not dead and m.equivalent)
     lines = [
         "# Mutations of physical statements",
         "",
         f"`python scripts/mutants.py`, commit {commit.strip()}, {time.strftime('%Y-%m-%d')}, Python "
         f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores, {seconds:.0f} s.",
         "",
-        "| room | mutations | killed | equivalent | survive |",
-        "| --- | --: | --: | --: | --: |",
-    ]
-    for room in rooms:
-        left = rooms[room] - killed[room] - equal[room]
-        lines.append(f"| {room} | {rooms[room]} | {killed[room]} | {equal[room]} | {left} |")
-    total, dead, same = len(rows), sum(killed.values()), sum(equal.values())
-    lines += [
-        f"| all | {total} | {dead} | {same} | {total - dead - same} |",
+        *counted(rows),
         "",
         "| room | file | what | outcome |",
+        "| --- | --- | --- | --- |",
     ]
-    lines.append("| --- | --- | --- | --- |")
-    for mutant, was_killed, _ in rows:
-        outcome = (
-            "killed"
-            if was_killed
-            else f"equivalent: {mutant.equivalent}"
-            if mutant.equivalent
-            else "**survives**"
-        )
-        lines.append(f"| {mutant.room} | `{mutant.file}` | {mutant.what} | {outcome} |")
+    words = {"survives": "**survives**"}
+    for mutant, killed in rows:
+        outcome = outcome_of(mutant, killed)
+        words["equivalent"] = f"equivalent: {mutant.equivalent}"
+        lines.append(f"| {mutant.room} | `{mutant.file}` | {mutant.what} | {words.get(outcome, outcome)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -223,42 +214,11 @@ def drawn(seed: int, count: int, room: str, lines: LineTests | None, most_cpu_s:
     return found
 
 
-def try_drawn(chosen: Sequence[Mutant], most_cpu_s: float) -> int:
-    """Print each drawn mutation with its outcome, and the rates by room. A test that also fails without a
-    mutation kills none: it is left out, and the others are asked.
-    """
-    killed, total, unsound = Counter[str](), Counter[str](), set[str]()
-    with tempfile.TemporaryDirectory() as folder:
-        tree = copy_of_tree(Path(folder))
-        known = import_libraries(tree)
-        for mutant in chosen:
-            begun, test = time.perf_counter(), ""
-            tests = [one for one in mutant.tests if "::" not in one or one in known]
-            while tests and (test := killer(mutant, tree, tests, unsound, most_cpu_s)):
-                if test.endswith(NO_END) or not first_failure([test], tree):
-                    break
-                unsound.add(test)
-            killed[mutant.room] += bool(test)
-            total[mutant.room] += 1
-            outcome = "killed" if test else "SURVIVES" if tests else "UNTESTED"
-            end = f"  by {test}" if test else f"  of {len(tests)} tests"
-            print(f"{outcome:9s} {mutant.what}{end}, {time.perf_counter() - begun:.0f} s", flush=True)
-    print(f"left out, since they fail without a mutation: {', '.join(sorted(unsound)) or 'none'}")
-    print(f"\n{'room':12s}{'drawn':>7s}{'killed':>8s}")
-    for room in sorted(total):
-        print(f"{room:12s}{total[room]:7d}{killed[room]:8d}")
-    share = killed.total() / max(total.total(), 1)
-    print(f"{'all':12s}{total.total():7d}{killed.total():8d}  {share:.0%}")
-    return int(share < LEAST_KILLED)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--only", default="", help="mutations whose room, file or description contains this text"
-    )
+    parser.add_argument("--only", default="", help="mutations whose room, file or text contains this")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="copies of the tree to work in")
     parser.add_argument("--draw", type=int, metavar="SEED", help="draw mutations instead")
     parser.add_argument("--count", type=int, default=40, help="how many are drawn")
@@ -266,28 +226,30 @@ def main() -> int:
     parser.add_argument("--lines", type=Path, help="trace of all tests (traced_tests.py)")
     parser.add_argument("--cpu", type=float, default=100.0, help="s of tests of a line, the quickest first")
     options = parser.parse_args()
-    if options.draw is not None:
+    is_drawn, most_cpu_s = options.draw is not None, float(LONGEST_CPU_S)
+    if is_drawn:
         lines = LineTests.read(options.lines, ROOT) if options.lines else None
-        mutations = drawn(options.draw, options.count, options.room, lines, options.cpu)
-        return try_drawn(mutations, 20.0 + 4.0 * options.cpu)
-    chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
-    if wrong := [text for mutant in chosen for text in faults(mutant)]:
-        print("\n".join(wrong))
-        return 2
-    if printed := failures_without_mutation(chosen, options.jobs):
-        print(printed + "\nthe tests must pass before a mutation is made")
-        return 2
+        chosen = drawn(options.draw, options.count, options.room, lines, options.cpu)
+        most_cpu_s = 20.0 + 4.0 * options.cpu
+    else:
+        chosen = [m for m in mutants() if options.only in f"{m.room} {m.file} {m.what}"]
+        if wrong := [text for mutant in chosen for text in faults(mutant)]:
+            print("\n".join(wrong))
+            return 2
     begun, rows = time.perf_counter(), []
-    for mutant, was_killed, seconds in tried(chosen, options.jobs):
-        rows.append((mutant, was_killed, seconds))
-        outcome = "killed" if was_killed else "equivalent" if mutant.equivalent else "SURVIVES"
-        print(
-            f"{len(rows):4d}/{len(chosen)} {outcome:10s} {seconds:6.1f} s  {mutant.file}: {mutant.what}",
-            flush=True,
-        )
+    for mutant, test, seconds in tried(chosen, options.jobs, most_cpu_s):
+        rows.append((mutant, bool(test)))
+        outcome = outcome_of(*rows[-1])
+        shown = outcome if test or outcome == "equivalent" else outcome.upper()
+        end = f"  by {test}" if test else f"  of {len(mutant.tests)} tests"
+        place = f"{len(rows):4d}/{len(chosen)} {shown:10s} {seconds:6.1f} s"
+        print(f"{place}  {mutant.file}: {mutant.what}{end}", flush=True)
+    print("", *counted(rows), sep="\n")
+    if is_drawn:
+        return int(sum(killed for _, killed in rows) < LEAST_KILLED * len(rows))
     if not options.only:
         RECORD.write_text(record(rows, time.perf_counter() - begun), encoding="utf-8")
-    return int(any(not was_killed and not mutant.equivalent for mutant, was_killed, _ in rows))
+    return int(any(outcome_of(*row) in ("survives", "untested") for row in rows))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,10 @@ From a plan to `StripSightings` and their truth, or to `VectorSets`; no images. 
 at rest, nadir pointing with waves on all three axes, a line scanner whose rows have their own times.
 Strips follow one another; each has an orbit of its own, drawn anew. Frames: i inertial, o orbital (x along
 the velocity, z to nadir), c = o but for the waves, s by the installation matrix. SI units, radians.
+
+A strip of the sky scans it at a constant rate about an axis of the remote-sensing camera, so that stars move
+along the columns as the ground does; a rate of the other sign scans backwards. No position of the satellite,
+no refraction, no map has a part in it. Scans lie before t = 0, where a campaign of the ground begins.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
@@ -30,17 +35,16 @@ __all__ = [
     "LinePair",
     "StripPlan",
     "StripTruth",
-    "draw_exposures",
+    "Waves",
     "draw_frames",
     "draw_other_camera",
+    "draw_sky_strips",
     "draw_strips",
     "installation_by_tilt",
-    "looks_across",
     "noisy",
     "noisy_frames",
     "strip_every_s",
     "unit",
-    "vibration",
 ]
 
 Array = NDArray[np.float64]
@@ -112,7 +116,6 @@ class StripPlan:
     clock_bias_s: float = 0.0  # stated less true instant of the rows, common to all strips
     sigma_clock_s: float = 0.0  # of the rows, constant over a strip (Table 1: 0.1 ms)
     sigma_vibration_rad: float = 0.0  # per axis, white from target to target (Table 1: 0.1 arcsec)
-    vibration_hz: float = 0.0  # if not 0: a wave of this frequency with that rms instead of white noise
     sigma_distortion_rad: float = 0.0  # per axis (Table 1: 0.3 px)
     distortion_length_px: float = 2000.0
     distortion_pixel_rad: float = 0.0  # angle of a pixel: one curve over the field; 0: one for each CCD
@@ -146,11 +149,7 @@ class StripTruth:
 
 
 def draw_strips(
-    plan: StripPlan,
-    cameras: CameraPair,
-    rng: np.random.Generator,
-    *,
-    curve: DistortionCurve | None = None,
+    plan: StripPlan, cameras: CameraPair, rng: np.random.Generator, *, curve: DistortionCurve | None = None
 ) -> tuple[list[StripSightings], StripTruth]:
     """Strips of one campaign with noise drawn from `rng`, and with the camera's distortion `curve`; None:
     drawn too.
@@ -255,6 +254,25 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Waves:
+    """Oscillation of the attitude: a sine about each axis of c."""
+
+    amplitude: Array  # (3,) rad
+    omega: Array  # (3,) rad/s
+    phase: Array  # (3,) rad
+
+    @classmethod
+    def draw(cls, plan: StripPlan, rng: np.random.Generator) -> Waves:
+        """Waves drawn at random."""
+        amplitude, omega = rng.uniform(*plan.wave_rad, 3), 2 * np.pi / rng.uniform(*plan.wave_s, 3)
+        return cls(amplitude, omega, rng.uniform(0, 2 * np.pi, 3))
+
+    def at(self, t_s: Array) -> Array:
+        """Rotation vectors (N, 3), rad, at instants (N,)."""
+        return np.asarray(self.amplitude * np.sin(self.omega * t_s[:, None] + self.phase))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DrawnStripMotion:
     """Circular orbit and waves of one strip."""
 
@@ -262,24 +280,15 @@ class DrawnStripMotion:
     radius_m: float
     rate: float  # rad/s
     R_ie: Rotation  # orbit's axes (x to the node, z along the orbit's normal) to i
-    amplitude: Array  # (3,)
-    omega: Array  # (3,)
-    phase: Array  # (3,)
+    waves: Waves
     turn: Rotation | None = None  # from the camera whose axes oscillate to another one
 
     @classmethod
     def draw(cls, plan: StripPlan, begin_s: float, rng: np.random.Generator) -> DrawnStripMotion:
         """A motion of one strip drawn at random."""
         radius = WGS84.semi_major_m + plan.height_m
-        return cls(
-            begin_s,
-            radius,
-            float(np.sqrt(GM_EARTH / radius**3)),
-            Rotation.identity() if plan.same_targets else Rotation.random(rng=rng),
-            rng.uniform(*plan.wave_rad, 3),
-            2 * np.pi / rng.uniform(*plan.wave_s, 3),
-            rng.uniform(0, 2 * np.pi, 3),
-        )
+        R_ie = Rotation.identity() if plan.same_targets else Rotation.random(rng=rng)
+        return cls(begin_s, radius, float(np.sqrt(GM_EARTH / radius**3)), R_ie, Waves.draw(plan, rng))
 
     def position_i(self, t: Array) -> Array:
         """Positions (N, 3) of the satellite, frame i, m, at instants (N,), s."""
@@ -299,8 +308,7 @@ class DrawnStripMotion:
 
     def R_co(self, t: Array) -> Rotation:
         """Rotations (N,) from the orbital frame to the remote-sensing camera, without vibration."""
-        waves = np.sin(self.omega * (t - self.begin_s)[:, None] + self.phase)
-        return Rotation.from_rotvec(self.amplitude * waves)
+        return Rotation.from_rotvec(self.waves.at(t - self.begin_s))
 
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
@@ -365,11 +373,7 @@ def _draw_strip(
     shared = curve, survey_i
     ground, wrong_rows, look_c, error_m = _draw_targets(name, rows, plan, cameras, motion, shared, rng)
     strip = StripSightings(
-        strip_id=name,
-        exposures=exposures,
-        ground=ground,
-        R_oi_exposures=R_oi_stars,
-        R_oi_targets=R_oi,
+        strip_id=name, exposures=exposures, ground=ground, R_oi_exposures=R_oi_stars, R_oi_targets=R_oi
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
     return strip, StripTruth(
@@ -427,7 +431,8 @@ def _draw_targets(
     ccd, sample, u_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
     t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
     R_ci_true = R_ci if np.array_equal(t_true, t) else motion.R_ci(t_true)
-    R_ic = (Rotation.from_rotvec(vibration(t - motion.begin_s, plan, rng)) * R_ci_true).inv()
+    vibration = rng.normal(0.0, plan.sigma_vibration_rad, (J, 3))  # that the exposures do not follow
+    R_ic = (Rotation.from_rotvec(vibration) * R_ci_true).inv()
     truth_i = motion.position_i(t_true)
     ground_i = truth_i + plan.height_m / u_c[:, 2:] * R_ic.apply(u_c)
     error_m = rng.normal(0.0, plan.sigma_position_m, 3) if error_m is None else error_m
@@ -479,16 +484,6 @@ def looks_across(place: Array, cameras: CameraPair) -> tuple[NDArray[np.int64], 
     return ccd, sample, looks[0], looks[1]
 
 
-def vibration(t: Array, plan: StripPlan, rng: np.random.Generator) -> Array:
-    """Turns (J, 3) that the exposures do not follow."""
-    if plan.vibration_hz == 0.0:
-        return rng.normal(0.0, plan.sigma_vibration_rad, (len(t), 3))
-    phase = rng.uniform(0, 2 * np.pi, 3)
-    return (
-        plan.sigma_vibration_rad * np.sqrt(2.0) * np.sin(2 * np.pi * plan.vibration_hz * t[:, None] + phase)
-    )
-
-
 def _star_field(n: int, cameras: CameraPair, rng: np.random.Generator) -> Array:
     xy = rng.uniform(-1.0, 1.0, (n, 2)) * [cameras.star_half_width_px, cameras.star_half_height_px]
     return unit(np.column_stack([-cameras.star_pixel_rad * xy, np.ones(n)]))
@@ -502,3 +497,74 @@ def noisy(u: Array, sigma: float | Array, rng: np.random.Generator) -> Array:
 def unit(v: Array) -> Array:
     """Vectors (..., 3) scaled to length one."""
     return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def draw_sky_strips(
+    plan: StripPlan,
+    cameras: CameraPair,
+    rng: np.random.Generator,
+    *,
+    rates_rad_s: tuple[float, ...] = (-0.0145, 0.0145),
+    sigma_star_rad: float = 0.0,
+    curve: DistortionCurve | None = None,
+) -> list[StripSightings]:
+    """Strips of one campaign of `plan.strips` scans, at the rates in turn (10 m camera: a row of 1 µrad in
+    0.07 ms). `plan.targets` is the number of stars a strip, `sigma_star_rad` the error of their catalogue,
+    `curve` the camera's distortion; None: drawn here.
+    """
+    curve = curve or DistortionCurve.draw(plan, cameras, rng)
+    strips = []
+    for n in range(plan.strips):
+        begin_s, rate = -(n + 1) * strip_every_s(plan), rates_rad_s[n % len(rates_rad_s)]
+        scan = ConstantRate(begin_s, Rotation.random(rng=rng), np.array([0.0, rate, 0.0]))  # about y of c
+        strips.append(_draw_sky_strip(f"sky{n:04d}", plan, scan, cameras, curve, sigma_star_rad, rng))
+    return strips
+
+
+def _draw_sky_strip(
+    name: str,
+    plan: StripPlan,
+    scan: ConstantRate,
+    cameras: CameraPair,
+    curve: DistortionCurve,
+    sigma_star_rad: float,
+    rng: np.random.Generator,
+) -> StripSightings:
+    margin, J, waves = plan.exposure_margin_s, plan.targets, Waves.draw(plan, rng)
+
+    def R_ci(t_s: Array) -> Rotation:
+        """Attitudes of the camera, without vibration."""
+        return Rotation.from_rotvec(waves.at(t_s - scan.t_s)) * scan.R_oi(t_s)
+
+    since: Array = np.linspace(-margin, plan.duration_s + margin, plan.exposures, dtype=np.float64)
+    t_stars = scan.t_s + since
+    exposures, _ = draw_exposures(name, t_stars, plan, cameras, R_ci(t_stars), rng)
+    t = scan.t_s + plan.duration_s * np.sort(rng.uniform(*plan.along, J))
+    ccd, sample, true_c, assumed_c = looks_across(rng.uniform(*plan.across, J), cameras)
+    t_true = t + rng.normal(0.0, plan.sigma_clock_s) - plan.clock_bias_s
+    vibration = rng.normal(0.0, plan.sigma_vibration_rad, (J, 3))  # that the exposures do not follow
+    R_ic = (Rotation.from_rotvec(vibration) * R_ci(t_true)).inv()
+    catalogue_i = noisy(R_ic.apply(true_c), sigma_star_rad, rng)
+    seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
+    sigma = plan.sigma_c_px * cameras.pixel_rad
+    measured = noisy(seen, sigma, rng)
+    stars = GroundSightings(
+        target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
+        ccd=ccd,
+        xy_px=np.column_stack([sample, t - scan.t_s]),
+        t_s=t,
+        u_c=measured,
+        u_i=catalogue_i,
+        cov_c=isotropic_covariance(measured, sigma),
+        range_m=np.full(J, np.inf),
+        v_rel_i=np.zeros((J, 3)),
+        cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
+        earth_i=np.zeros((len(catalogue_i), 3, 3)),
+    )
+    return StripSightings(
+        strip_id=name,
+        exposures=exposures,
+        ground=stars,
+        R_oi_exposures=scan.R_oi(t_stars),
+        R_oi_targets=scan.R_oi(t),
+    )

@@ -51,9 +51,7 @@ class Shapes:
     def of(self, which: Index) -> Shapes:
         """Some of them."""
         return Shapes(
-            self.corners[which],
-            self.tones[which],
-            None if self.strengths is None else self.strengths[which],
+            self.corners[which], self.tones[which], None if self.strengths is None else self.strengths[which]
         )
 
 

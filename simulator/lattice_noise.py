@@ -13,7 +13,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 __all__ = ["BAND", "fractal", "smooth_noise", "white", "white_at"]
@@ -33,7 +33,10 @@ def white(column: int, row: int, width: int, height: int, key: int) -> NDArray[n
     """
     j = np.arange(row, row + height)
     first = (_hashed(np.zeros_like(j), j, key).astype(np.int64) + column) % _PERIOD
-    pieces = [_runs(min(width - left, _RUN))[(first + left) % _PERIOD] for left in range(0, width, _RUN)]
+    pieces = [
+        sliding_window_view(_table(), min(width - left, _RUN))[(first + left) % _PERIOD]
+        for left in range(0, width, _RUN)
+    ]
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
 
 
@@ -42,14 +45,6 @@ def _table() -> NDArray[np.float32]:
     """(_PERIOD + _RUN,) numbers; the last ones are the first ones again."""
     numbers = 2.0 * np.random.default_rng(0).random(_PERIOD, dtype=np.float32) - 1.0
     return np.append(numbers, numbers[:_RUN])
-
-
-@cache
-def _runs(width: int) -> NDArray[np.float32]:
-    """Every run of so many numbers of the table, as views, (places, width)."""
-    table = _table()
-    step = table.strides[0]
-    return as_strided(table, (_PERIOD, width), (step, step), writeable=False)
 
 
 def white_at(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.float32]:

@@ -60,13 +60,7 @@ from boresight.simulator.mission_records import (
     TrueStrip,
     Truth,
 )
-from boresight.simulator.motion import (
-    TrueAttitude,
-    flown_orbit,
-    reported_orbit,
-    scan_attitude,
-    true_attitude,
-)
+from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, scan_attitude, true_attitude
 from boresight.simulator.relief import Affine, relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
 from boresight.simulator.scan import TrueScene, all_panels, needed_sample_step, panels_near, scan
@@ -95,20 +89,11 @@ def render_mission(
     ground_image: GroundImage | None = None,
     survey: SurveyedStars | None = None,
 ) -> Mission:
-    """A mission simulated from a scenario. `ValueError` if it is inconsistent.
+    """A mission simulated from a scenario; equal seeds give equal bytes. `ValueError` if it is inconsistent.
 
-    Parameters
-    ----------
-    stars : StarPlaces
-        All stars to be rendered, those unfit for calibration included.
-    table, geoid : EarthOrientationTable, Geoid
-        Earth orientation, and the geoid to which heights refer.
-    seed : int
-        Seed of all random numbers. Equal seeds give equal bytes.
-    ground_image : GroundImage, optional
-        The ortho-image that `scenario.ground.image` names; the caller reads it.
-    survey : SurveyedStars, optional
-        Stars with their errors, as faint as the remote-sensing camera sees them, for scans of the sky.
+    `stars` are all that are rendered, those unfit for calibration included; heights refer to `geoid`;
+    `ground_image` is the ortho-image that `scenario.ground.image` names; `survey` has stars with their
+    errors, as faint as the remote-sensing camera sees them, for scans of the sky.
     """
     if scenario.sky_strips.scans and survey is None:
         raise ValueError("sky_strips.scans: a scan of the sky needs `survey`, the stars that it shows")
@@ -302,12 +287,7 @@ def _sky_strips(
 
 
 def _scenes(
-    scenario: Scenario,
-    plan: _Plan,
-    world: _World,
-    geoid: Geoid,
-    seed: int,
-    ground_image: GroundImage | None,
+    scenario: Scenario, plan: _Plan, world: _World, geoid: Geoid, seed: int, ground_image: GroundImage | None
 ) -> tuple[list[TrueScene], TerrainReport]:
     """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
     models = [

@@ -47,16 +47,8 @@ def expose(
 ) -> NDArray[Any]:
     """One raw image, (height, width), uint8 up to 8 bits and uint16 above.
 
-    Parameters
-    ----------
-    paths_px : (N, K, 2)
-        Where each star stands at K instants that share the exposure evenly: the smear.
-    charge_e : (N,)
-        Electrons of each star over the exposure.
-    size : (width, height)
-        Of the detector, px.
-    hot : (M, 3)
-        From `hot_pixels`.
+    Each star stands at `paths_px` (N, K, 2) at K instants that share the exposure evenly, the smear, and
+    leaves `charge_e` (N,) electrons; `size` is (width, height), `hot` (M, 3) from `hot_pixels`.
     """
     width, height = size
     charge = np.zeros((height, width), np.float32)

@@ -150,9 +150,7 @@ def sky_around(
     error = near.sigma_at_rad(float(epoch.julian_year(t_s))) * rng.standard_normal((2, len(near.sigma_rad)))
     places = near.places
     true = replace(
-        places,
-        ra_rad=places.ra_rad + error[0] / np.cos(places.dec_rad),
-        dec_rad=places.dec_rad + error[1],
+        places, ra_rad=places.ra_rad + error[0] / np.cos(places.dec_rad), dec_rad=places.dec_rad + error[1]
     )
     return joined_stars(true, _uncatalogued(settings, middle_i, radius_rad, places.epoch_jyear, rng))
 

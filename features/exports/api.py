@@ -8,7 +8,7 @@ from pathlib import Path
 
 from boresight.accepted import PathLike, instance_of, listed, new_folder_of, path_of, wrong
 from boresight.features.exports.formats import FORMATS, ExportRequest, Remark, export
-from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.features.exports.spice_export import SpiceFrames
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.results.reading import read_installation
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports.one_line import one_line
+from boresight.features.exports.notes import one_line
 from boresight.features.exports.quaternions import continuous_quaternions
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Floats, record, scalar

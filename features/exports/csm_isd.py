@@ -85,7 +85,6 @@ class _Path:
     """Camera centre and attitude at N equally spaced nodes; aberration, light time, refraction included."""
 
     et_s: Floats = array("N", "ephemeris seconds: TDB since J2000")
-    centre_et_s: float = scalar("ephemeris seconds of the middle node")
     t_s: Floats = array("N", "the same instants, TAI seconds since the epoch")
     p_e: Floats = array("N, 3", "camera centre, m, ITRS")
     v_e: Floats = array("N, 3", "its velocity, m/s, ITRS")
@@ -136,9 +135,8 @@ def parameter_covariance(cov_theta: Floats) -> dict[str, Any]:
     state's `m_flyingHeight`, kappa by its `m_halfSwath`. An ISD has no place for them.
     """
     H = _HALF_TURN.as_matrix()
-    names = ["OMEGA_BIAS", "PHI_BIAS", "KAPPA_BIAS"]
     return {
-        "parameters": names,
+        "parameters": ["OMEGA_BIAS", "PHI_BIAS", "KAPPA_BIAS"],
         "unit": "rad2, axes of the sensor",
         "covariance": (H @ cov_theta @ H.T).tolist(),
     }
@@ -159,8 +157,7 @@ def _path(pushbroom: Pushbroom, epoch: Epoch, ccd: int, lines: int, height_m: fl
     et, t = et[inside], t[inside]
     p_e, R_ec, misfit = _states(pushbroom, ccd, t, height_m)
     v_e = np.gradient(p_e, NODE_STEP_S, axis=0, edge_order=2)
-    centre = float(et[len(et) // 2])
-    return _Path(et_s=et, centre_et_s=centre, t_s=t, p_e=p_e, v_e=v_e, R_ec=R_ec, misfit_rad=misfit)
+    return _Path(et_s=et, t_s=t, p_e=p_e, v_e=v_e, R_ec=R_ec, misfit_rad=misfit)
 
 
 def _states(pushbroom: Pushbroom, ccd: int, t_s: Floats, height_m: float) -> tuple[Floats, Rotation, float]:
@@ -182,8 +179,7 @@ def _states(pushbroom: Pushbroom, ccd: int, t_s: Floats, height_m: float) -> tup
     for n in range(len(t_s)):
         R_ec, _ = Rotation.align_vectors(wanted[n], u_c)
         quaternions[n] = R_ec.as_quat()
-        left = np.linalg.norm(R_ec.apply(u_c) - wanted[n], axis=1).max()
-        misfit = max(misfit, float(left))
+        misfit = max(misfit, float(np.linalg.norm(R_ec.apply(u_c) - wanted[n], axis=1).max()))
     return p_e, Rotation.from_quat(quaternions), misfit
 
 
@@ -197,13 +193,9 @@ def _common(
 ) -> dict[str, Any]:
     """What all pieces of a detector have in common; its image has so many lines, from an instant on."""
     lines, start_t_s = image
-    start_from_centre_s = start_t_s - float(path.t_s[len(path.t_s) // 2])
-    times = path.et_s.tolist()
-    ends = [times[0], times[-1]]
-    unit = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    sensor_from_e = continuous_quaternions((path.R_ec * _HALF_TURN.inv()).inv())[
-        :, [3, 0, 1, 2]
-    ]  # scalar first
+    middle, times = len(path.t_s) // 2, path.et_s.tolist()
+    start_from_centre_s, centre_et_s = start_t_s - float(path.t_s[middle]), times[middle]
+    sensor_from_e = continuous_quaternions(_HALF_TURN * path.R_ec.inv())[:, [3, 0, 1, 2]]  # scalar first
     rate_e = _angular_velocities(path.R_ec)
     sun_km = _sun_e(pushbroom, path) / 1e3
     return {
@@ -214,17 +206,13 @@ def _common(
         "name_sensor": names.sensor,
         "image_lines": lines,
         "interpolation_method": "lagrange",
-        "starting_ephemeris_time": path.centre_et_s + start_from_centre_s,
-        "center_ephemeris_time": path.centre_et_s,
+        "starting_ephemeris_time": centre_et_s + start_from_centre_s,
+        "center_ephemeris_time": centre_et_s,
         "line_scan_rate": [[0.5, start_from_centre_s, pushbroom.rows.row_period_s]],
-        "radii": {
-            "semimajor": WGS84.semi_major_m / 1e3,
-            "semiminor": WGS84.semi_minor_m / 1e3,
-            "unit": "km",
-        },
+        "radii": {"semimajor": WGS84.semi_major_m / 1e3, "semiminor": WGS84.semi_minor_m / 1e3, "unit": "km"},
         "reference_height": {"minheight": -1000.0, "maxheight": 9000.0, "unit": "m"},
         "focal_length_model": {"focal_length": focal_m * 1e3},
-        "body_rotation": _orientation(ends, unit.tolist(), np.zeros((2, 3)).tolist()),
+        "body_rotation": _orientation([times[0], times[-1]], [[1.0, 0.0, 0.0, 0.0]] * 2, [[0.0] * 3] * 2),
         "instrument_pointing": _orientation(times, sensor_from_e.tolist(), rate_e.tolist()),
         "instrument_position": {
             "ephemeris_times": times,
@@ -233,7 +221,7 @@ def _common(
             "reference_frame": 1,
         },
         "sun_position": {
-            "ephemeris_times": [path.centre_et_s],
+            "ephemeris_times": [centre_et_s],
             "positions": [sun_km.tolist()],
             "velocities": [[0.0, 0.0, 0.0]],
             "reference_frame": 1,
@@ -265,7 +253,8 @@ def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Floats, 
     """Affine detector in the rotated frame, millimetres: y' = -y. CSM's sample is ours + 0.5."""
     per_mm = 1e-3 / detector.pixel_m
     cos, sin = np.cos(detector.rotation_rad), np.sin(detector.rotation_rad)
-    centre_mm = np.array([detector.x_offset_m, -_principal_y(detector)]) * 1e3
+    principal_y_m = detector.y_first_m + detector.principal_sample * detector.pixel_m
+    centre_mm = np.array([detector.x_offset_m, -principal_y_m]) * 1e3
     samples = np.array([-sin, -cos]) * per_mm
     lines = np.array([cos, -sin]) * per_mm
     return {
@@ -322,16 +311,10 @@ def _cubic(detector: Ccd, first: int, stop: int) -> tuple[tuple[Floats, Floats],
     for axis, target in enumerate((x, y)):
         fit = np.polynomial.Polynomial.fit(ideal[:, 1], offset[:, axis], 3)
         misfit[:, axis] = offset[:, axis] - fit(ideal[:, 1])
-        cubic = np.zeros(4)
-        terms = fit.convert().coef
-        cubic[: len(terms)] = terms
-        target[[0, 2, 5, 9]] += cubic
+        terms = np.asarray(fit.convert().coef, dtype=np.float64)
+        target[[0, 2, 5, 9][: len(terms)]] += terms
     residual_px = float(np.hypot(*misfit.T).max()) * 1e-3 / detector.pixel_m
     return (x, y), residual_px
-
-
-def _principal_y(detector: Ccd) -> float:
-    return detector.y_first_m + detector.principal_sample * detector.pixel_m
 
 
 def _angular_velocities(R_ec: Rotation) -> Floats:

@@ -16,13 +16,8 @@ from boresight.features.exports.formats import (
     export,
     strips_left_out,
 )
-from boresight.features.exports.spice_frame import SpiceFrames
-from boresight.pipeline.console.arguments import (
-    CameraOption,
-    DumpOption,
-    ResultArgument,
-    StaleEop,
-)
+from boresight.features.exports.spice_export import SpiceFrames
+from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop
 from boresight.pipeline.console.completion import among, strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 

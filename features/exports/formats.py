@@ -13,24 +13,28 @@ from scipy.spatial.transform import Rotation
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message, comprehensive_message
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds, parameter_covariance
 from boresight.features.exports.dimap_product import corrected_dimap
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_geojson import points_geojson
-from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
 from boresight.features.exports.gipp_product import corrected_gipp
+from boresight.features.exports.ground_control_points import (
+    GroundPoints,
+    points_asp,
+    points_envi,
+    points_geojson,
+    points_qgis,
+)
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes, notes_of
-from boresight.features.exports.operator_parameters import operator_parameters
+from boresight.features.exports.operator_parameters import fit_correction, operator_parameters
 from boresight.features.exports.quaternions import instants_to_interpolate
-from boresight.features.exports.refining import fit_correction
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata, rpc_text
-from boresight.features.exports.spice_attitude import (
+from boresight.features.exports.spice_export import (
+    SpiceFrames,
     attitude_kernel,
     clock_kernel,
+    frame_kernel,
     instrument_kernel,
     on_ticks,
 )
-from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
 from boresight.geometry.constants import WGS84
@@ -113,11 +117,8 @@ def export(name: str, request: ExportRequest, folder: Path) -> Iterator[Path | R
 def strips_left_out(request: ExportRequest) -> Iterator[Remark]:
     """Why strips of the dump are in no file of their own, where no strips were requested."""
     calibrated = _opened(request)
-    for strip in () if request.strips else calibrated.dump.strips:
-        try:
-            whole_strip_model(calibrated, strip.strip_id)
-        except DataNotSufficientError as error:
-            yield Remark(f"not exported: {error}")
+    if not request.strips:
+        yield from (one for one in _every_model(calibrated) if isinstance(one, Remark))
 
 
 def _spice(request: ExportRequest) -> Made:
@@ -158,9 +159,7 @@ def _message(request: ExportRequest, ending: str, text_of: Callable[..., str]) -
         variance_c = np.einsum("ij,njk,ik->ni", C, own, C) + np.diag(calibrated.result.cov_theta)
         name = model.strip.strip_id
         header = AemHeader(
-            creation_utc=request.creation_utc,
-            object_name=dump.mission,
-            object_id=request.object_id,
+            creation_utc=request.creation_utc, object_name=dump.mission, object_id=request.object_id
         )
         comments = [f"Strip {name}: calibrated attitude of the remote-sensing camera, GCRS axes"]
         comments += [*_line_times(model, dump.epoch), *notes.lines()]
@@ -388,16 +387,20 @@ def _models(calibrated: Calibrated, wanted: tuple[str, ...]) -> Iterator[StripMo
     if wanted:
         yield from (whole_strip_model(calibrated, name) for name in wanted)
         return
-    none = True
+    models = (one for one in _every_model(calibrated) if isinstance(one, StripModel))
+    if (first := next(models, None)) is None:
+        raise DataNotSufficientError("no strip has star exposures around it")
+    yield first
+    yield from models
+
+
+def _every_model(calibrated: Calibrated) -> Iterator[StripModel | Remark]:
+    """The model of each strip, or why there is none."""
     for strip in calibrated.dump.strips:
         try:
-            model = whole_strip_model(calibrated, strip.strip_id)
-        except DataNotSufficientError:  # see `strips_left_out`
-            continue
-        none = False
-        yield model
-    if none:
-        raise DataNotSufficientError("no strip has star exposures around it")
+            yield whole_strip_model(calibrated, strip.strip_id)
+        except DataNotSufficientError as error:
+            yield Remark(f"not exported: {error}")
 
 
 def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.notes import Notes
-from boresight.features.exports.one_line import one_line
+from boresight.features.exports.ground_control_points import GroundPoints
+from boresight.features.exports.notes import Notes, one_line
 from boresight.geometry.record import Floats
 
 __all__ = ["kml_text"]

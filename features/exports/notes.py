@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from boresight.features.exports.one_line import one_line
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -15,7 +14,7 @@ from boresight.pipeline.results.ownership import dump_folder_of, origin_of
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import read_sightings
 
-__all__ = ["Notes", "notes_of"]
+__all__ = ["Notes", "notes_of", "one_line"]
 
 UNKNOWN = "not known"  # what a note says of a missing text
 # The conventions, as every exported file states them.
@@ -90,3 +89,8 @@ def _valid(result: Path) -> str:
         return UNKNOWN
     utc = sorted(map(str, read_sightings(result, "passes", "utc_middle").column("utc_middle").to_pylist()))
     return f"{one_line(utc[0])} to {one_line(utc[-1])}" if utc else UNKNOWN
+
+
+def one_line(text: str) -> str:
+    """The text with every control or other unprintable character replaced by a space."""
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -1,6 +1,12 @@
-"""The correction of one strip in parameters that operators' software takes: angles with a rate, and a scale.
+"""The correction of a camera in its operator's own parameters: angles with a rate, and a scale along z.
 
-JSON, with the same correction in three forms (`calib.refining` has the model):
+A line of sight v_c of frame c is corrected on the side of frame s, as the operators of Sentinel-2 do and the
+library Rugged does:
+
+    v_s = Q(t)^-1 diag(1, 1, 1 + h) R_sc0 v_c,    Q = R_y(b) R_x(a) R_z(c),
+
+with a, b, c polynomials in t - t0 (rad, s). R_cs0 is the operator's matrix before the correction. For a
+constant Q and no scale the corrected matrix is R_cs0 Q. The file is JSON, with one correction in three forms:
 
 * `angles`: polynomials about x, y, z of frame s, as Sentinel-2's Refined_Corrections hold them;
 * `piloting_to_instrument_mrad`: the angles of the corrected installation matrix at t0, intrinsic rotations
@@ -19,10 +25,92 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports.refining import LineOfSightCorrection
+from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["operator_parameters"]
+__all__ = ["LineOfSightCorrection", "fit_correction", "operator_parameters"]
+
+
+@record(kw_only=True)
+class LineOfSightCorrection:
+    """Angles, scale and their covariance. Parameters: a, b, c of each power of time in turn, then h."""
+
+    t0_s: float = scalar("origin of the polynomials, TAI seconds since the epoch")
+    angles_rad: Floats = array("D, 3", "coefficients of a, b, c about x, y, z of frame s; lowest power first")
+    scale: float = scalar("h; 0 where it was not estimated")
+    covariance: Floats = array("P, P", "of the parameters, in their units; scaled by the residuals")
+    residuals_rad: Floats = array("J, 3", "known minus corrected directions, frame s")
+
+    def rotations(self, t_s: Floats) -> Rotation:
+        """Q (N,) at instants (N,)."""
+        return _rotations(self.angles_rad, t_s - self.t0_s)
+
+    @property
+    def sigma(self) -> Floats:
+        """1-sigma (P,) of the parameters."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit_correction(
+    v_s: Floats,
+    u_c: Floats,
+    t_s: Floats,
+    R_cs0: Rotation,
+    t0_s: float,
+    *,
+    degree: int = 1,
+    with_scale: bool = True,
+) -> LineOfSightCorrection:
+    """Least-squares correction from J lines of sight with errors of equal size across the line.
+
+    `v_s` (J, 3) are the known directions of the points, frame s, by the attitude of the star side; `u_c`
+    (J, 3) the measured look directions, frame c; `t_s` (J,) their instants, TAI seconds since the epoch.
+    `R_cs0` is the matrix before the correction, `t0_s` the origin of the polynomials, `degree` 0 means
+    constant angles. The covariance has the variance of the residuals.
+
+    Raises `ValueError` for fewer than P/2 + 1 points, or points that do not determine the parameters.
+    """
+    powers = (t_s - t0_s)[:, None] ** np.arange(degree + 1)
+    n = 3 * (degree + 1) + int(with_scale)
+    if 2 * len(v_s) < n + 2:
+        raise ValueError(f"{n} parameters need {n // 2 + 1} points or more, got {len(v_s)}")
+    w0 = R_cs0.inv().apply(u_c)
+    angles, h = np.zeros((degree + 1, 3)), 0.0
+    for _ in range(5):  # Gauss-Newton
+        w = _corrected(w0, angles, h, t_s - t0_s)
+        residuals = v_s - w
+        tangent = np.eye(3) - w[:, :, None] * w[:, None, :]
+        turn = cross_matrices(w)  # d w = -phi x w = w x phi
+        columns = [turn * powers[:, k, None, None] for k in range(degree + 1)]
+        if with_scale:
+            columns.append((w[:, 2, None] * np.array([0.0, 0.0, 1.0]))[:, :, None])
+        A = (tangent @ np.concatenate(columns, axis=2)).reshape(-1, n)
+        size = np.linalg.norm(A, axis=0)
+        if np.any(size == 0.0) or np.linalg.cond(A / size) > 1e8:
+            raise ValueError("the points do not determine the parameters: take fewer, or more points")
+        step, *_ = np.linalg.lstsq(A / size, residuals.ravel(), rcond=None)
+        step /= size
+        angles = angles + step[: 3 * (degree + 1)].reshape(-1, 3)
+        h += float(step[-1]) if with_scale else 0.0
+    residuals = v_s - _corrected(w0, angles, h, t_s - t0_s)
+    variance = (residuals**2).sum() / (2 * len(v_s) - n)
+    covariance = variance * np.linalg.inv((A / size).T @ (A / size)) / np.outer(size, size)
+    return LineOfSightCorrection(
+        t0_s=t0_s, angles_rad=angles, scale=h, covariance=covariance, residuals_rad=residuals
+    )
+
+
+def _corrected(w0: Floats, angles: Floats, h: float, t_s: Floats) -> Floats:
+    scaled = w0 * np.array([1.0, 1.0, 1.0 + h])
+    v = _rotations(angles, t_s).inv().apply(scaled)
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+def _rotations(angles: Floats, t_s: Floats) -> Rotation:
+    a, b, c = np.polynomial.polynomial.polyval(t_s, angles)
+    return Rotation.from_euler("YXZ", np.column_stack([b, a, c]))
+
 
 # The model of the parameters, as the file states it.
 MODEL = "v_s = Q(t)^-1 diag(1, 1, 1 + h) R_sc0 v_c,  Q = R_y(b) R_x(a) R_z(c);  a, b, c in rad of t - t0 in s"

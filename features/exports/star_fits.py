@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from astropy.io import fits
 
-from boresight.features.exports.notes import Notes
-from boresight.features.exports.one_line import one_line
+from boresight.features.exports.notes import Notes, one_line
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
 from boresight.star_id.catalogue import hipparcos_stars

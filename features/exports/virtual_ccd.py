@@ -30,9 +30,8 @@ __all__ = ["ReadStrip", "SmoothAttitude", "VirtualStrip", "virtual_camera"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-ReadStrip = Callable[
-    [int, int, int, int, int], NDArray[Any]
-]  # ccd, line0, line1, sample0, sample1 -> (lines, samples)
+# ccd, line0, line1, sample0, sample1 -> (lines, samples)
+ReadStrip = Callable[[int, int, int, int, int], NDArray[Any]]
 
 _NODE_LINES = 16  # lattice of the mapping between the images, cubics between:
 _NODE_SAMPLES = 96  # 1 ms of motion and 50 m of ground
@@ -44,17 +43,17 @@ _INSTANTS = 1001
 _DEGREE = 2  # of the smooth attitude in time: an RPC follows parabolas, over tens of seconds no cubics
 
 
-def virtual_camera(camera: LineCamera, pixel_m: float | None = None) -> LineCamera:
+def virtual_camera(camera: LineCamera) -> LineCamera:
     """Camera with one ideal detector, the virtual CCD of `camera` (paper, eqs. 26-27).
 
-    `pixel_m` is the pitch of the virtual pixels, by default the mean of the real ones. The virtual line has
-    the ends of the real detectors; time labels of its rows are those of the middle of their exposure.
+    The pitch of its pixels is the mean of the real ones. The line has the ends of the real detectors; time
+    labels of its rows are those of the middle of their exposure.
     """
     points = np.vstack([ccd.focal_plane(np.arange(ccd.n_px)) for ccd in camera.ccds])
     along, across = points[:, 1], points[:, 0]
     A = np.column_stack([along, np.ones(len(along))])
     (a, b), *_ = np.linalg.lstsq(A, across, rcond=None)
-    pitch = float(np.mean([ccd.pixel_m for ccd in camera.ccds])) if pixel_m is None else pixel_m
+    pitch = float(np.mean([ccd.pixel_m for ccd in camera.ccds]))
     length = np.hypot(1.0, a) * np.ptp(along)
     ideal = Ccd(
         n_px=int(np.floor(length / pitch)) + 1,
@@ -110,32 +109,26 @@ class VirtualStrip:
 
     real: Pushbroom = scalar("the strip with its real CCDs; its camera is a `LineCamera`")
     surface: Surface = scalar("the mean elevation plane, or the terrain")
-    pixel_m: float | None = scalar("pitch of the virtual pixels; None: mean of the real ones", default=None)
     smooth_rows: tuple[float, float] | None = scalar(
-        "rows over which the virtual attitude is smooth; None: it is the real one",
-        default=None,
+        "rows over which the virtual attitude is smooth; None: it is the real one", default=None
     )
     virtual: Pushbroom = field(init=False)
 
     def __post_init__(self) -> None:
-        camera = self._camera
-        rows = self.real.rows
+        real, camera, rows = self.real, self._camera, self.real.rows
         middle = rows.t_first_row_s + camera.delay_to_middle_s(rows.row_period_s)
+        attitude: Attitude = real.attitude
+        if self.smooth_rows is not None:
+            span_s = real.instants(self.smooth_rows).tolist()
+            attitude = SmoothAttitude.nearest(attitude, real.orbit, *span_s)
         virtual = replace(
-            self.real,
-            camera=virtual_camera(camera, self.pixel_m),
+            real,
+            camera=virtual_camera(camera),
             rows=RowClock(middle, rows.row_period_s),
-            attitude=self._attitude(),
+            attitude=attitude,
             table=None,
         )
         object.__setattr__(self, "virtual", virtual)
-
-    def _attitude(self) -> Attitude:
-        if self.smooth_rows is None:
-            return self.real.attitude
-        return SmoothAttitude.nearest(
-            self.real.attitude, self.real.orbit, *self.real.instants(self.smooth_rows).tolist()
-        )
 
     @property
     def width_px(self) -> int:
@@ -178,26 +171,24 @@ class VirtualStrip:
         raw image, which has `n_lines` lines.
         """
         at_line, at_sample = np.arange(*lines, dtype=float), np.arange(*samples, dtype=float)
-        node_lines = _nodes(at_line, _NODE_LINES)
-        node_samples = _nodes(at_sample, _NODE_SAMPLES)
+        node_lines, node_samples = _nodes(at_line, _NODE_LINES), _nodes(at_sample, _NODE_SAMPLES)
         grid = np.meshgrid(node_lines, node_samples, indexing="ij")
         source = self.source_pixels(ccd, grid[1].ravel(), grid[0].ravel())
-        to_lines, to_samples = (
-            interpolation_weights(node_lines, at_line),
-            interpolation_weights(node_samples, at_sample),
-        )
+        to_lines = interpolation_weights(node_lines, at_line)
+        to_samples = interpolation_weights(node_samples, at_sample)
         unseen = np.isnan(source[0]).reshape(grid[0].shape).astype(float)
         doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9
         column, row = (
             np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s).reshape(grid[0].shape) @ to_samples.T)
             for s in source
         )
+        nothing: Image = np.full(column.shape, np.nan, dtype=np.float32)
         if not np.isfinite(column).any():
-            return np.full(column.shape, np.nan, dtype=np.float32)
+            return nothing
         left, right = _window(column, self._camera.n_px(ccd))
         top, bottom = _window(row, n_lines)
         if left >= right or top >= bottom:
-            return np.full(column.shape, np.nan, dtype=np.float32)
+            return nothing
         raw = np.asarray(read(ccd, top, bottom, left, right), dtype=np.float32)
         image = cv2.remap(
             raw,
@@ -238,8 +229,6 @@ def _nodes(at: Array, step: int) -> Array:
 
 
 def _window(pixel: Array, size: int) -> tuple[int, int]:
-    """Range of pixels along one axis of a raw image that holds positions, with the interpolation's
-    support.
-    """
+    """Pixels along one axis of a raw image that hold positions (H, W), with the interpolation's margin."""
     low, high = float(np.nanmin(pixel)), float(np.nanmax(pixel))
     return max(0, int(np.floor(low)) - _MARGIN_PX), min(size, int(np.ceil(high)) + _MARGIN_PX + 1)

@@ -12,9 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.notes import Notes
-from boresight.features.exports.one_line import one_line
+from boresight.features.exports.ground_control_points import GroundPoints
+from boresight.features.exports.notes import Notes, one_line
 from boresight.pipeline.files.object_store import gdal_name
 
 __all__ = ["vrt_with_gcps", "vrt_with_rpc"]

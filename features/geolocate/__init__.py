@@ -6,12 +6,6 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
-    commands=(
-        Command(
-            "geolocate",
-            Job.LOOK,
-            "Image points of a strip to latitude, longitude.",
-            "features.geolocate.geolocate_command:geolocate_command",
-        ),
-    ),
+    "features.geolocate",
+    commands=(Command("geolocate", Job.LOOK, "Image points of a strip to latitude, longitude."),),
 )

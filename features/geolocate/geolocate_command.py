@@ -9,12 +9,7 @@ import typer
 
 from boresight.features.geolocate.positions import ground_places, places_csv, read_pixels
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.console.arguments import (
-    CameraOption,
-    DumpOption,
-    ResultArgument,
-    StaleEop,
-)
+from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import print_data, tell
 from boresight.pipeline.files.terrain_files import surface_of

@@ -6,20 +6,9 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.heads",
     commands=(
-        Command(
-            "noise",
-            Job.CALIBRATE,
-            "Estimate the noise of star cameras' attitudes.",
-            "features.heads.noise_command:noise_command",
-            with_json=True,
-        ),
-        Command(
-            "heads",
-            Job.CALIBRATE,
-            "Align a satellite's star cameras with one another.",
-            "features.heads.heads_command:heads_command",
-            with_json=True,
-        ),
+        Command("noise", Job.CALIBRATE, "Estimate the noise of star cameras' attitudes.", with_json=True),
+        Command("heads", Job.CALIBRATE, "Align a satellite's star cameras with one another.", with_json=True),
     ),
 )

@@ -105,16 +105,8 @@ def align_heads(
 ) -> HeadAlignment:
     """Alignment of `other` with `reference`; `ValueError` for fewer than three common instants.
 
-    Parameters
-    ----------
-    reference, other : HeadTrack
-        Attitudes of both.
-    noise : (AttitudeNoise, AttitudeNoise)
-        Of each, about its own axes.
-    terms : mapping
-        By name, a quantity (K,) at the instants of `other`.
-    constant_s : float
-        Length of time over which the constant part of the noise is one error.
+    `noise` is that of each, about its own axes; `terms` has by name a quantity (K,) at the instants of
+    `other`; over `constant_s` seconds the constant part of the noise is one error.
     """
     first, rows = common_instants(reference, other)
     if len(rows) < 3:

@@ -6,12 +6,12 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.interior",
     commands=(
         Command(
             "remote-camera-calibrate",
             Job.CALIBRATE,
             "Calibrate the interior of the remote camera.",
-            "features.interior.remote_camera_calibrate_command:remote_camera_calibrate_command",
             with_json=True,
         ),
     ),

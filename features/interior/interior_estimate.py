@@ -63,25 +63,10 @@ def calibrate_interior(
     settings: CalibrationSettings,
     priors: InteriorPriors | None = None,
 ) -> InteriorEstimate | NotObservable:
-    """Interior orientation and installation matrix from strips whose look directions are those of `camera`.
+    """Interior orientation and installation matrix from strips of the ground, of the sky or both, whose look
+    directions `u_c` were made from their samples by `camera`; or why the matrix cannot be estimated.
 
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        Strips of the ground, of the sky or both.
-    R_cs0 : Rotation
-        Matrix to start from, star camera to remote-sensing camera.
-    camera : LineCamera
-        Assumed camera, with which the strips' `u_c` were made from their samples.
-    settings : CalibrationSettings
-        Priors of the other errors; those of the residual distortion are not used.
-    priors : InteriorPriors, optional
-        Prior 1-sigma of the parameters.
-
-    Returns
-    -------
-    InteriorEstimate or NotObservable
-        Parameters with covariance, corrected camera, matrix; or why the matrix cannot be estimated.
+    `R_cs0` is the matrix to start from; of `settings`, the priors of the residual distortion are not used.
     """
     model = InteriorModel.of(
         camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)

@@ -65,10 +65,7 @@ def calibrate_remote_camera(
 
 
 def _interior(
-    dump: Dump,
-    strips: tuple[StripSightings, ...],
-    settings: CalibrationSettings,
-    priors: InteriorPriors,
+    dump: Dump, strips: tuple[StripSightings, ...], settings: CalibrationSettings, priors: InteriorPriors
 ) -> InteriorCalibration:
     if not isinstance(dump.line_camera, LineCamera):
         path = dump.root / "dump.toml"

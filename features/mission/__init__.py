@@ -6,34 +6,13 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.mission",
     commands=(
+        Command("compare", Job.CALIBRATE, "Test whether the matrices of two results differ.", with_json=True),
+        Command("archive add", Job.CALIBRATE, "Add results to the archive of a mission.", with_json=True),
+        Command("trends", Job.CALIBRATE, "Model the mounting over years.", with_json=True),
         Command(
-            "compare",
-            Job.CALIBRATE,
-            "Test whether the matrices of two results differ.",
-            "features.mission.compare_command:compare_command",
-            with_json=True,
-        ),
-        Command(
-            "archive add",
-            Job.CALIBRATE,
-            "Add results to the archive of a mission.",
-            "features.mission.archive_command:archive_add_command",
-            with_json=True,
-        ),
-        Command(
-            "trends",
-            Job.CALIBRATE,
-            "Model the mounting over years.",
-            "features.mission.trends_command:trends_command",
-            with_json=True,
-        ),
-        Command(
-            "what-if",
-            Job.CALIBRATE,
-            "Leave out or reweight strips of a result, at once.",
-            "features.mission.what_if_command:what_if_command",
-            with_json=True,
+            "what-if", Job.CALIBRATE, "Leave out or reweight strips of a result, at once.", with_json=True
         ),
     ),
     groups={"archive": "The archive of a mission."},

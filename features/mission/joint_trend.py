@@ -18,6 +18,7 @@ from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.features.mission.mounting_course import (
     CourseFit,
+    CourseModel,
     CourseSettings,
     CourseStep,
     MountingCourse,
@@ -26,6 +27,7 @@ from boresight.features.mission.mounting_course import (
     estimate_course,
     explained_by_free,
     fit_columns,
+    step_gains,
 )
 from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting
 from boresight.geometry.constants import ARCSEC
@@ -107,9 +109,9 @@ class AgainstRest:
 def against_rest(series: MountingSeries) -> AgainstRest:
     """Both tests of a series of two results or more."""
     rows = np.arange(1, len(series.t_s))
-    rest = fit_columns(series, np.ones((len(series.t_s), 1)), rows=rows)
-    best = int(rows[np.argmax(rest.gains)])
-    (step,) = dated_steps(series, (), (best,), (), 0.0, CourseSettings())
+    mean = np.ones((len(series.t_s), 1))
+    rest, (gains, _) = fit_columns(series, mean), step_gains(series, mean, 0.0, rows)
+    (step,) = dated_steps(series, CourseModel(steps=(int(rows[np.argmax(gains)]),)), (), CourseSettings())
     chi2 = explained_by_free(series) - rest.explained
     return AgainstRest(rest=rest, step=step, chi2=float(chi2), dof=3 * len(rows))
 

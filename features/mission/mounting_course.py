@@ -15,7 +15,7 @@ time, each with the prior variance q dt on each axis (q in rad²/s).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -29,6 +29,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = [
     "CourseFit",
+    "CourseModel",
     "CourseSettings",
     "CourseStep",
     "MountingCourse",
@@ -39,6 +40,7 @@ __all__ = [
     "estimate_course",
     "explained_by_free",
     "fit_columns",
+    "step_gains",
     "with_reference_moved",
 ]
 
@@ -126,11 +128,6 @@ class CourseFit:
     covariance: Floats = array("N, N", "of the coefficients, N = 3 M, column by column, rad²")
     shared: Floats = array("S", "the shared unknowns")
     explained: float = scalar("fall of chi2 from theta = 0")
-    log_volume: float = scalar("logarithm of the walk's evidence: -2 log L = log_volume - explained")
-    gains: Floats = array(
-        "G", "fall of chi2 by one more step before row first + 1, + 2, ...; for those asked"
-    )
-    log_determinants: Floats = array("G", "of the information on that step")
 
 
 @record(kw_only=True)
@@ -292,65 +289,101 @@ def aliases(series: MountingSeries) -> list[str]:
     return said
 
 
+class CourseModel(NamedTuple):
+    """What a course has beside its mean."""
+
+    terms: tuple[str, ...] = ()
+    steps: tuple[int, ...] = ()  # rows before which they are
+    density: float = 0.0  # of the random walk, rad²/s
+
+    def columns(self, series: MountingSeries) -> Floats:
+        """Columns (K, m): mean, terms, steps."""
+        rows = np.arange(len(series.t_s))
+        of_terms = [series.columns(term) for term in self.terms]
+        later = (rows[:, None] >= np.array(self.steps, dtype=int)).astype(float)
+        return np.hstack([np.ones((len(rows), 1)), *of_terms, later])
+
+    def loss(self, series: MountingSeries) -> float:
+        """-2 log L, from that of theta = 0 at rest."""
+        return _Normal.of(series, self.columns(series), self.density > 0.0).loss(series, self.density)
+
+    def cost(self, series: MountingSeries) -> float:
+        """Schwarz's criterion: -2 log L and the logarithm of K for each number that was fitted."""
+        of_terms = sum(series.columns(term).shape[1] for term in self.terms)
+        fitted = 4 * (len(self.steps) - len(series.exchanges)) + 3 * of_terms + (self.density > 0.0)
+        return self.loss(series) + fitted * float(np.log(len(series.t_s)))
+
+    def p_term(self, series: MountingSeries, term: str) -> float:
+        """Probability of the fall of chi2 by a term, given the others."""
+        without = tuple(one for one in self.terms if one != term)
+        having = tuple(one for one in TERMS if one in without or one == term)
+        less, more = (self._replace(terms=some).loss(series) for some in (without, having))
+        return float(chdtrc(3 * series.columns(term).shape[1], max(less - more, 0.0)))
+
+    def best_step(self, series: MountingSeries) -> tuple[int, float]:
+        """Row before which one more step lowers chi2 most, and by how much."""
+        X, count = self.columns(series), len(series.t_s)
+        stride = 1 + (count - 1) // MOST_GAPS
+        rows = np.setdiff1d(np.arange(1, count, stride), self.steps)
+        if not len(rows):
+            return 1, 0.0
+        gains, _ = step_gains(series, X, self.density, rows)
+        best = int(rows[np.argmax(gains)])
+        if stride > 1:
+            rows = np.setdiff1d(np.arange(max(1, best - stride), min(count, best + stride)), self.steps)
+            gains, _ = step_gains(series, X, self.density, rows)
+            best = int(rows[np.argmax(gains)])
+        return best, float(gains.max())
+
+
 def estimate_course(series: MountingSeries, settings: CourseSettings | None = None) -> MountingCourse:
     """The terms, steps and random walk that a series gives evidence for. `ValueError` for fewer than 2."""
     settings = settings or CourseSettings()
     if len(series.t_s) < 2:
         raise ValueError(f"{len(series.t_s)} results show no course of time, 2 are needed")
-    known = tuple(series.exchanges)
-    terms, steps = _accepted(series, known, 0.0, settings)
-    density, p_walk = _likely_density(series, _design(series, terms, steps))
-    if (terms, steps) != ((), known) or p_walk < settings.false_term:
+    at_rest = CourseModel(steps=series.exchanges)
+    model, p_walk = _with_walk(_accepted(series, 0.0, settings), series)
+    if model[:2] != at_rest[:2] or p_walk < settings.false_term:
         # a walk looks like steps and like a season, and these like a walk
-        options = [(terms, steps, density)]
-        for beside in dict.fromkeys((terms, ())):
-            bare, _ = _likely_density(series, _design(series, beside, known))
-            options.append((*_accepted(series, known, bare, settings), bare))
-        costs = [_cost(series, *option, len(known)) for option in options]
-        terms, steps, _ = options[int(np.argmin(costs))]
-        density, p_walk = _likely_density(series, _design(series, terms, steps))
-    X = _design(series, terms, steps)
+        options = [model]
+        for beside in dict.fromkeys((model.terms, ())):
+            bare, _ = _with_walk(at_rest._replace(terms=beside), series)
+            options.append(_accepted(series, bare.density, settings))
+        costs = [option.cost(series) for option in options]
+        model, p_walk = _with_walk(options[int(np.argmin(costs))], series)
+    X = model.columns(series)
     plain = fit_columns(series, X)
     chi2 = explained_by_free(series) - plain.explained
     return MountingCourse(
         series=series,
-        terms=terms,
-        p_values={term: _p_term(series, term, terms, steps, density) for term in series.candidates},
-        steps=dated_steps(series, terms, steps, known, density, settings),
-        density_rad2_s=density,
+        terms=model.terms,
+        p_values={term: model.p_term(series, term) for term in series.candidates},
+        steps=dated_steps(series, model, series.exchanges, settings),
+        density_rad2_s=model.density,
         density_p_value=p_walk,
         walks=p_walk < settings.false_term,
         chi2=float(chi2),
         dof=3 * (len(series.t_s) - X.shape[1]),
-        fit=fit_columns(series, X, density) if density else plain,
+        fit=fit_columns(series, X, model.density) if model.density else plain,
     )
 
 
-def _accepted(
-    series: MountingSeries, known: tuple[int, ...], density: float, settings: CourseSettings
-) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Terms and rows of steps with evidence, terms first, each again given the others until none changes."""
-    terms: tuple[str, ...] = ()
-    steps = known
+def _accepted(series: MountingSeries, density: float, settings: CourseSettings) -> CourseModel:
+    """Terms and steps with evidence, terms first, each again given the others until none changes."""
+    model = CourseModel(steps=series.exchanges, density=density)
     for _ in range(4):  # terms given steps, steps given terms
-        before = terms, steps
-        terms = _accepted_terms(series, terms, steps, density, settings)
-        steps = _accepted_steps(series, terms, known, density, settings)
-        if (terms, steps) == before:
+        before = model
+        model = _with_steps(_with_terms(model, series, settings), series, settings)
+        if model == before:
             break
-    return terms, steps
+    return model
 
 
-def _accepted_terms(
-    series: MountingSeries,
-    terms: tuple[str, ...],
-    steps: tuple[int, ...],
-    density: float,
-    settings: CourseSettings,
-) -> tuple[str, ...]:
+def _with_terms(model: CourseModel, series: MountingSeries, settings: CourseSettings) -> CourseModel:
+    """The model with the terms that have evidence, given its steps."""
     limit = settings.false_term / max(len(series.candidates), 1)
     for _ in range(2 * len(TERMS)):
-        p = {term: _p_term(series, term, terms, steps, density) for term in series.candidates}
+        terms, p = model.terms, {term: model.p_term(series, term) for term in series.candidates}
         if wrong := [term for term in terms if p[term] >= limit]:
             terms = tuple(term for term in terms if term != max(wrong, key=lambda one: p[one]))
         elif more := [term for term in p if term not in terms and p[term] < limit]:
@@ -358,81 +391,42 @@ def _accepted_terms(
             terms = tuple(term for term in TERMS if term in terms or term == best)
         else:
             break
-    return terms
+        model = model._replace(terms=terms)
+    return model
 
 
-def _p_term(
-    series: MountingSeries, term: str, terms: tuple[str, ...], steps: tuple[int, ...], density: float
-) -> float:
-    """Probability of the fall of chi2 by a term, given the others."""
-    without = tuple(one for one in terms if one != term)
-    having = tuple(one for one in TERMS if one in without or one == term)
-    less, more = (
-        _Normal.of(series, _design(series, some, steps), density > 0.0).loss(series, density)
-        for some in (without, having)
-    )
-    return float(chdtrc(3 * series.columns(term).shape[1], max(less - more, 0.0)))
-
-
-def _accepted_steps(
-    series: MountingSeries,
-    terms: tuple[str, ...],
-    known: tuple[int, ...],
-    density: float,
-    settings: CourseSettings,
-) -> tuple[int, ...]:
-    """Rows of steps: the best one more while it has evidence; each moved to its best place given the others,
-    and taken out again where it has lost its evidence.
+def _with_steps(model: CourseModel, series: MountingSeries, settings: CourseSettings) -> CourseModel:
+    """The model with the steps that have evidence: the best one more while it has; each moved to its best
+    place given the others, and taken out again where it has lost its evidence.
     """
-    steps, count = known, len(series.t_s)
+    model, count = model._replace(steps=series.exchanges), len(series.t_s)
     limit = min(0.5, settings.false_steps_per_year * max(series.years, 0.1)) / max(count - 1, 1)
     for _ in range(20):  # steps that are looked for
-        row, gain = _best_step(series, terms, steps, density)
+        row, gain = model.best_step(series)
         if chdtrc(3, gain) >= limit:
             break
-        steps = tuple(sorted((*steps, row)))
-        for _ in range(3 if len(steps) > 1 else 0):
-            before = steps
-            for own in [one for one in steps if one not in known]:
-                others = tuple(one for one in steps if one != own)
-                row, gain = _best_step(series, terms, others, density)
-                steps = tuple(sorted((*others, row))) if chdtrc(3, gain) < limit else others
-            if steps == before:
+        model = model._replace(steps=tuple(sorted((*model.steps, row))))
+        for _ in range(3 if len(model.steps) > 1 else 0):
+            before = model
+            for own in [one for one in model.steps if one not in series.exchanges]:
+                others = model._replace(steps=tuple(one for one in model.steps if one != own))
+                row, gain = others.best_step(series)
+                found = chdtrc(3, gain) < limit
+                model = others._replace(steps=tuple(sorted((*others.steps, row)))) if found else others
+            if model == before:
                 break
-    return steps
-
-
-def _best_step(
-    series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float
-) -> tuple[int, float]:
-    """Row before which one more step lowers chi2 most, and by how much."""
-    X, count = _design(series, terms, steps), len(series.t_s)
-    stride = 1 + (count - 1) // MOST_GAPS
-    rows = np.setdiff1d(np.arange(1, count, stride), steps)
-    if not len(rows):
-        return 1, 0.0
-    gains, _ = _step_gains(series, X, density, rows)
-    best = int(rows[np.argmax(gains)])
-    if stride > 1:
-        rows = np.setdiff1d(np.arange(max(1, best - stride), min(count, best + stride)), steps)
-        gains, _ = _step_gains(series, X, density, rows)
-        best = int(rows[np.argmax(gains)])
-    return best, float(gains.max())
+    return model
 
 
 def dated_steps(
-    series: MountingSeries,
-    terms: tuple[str, ...],
-    steps: tuple[int, ...],
-    known: tuple[int, ...],
-    density: float,
-    settings: CourseSettings,
+    series: MountingSeries, model: CourseModel, known: tuple[int, ...], settings: CourseSettings
 ) -> tuple[CourseStep, ...]:
-    """Each step with its date: gaps between its neighbours have a probability in proportion to their length
-    and to the likelihood with the step's size integrated out.
+    """Each step of a model with its date: gaps between its neighbours have a probability in proportion to
+    their length and to the likelihood with the step's size integrated out. Steps that are `known` have their
+    dates.
     """
-    X = _design(series, terms, steps)
-    fit = fit_columns(series, X, density)
+    X, steps = model.columns(series), model.steps
+    fit = fit_columns(series, X, model.density)
     first = X.shape[1] - len(steps)
     dated, t_s, count = [], series.t_s, len(series.t_s)
     for n, row in enumerate(steps):
@@ -441,8 +435,8 @@ def dated_steps(
         rows = np.arange(low, high)
         if len(rows) > MOST_GAPS:  # what is far away has no part in the date
             rows = rows[np.abs(rows - row) <= MOST_GAPS // 2]
-        others = _design(series, terms, tuple(one for one in steps if one != row))
-        gains, log_determinants = _step_gains(series, others, density, rows)
+        others = model._replace(steps=tuple(one for one in steps if one != row)).columns(series)
+        gains, log_determinants = step_gains(series, others, model.density, rows)
         log_weight = 0.5 * (gains - log_determinants)
         weight = np.diff(t_s)[rows - 1] * np.exp(log_weight - log_weight.max())
         cumulative = np.concatenate([[0.0], np.cumsum(weight) / weight.sum()])
@@ -464,37 +458,21 @@ def dated_steps(
     return tuple(dated)
 
 
-def _design(series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...]) -> Floats:
-    """Columns (K, m): mean, terms, steps."""
-    rows = np.arange(len(series.t_s))
-    of_terms = [series.columns(term) for term in terms]
-    later = (rows[:, None] >= np.array(steps, dtype=int)).astype(float)
-    return np.hstack([np.ones((len(rows), 1)), *of_terms, later])
-
-
-def fit_columns(
-    series: MountingSeries, X: Floats, density: float = 0.0, rows: Ints | None = None
-) -> CourseFit:
-    """The best coefficients of columns (K, m); with a density (rad²/s) the walk's ramps after them. `rows`:
-    for each, what one more step before that row would bring.
-    """
+def fit_columns(series: MountingSeries, X: Floats, density: float = 0.0) -> CourseFit:
+    """The best coefficients of columns (K, m); with a density (rad²/s) the walk's ramps after them."""
     normal = _Normal.of(series, X, with_walk=density > 0.0)
-    prior, scale, factor = normal.factored(series, density)
+    _, scale, factor = normal.factored(series, density)
     n, x = len(normal.N), scale * cho_solve(factor, scale * normal.right)
     inverse = cho_solve(factor, np.eye(len(x)))[:n, :n] * np.outer(scale[:n], scale[:n])
-    gains, logs = (np.empty(0),) * 2 if rows is None else _step_gains(series, X, density, rows)
     return CourseFit(
         coefficients=x[:n].reshape(-1, 3),
         covariance=0.5 * (inverse + inverse.T),
         shared=x[n:],
         explained=float(x @ normal.right),
-        log_volume=normal.log_volume(series, prior),
-        gains=gains,
-        log_determinants=logs,
     )
 
 
-def _step_gains(series: MountingSeries, X: Floats, density: float, rows: Ints) -> tuple[Floats, Floats]:
+def step_gains(series: MountingSeries, X: Floats, density: float, rows: Ints) -> tuple[Floats, Floats]:
     """Fall of chi2 (G,) by one more step before each of `rows` (G,) beside columns (K, m) and the walk, and
     the logarithm of the determinant of the information on it.
     """
@@ -620,14 +598,14 @@ class _Normal:
         return float(np.linalg.slogdet(np.eye(len(root)) + root[:, None] * inner * root)[1])
 
 
-def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
-    """Most likely density of the walk beside columns, rad²/s, and the probability of so much by chance."""
+def _with_walk(model: CourseModel, series: MountingSeries) -> tuple[CourseModel, float]:
+    """The model with the most likely density of the walk, and the probability of so much by chance."""
+    at_rest, X = model._replace(density=0.0), model.columns(series)
     if len(series.t_s) < X.shape[1] + 2:
-        return 0.0, 1.0
+        return at_rest, 1.0
     sigma2 = 1.0 / np.median(np.linalg.eigvalsh(series.F), axis=0)[-1]
     span = float(series.t_s[-1] - series.t_s[0])
-    rest = _Normal.of(series, X, with_walk=False).loss(series, 0.0)
-    normal = _Normal.of(series, X, with_walk=True)
+    rest, normal = at_rest.loss(series), _Normal.of(series, X, with_walk=True)
 
     def loss(log_density: float) -> float:
         return normal.loss(series, float(np.exp(log_density)))
@@ -637,20 +615,11 @@ def _likely_density(series: MountingSeries, X: Floats) -> tuple[float, float]:
     losses = [loss(x) for x in grid]
     best = int(np.argmin(losses))
     if losses[best] >= rest:
-        return 0.0, 1.0
+        return at_rest, 1.0
     window = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
     found = minimize_scalar(loss, bounds=window, method="bounded", options={"xatol": 0.05})
     gain = max(rest - float(found.fun), 0.0)
-    return float(np.exp(found.x)), 0.5 * float(chdtrc(1, gain))
-
-
-def _cost(
-    series: MountingSeries, terms: tuple[str, ...], steps: tuple[int, ...], density: float, known: int
-) -> float:
-    """Schwarz's criterion of a model: -2 log L and the logarithm of K for each number that was fitted."""
-    loss = _Normal.of(series, _design(series, terms, steps), density > 0.0).loss(series, density)
-    fitted = 4 * (len(steps) - known) + 3 * sum(series.columns(term).shape[1] for term in terms)
-    return loss + (fitted + (density > 0.0)) * float(np.log(len(series.t_s)))
+    return model._replace(density=float(np.exp(found.x))), 0.5 * float(chdtrc(1, gain))
 
 
 def explained_by_free(series: MountingSeries) -> float:

@@ -6,38 +6,39 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.operators",
     commands=(
         Command(
             "import sentinel2",
             Job.EXCHANGE,
             "Make a dump of one band of a Sentinel-2 datastrip.",
-            "features.operators.import_command:import_sentinel2_command",
+            module="import_command",
         ),
         Command(
             "import dimap",
             Job.EXCHANGE,
             "Make a dump of a Pleiades, Pleiades Neo or SPOT strip.",
-            "features.operators.import_command:import_dimap_command",
+            module="import_command",
         ),
         Command(
             "import points",
             Job.EXCHANGE,
             "Make a points.csv of points measured elsewhere.",
-            "features.operators.import_command:import_points_command",
+            module="import_command",
         ),
         Command(
             "dimap",
             Job.EXCHANGE,
             "Geolocate by a DIMAP product, or check its grid.",
-            "features.operators.dimap_command:dimap_command",
             with_json=True,
+            module="grid_command",
         ),
         Command(
             "sentinel2",
             Job.EXCHANGE,
             "Check a Sentinel-2 model against its grid.",
-            "features.operators.sentinel2_command:sentinel2_command",
             with_json=True,
+            module="grid_command",
         ),
     ),
     groups={"import": "Make a dump of an operator's own files."},

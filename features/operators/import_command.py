@@ -11,6 +11,12 @@ from typing import Annotated, Literal
 import typer
 
 from boresight.features.operators.dimap_import import dimap_mission
+from boresight.features.operators.grid_command import (
+    Datastrip,
+    EarthOrientation,
+    GippFolder,
+    earth_orientation_of,
+)
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
 from boresight.features.operators.point_import import (
     PointErrors,
@@ -26,7 +32,6 @@ from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_dump
-from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text
@@ -45,11 +50,9 @@ ObjectId = Annotated[
 
 
 def import_sentinel2_command(
-    datastrip: Annotated[Path, typer.Argument(help="S2?_OPER_MTD_L1B_DS_*.xml of a L1B datastrip.")],
+    datastrip: Datastrip,
     out: Out,
-    gipp: Annotated[
-        Path, typer.Option(help="Folder or tar archive of the SPAMOD and VIEDIR files that it names.")
-    ],
+    gipp: GippFolder,
     band: Annotated[
         list[str],
         typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
@@ -60,10 +63,7 @@ def import_sentinel2_command(
             help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
         ),
     ] = "raw",
-    earth_orientation: Annotated[
-        Path | None,
-        typer.Option(help="CSV of mjd_utc, ut1_utc_s, x_arcsec, y_arcsec; else its bulletin."),
-    ] = None,
+    earth_orientation: EarthOrientation = None,
     points: Points = None,
     object_id: ObjectId = "",
 ) -> Answer:
@@ -71,9 +71,7 @@ def import_sentinel2_command(
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
-    table = None
-    if earth_orientation is not None:
-        table = read_earth_orientation(earth_orientation, str(earth_orientation))
+    table = earth_orientation_of(earth_orientation)
     names = BANDS if "all" in band else tuple(dict.fromkeys(band))
     bands = [read_sentinel2(datastrip, gipp, name) for name in names]
     mission = sentinel2_mission(bands, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
@@ -113,8 +111,7 @@ def import_points_command(
         Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
     ] = "ellipsoidal",
     image: Annotated[
-        str | None,
-        typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of),
+        str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
     ] = None,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.
@@ -152,7 +149,6 @@ def _written(out: Path, mission: ImportedMission, points: Path | None, object_id
 
 def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
     """Lines about the noise of the heads, which is estimated and stated where the record allows it."""
-
     why = "the operator's attitude does not show its own errors"
     if all(head.is_measured for head in mission.heads):
         try:
@@ -161,10 +157,8 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
             why = str(error)
         else:
             state_noise(dump, dict(zip(found.names, found.fit.heads)))
-            names = " and ".join(found.names)
-            return [
-                f"noise of {names} estimated from the record and stated in dump.toml; see `boresight noise`"
-            ]
+            said = "estimated from the record and stated in dump.toml; see `boresight noise`"
+            return [f"noise of {' and '.join(found.names)} {said}"]
     say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
     return []
 

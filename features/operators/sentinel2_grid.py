@@ -64,9 +64,7 @@ def read_grid_rows(path: Path) -> list[GridRow]:
 
 
 def sentinel2_grid_differences(
-    strip: Sentinel2,
-    rows: Sequence[GridRow],
-    table: EarthOrientationTable | None,
+    strip: Sentinel2, rows: Sequence[GridRow], table: EarthOrientationTable | None
 ) -> Floats:
     """Distances (N,), m, of our places of pixels from the operator's. `RawDataError` for another detector."""
     orbit = operator_orbit(strip, table or strip.earth_orientation)

@@ -44,19 +44,12 @@ def sentinel2_mission(
     attitudes: AttitudeLevel = "raw",
     earth_orientation: EarthOrientationTable | None = None,
 ) -> ImportedMission:
-    """The contents of a dump of one band or of several, each a camera.
+    """The contents of a dump of one band or of several of a datastrip, each a camera.
 
-    Parameters
-    ----------
-    bands : sequence of Sentinel2
-        Of one datastrip, as `read_sentinel2` reads them.
-    created_by : str
-        Program and command.
-    attitudes : "raw", "corrected" or "refined"
-        Heads: each star tracker's own quaternions, or the operator's corrected attitude, whose frame s is the
-        piloting frame; "refined" applies the operator's refining to it, and its homothety to the camera.
-    earth_orientation : EarthOrientationTable, optional
-        In place of the datastrip's bulletin, which holds the value of one day.
+    Heads are with the `attitudes` "raw" each star tracker's own quaternions, with "corrected" the operator's
+    corrected attitude, whose frame s is the piloting frame; "refined" applies the operator's refining to it,
+    and its homothety to the camera. `earth_orientation` stands in place of the datastrip's bulletin, which
+    holds the value of one day.
     """
     strip = bands[0]  # orbit and attitudes are those of the datastrip
     table = earth_orientation or strip.earth_orientation

@@ -6,12 +6,6 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
-    commands=(
-        Command(
-            "experiment",
-            Job.PLAN,
-            "Run a simulation of the paper from scratch.",
-            "features.paper.experiment_command:experiment_command",
-        ),
-    ),
+    "features.paper",
+    commands=(Command("experiment", Job.PLAN, "Run a simulation of the paper from scratch."),),
 )

@@ -9,11 +9,7 @@ import pandas as pd
 from scipy.stats import chi2, kstest
 from scipy.stats import f as f_distribution
 
-from boresight.features.paper.geometry_search import (
-    covariance_shapes,
-    predicted_sigma,
-    star_camera_rotation,
-)
+from boresight.features.paper.geometry_search import covariance_shapes, predicted_sigma, star_camera_rotation
 from boresight.features.paper.paper_tables import (
     FIGURE_7_CELLS,
     FIGURE_7_MEAN_ARCSEC,
@@ -27,7 +23,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.simulator.campaign import CameraPair
 
-__all__ = ["COMPARISONS", "noise_law", "rms_of"]
+__all__ = ["COMPARISONS", "errors_of_axes", "noise_law", "rms_of"]
 
 AXES = ("X", "Y", "Z")  # of frame c
 # Height of the paper's satellite, m.
@@ -59,7 +55,7 @@ def compare_grid(table: pd.DataFrame) -> Iterator[str]:
         paper = FIGURE_7_SIGMA_ARCSEC[AXES.index(axis)]
         yield f"{frames:6d}  {axis}    {rms:7.4f}  {bound:7.4f}  {paper:7.4f}  {rms / paper:8.2f}"
     last = ours[ours["frames"] == ours["frames"].max()]
-    sizes = {"ours": [rms_of(last[last["axis"] == axis]["rms_arcsec"]) for axis in AXES]}
+    sizes = {"ours": [rms for _, rms, _ in errors_of_axes(last)]}
     for who, (x, y, z) in (sizes | {"paper": list(FIGURE_7_SIGMA_ARCSEC)}).items():
         yield f"Z over X and Y, {who}: {z / x:.1f}, {z / y:.1f} (text: 5 to 10)"
     cells = len(ours.groupby(["sigma_s_px", "sigma_c_px"]))
@@ -73,15 +69,9 @@ def compare_grid(table: pd.DataFrame) -> Iterator[str]:
         )
     yield "Fig. 9 (Wang, 7 strips): rms over the grid, arcsec; the paper prints only Table 4's five cells"
     yield "axis    Wang's method  ours, same strips    bound  paper's Wang"
-    for axis, paper in zip(AXES, TABLE_4_RMS_ARCSEC["wang"]):
-        wang, strips = (table[(table["method"] == m) & (table["axis"] == axis)] for m in ("wang", "strips"))
-        values = (
-            rms_of(wang["rms_arcsec"]),
-            rms_of(strips["rms_arcsec"]),
-            rms_of(wang["bound_arcsec"]),
-            paper,
-        )
-        yield f"{axis}       {values[0]:11.4f}  {values[1]:17.4f}  {values[2]:7.4f}  {values[3]:12.4f}"
+    methods = (errors_of_axes(table[table["method"] == name]) for name in ("wang", "strips"))
+    for (axis, wang, bound), (_, strips, _), paper in zip(*methods, TABLE_4_RMS_ARCSEC["wang"]):
+        yield f"{axis}       {wang:11.4f}  {strips:17.4f}  {bound:7.4f}  {paper:12.4f}"
 
 
 def compare_table4(table: pd.DataFrame) -> Iterator[str]:
@@ -89,16 +79,14 @@ def compare_table4(table: pd.DataFrame) -> Iterator[str]:
     yield "Table 4: rms over the five rows, arcsec"
     yield "axis     ours    bound    paper | 7 strips: Wang    ours   bound  paper's Wang"
     gains = []
-    for n, axis in enumerate(AXES):
-        by = {m: part[part["axis"] == axis] for m, part in table.groupby("method")}
-        rms = {m: rms_of(part["rms_arcsec"]) for m, part in by.items()}
-        bounds = rms_of(by["information"]["bound_arcsec"]), rms_of(by["strips"]["bound_arcsec"])
-        paper, wang = (TABLE_4_RMS_ARCSEC[who][n] for who in ("paper", "wang"))
+    methods = (errors_of_axes(table[table["method"] == name]) for name in ("information", "wang", "strips"))
+    papers = (TABLE_4_RMS_ARCSEC[who] for who in ("paper", "wang"))
+    for (axis, ours, bound), (_, wang, _), (_, same, same_bound), paper, paper_wang in zip(*methods, *papers):
         yield (
-            f"{axis}     {rms['information']:7.4f}  {bounds[0]:7.4f}  {paper:7.4f} |"
-            f" {rms['wang']:14.4f}  {rms['strips']:6.4f}  {bounds[1]:6.4f}  {wang:12.4f}"
+            f"{axis}     {ours:7.4f}  {bound:7.4f}  {paper:7.4f} |"
+            f" {wang:14.4f}  {same:6.4f}  {same_bound:6.4f}  {paper_wang:12.4f}"
         )
-        gains.append((axis, rms["wang"] / rms["information"], rms["wang"] / rms["strips"], wang / paper))
+        gains.append((axis, wang / ours, wang / same, paper_wang / paper))
     yield "Rows: sigma_s, sigma_c, px; X, Y, Z of ours, bound, paper (one run)"
     own_method = table[table["method"] == "information"]
     for sigma_s, sigma_c in TABLE_4:
@@ -347,6 +335,13 @@ def noise_law(sigma_px: Floats, rms: Floats) -> tuple[float, float]:
     """(a, b) of rms² = a² + (b sigma)², by least squares, of `rms` (N,) at `sigma_px` (N,)."""
     slope, constant = np.polyfit(sigma_px**2, rms**2, 1)
     return float(np.sqrt(max(constant, 0.0))), float(np.sqrt(max(slope, 0.0)))
+
+
+def errors_of_axes(table: pd.DataFrame) -> Iterator[tuple[str, float, float]]:
+    """Each axis with the rms of its errors and of their bounds over the rows of a table, arcsec."""
+    for axis in AXES:
+        part = table[table["axis"] == axis]
+        yield axis, rms_of(part["rms_arcsec"]), rms_of(part["bound_arcsec"])
 
 
 def rms_of(values: pd.Series) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,9 @@ import typer
 from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
-from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment, run_from_pixels
+from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
-from boresight.pipeline.console.messages import (
-    Answer,
-    wrong_usage,
-)
+from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.report.page_template import template
 
@@ -27,11 +23,7 @@ __all__ = ["experiment_command"]
 
 def experiment_command(
     name: Annotated[
-        str,
-        typer.Argument(
-            help=f"{', '.join(EXPERIMENTS)}; or all.",
-            autocompletion=_experiments,
-        ),
+        str, typer.Argument(help=f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments)
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
     runs: Annotated[
@@ -53,29 +45,13 @@ def experiment_command(
         chosen = replace(chosen, runs=runs, wang_runs=runs, table5_runs=runs)
     rendered = PixelSettings(seed=seed, runs=runs or 2, table4_runs=runs or 20)
     with progress_bars() as told:
-        given = rendered if pixels else chosen
-        text = _experiment(name, out, given, told)
-    return Answer(text=text)
-
-
-def _experiment(
-    name: str,
-    out: Path,
-    settings: ExperimentSettings | PixelSettings,
-    progress: Callable[[str, int, int | None], None],
-) -> str:
-    """Run one experiment or all; what to print."""
-    if isinstance(settings, PixelSettings):
-        table, written = run_from_pixels(name, out, settings, partial(progress, name))
-        lines = COMPARISONS[f"{name}-pixels"](table)
-    elif name == "all":
-        tables, page = run_all(out, settings, template("experiments.html.j2"), progress)
-        return f"all: {len(tables)} experiments -> {page}"
-    else:
-        table, written = run_experiment(name, out, settings, partial(progress, name))
-        lines = COMPARISONS[name](table)
+        if name == "all":
+            tables, page = run_all(out, chosen, template("experiments.html.j2"), told)
+            return Answer(text=f"all: {len(tables)} experiments -> {page}")
+        table, written = run_experiment(name, out, rendered if pixels else chosen, partial(told, name))
+    lines = COMPARISONS[f"{name}-pixels" if pixels else name](table)
     files = ", ".join(str(path) for path in written)
-    return "\n".join([*lines, f"{name}: {len(table)} rows -> {files}"])
+    return Answer(text="\n".join([*lines, f"{name}: {len(table)} rows -> {files}"]))
 
 
 def _experiments(context: typer.Context, incomplete: str) -> list[str]:

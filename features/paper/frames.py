@@ -22,13 +22,7 @@ from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.vector_sets import VectorSets
 
-__all__ = [
-    "FrameCalibration",
-    "PreparedFrames",
-    "calibrate_frames",
-    "frame_pairs",
-    "prepare_frames",
-]
+__all__ = ["FrameCalibration", "PreparedFrames", "calibrate_frames", "frame_pairs", "prepare_frames"]
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -94,12 +88,7 @@ def frame_pairs(prepared: PreparedFrames, R_cs: Rotation) -> tuple[Array, Array]
     return F, F_theta
 
 
-def calibrate_frames(
-    frames: VectorSets,
-    R_cs0: Rotation,
-    *,
-    most_iterations: int = 10,
-) -> FrameCalibration:
+def calibrate_frames(frames: VectorSets, R_cs0: Rotation, *, most_iterations: int = 10) -> FrameCalibration:
     """The installation matrix from frames, iterated until the correction vanishes.
 
     Raises `ValueError` when it is above 1e-12 rad after `most_iterations`.

@@ -19,11 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from boresight.features.paper.paper_tables import (
-    FIGURE_7_CELLS,
-    FIGURE_7_SIGMA_ARCSEC,
-    TABLE_4,
-)
+from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats, array, record
 from boresight.simulator.campaign import CameraPair

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,16 +21,12 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.features.paper.geometry_search import bound_of_frames
-from boresight.features.paper.paper_tables import (
-    FIGURE_7_CELLS,
-    FIGURE_7_SIGMA_ARCSEC,
-    TABLE_4,
-)
+from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -43,12 +40,7 @@ from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.campaign import unit
 
-__all__ = [
-    "PixelRuns",
-    "PixelSettings",
-    "grid_from_pixels",
-    "table4_from_pixels",
-]
+__all__ = ["PixelSettings", "grid_from_pixels", "table4_from_pixels"]
 
 Progress = Callable[[int, int], None]
 
@@ -89,19 +81,6 @@ class PixelSettings:
     redraws: int = scalar("runs at the level of vectors per mission of the grid", default=20)
     table4_runs: int = scalar("missions per row of Table 4", default=20)
     seed: int = scalar("seed of the first mission", default=2020)
-
-
-@record(kw_only=True)
-class PixelRuns:
-    """Results of R missions of one cell."""
-
-    sigma_s_px: float = scalar("stated 1-sigma of stars per axis, px")
-    sigma_c_px: float = scalar("stated 1-sigma of targets per axis, px")
-    errors: Floats = array("R, 3", "theta minus truth, rad, axes of c")
-    covariances: Floats = array("R, 3, 3", "stated covariance of theta, rad²")
-    cpu_s: float = scalar("CPU time, s")
-    redrawn_errors: Floats = array("V, 3", "the same of vectors redrawn with the stated covariances")
-    redrawn_covariances: Floats = array("V, 3, 3", "the same of those vectors")
 
 
 def grid_from_pixels(
@@ -160,50 +139,43 @@ def _cells_from_pixels(
         missions = [
             ((*row, f"orbit.longitude_deg={360.0 * k / runs - 180.0}"), first + k) for k in range(runs)
         ]
-        cell = _cell(missions, _counted(progress, n * runs, len(cells) * runs), redraws)
-        tables += [table.assign(row_s_px=sigma_s, row_c_px=sigma_c) for table in _long_form(cell)]
+        finished = partial(_finished, progress, n * runs, len(cells) * runs)
+        tables += [
+            table.assign(row_s_px=sigma_s, row_c_px=sigma_c) for table in _cell(missions, finished, redraws)
+        ]
     return pd.concat(tables, ignore_index=True)
 
 
-def _counted(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
-    return lambda done: progress(before + done, total) if progress else None
+def _finished(progress: Progress | None, before: int, total: int, done: int) -> None:
+    if progress:
+        progress(before + done, total)
 
 
 def _cell(
-    missions: Sequence[tuple[Sequence[str], int]], finished: Callable[[int], None], redraws: int = 0
-) -> PixelRuns:
-    """Results of missions, each given by its changes of the mini scenario and its seed."""
-    begin, found, redrawn = time.process_time(), [], list[tuple[Floats, Floats]]()
+    missions: Sequence[tuple[Sequence[str], int]], finished: Callable[[int], None], redraws: int
+) -> Iterator[pd.DataFrame]:
+    """One row per axis of the results of missions, each given by its changes of the mini scenario and its
+    seed; where vectors are redrawn, the same of those.
+    """
+    begin, sigmas_px, found, redrawn = time.process_time(), [], [], list[tuple[Floats, Floats]]()
     for n, (changes, seed) in enumerate(missions):
-        sigmas_px, compared, calibration = _mission(changes, seed)
-        found.append((sigmas_px, (compared, calibration.estimate.cov_theta)))
+        sigmas, compared, calibration = _mission(changes, seed)
+        sigmas_px.append(sigmas)
+        found.append((compared.error_rad, calibration.estimate.cov_theta))
         redrawn += _redrawn_runs(calibration, redraws, np.random.default_rng(seed))
         finished(n + 1)
-    sigmas, validations = zip(*found)
-    sigma_s, sigma_c = np.sqrt(np.mean(np.square(sigmas), axis=0))
-    return PixelRuns(
-        sigma_s_px=float(sigma_s),
-        sigma_c_px=float(sigma_c),
-        errors=np.array([v.error_rad for v, _ in validations]),
-        covariances=np.array([covariance for _, covariance in validations]),
-        cpu_s=time.process_time() - begin,
-        redrawn_errors=np.array([error for error, _ in redrawn]).reshape(-1, 3),
-        redrawn_covariances=np.array([covariance for _, covariance in redrawn]).reshape(-1, 3, 3),
-    )
-
-
-def _long_form(cell: PixelRuns) -> Iterator[pd.DataFrame]:
-    """One row per axis of a cell, and where vectors were redrawn the same of those."""
-    methods = [("pixels", cell.errors, cell.covariances)]
-    if len(cell.redrawn_errors):
-        methods.append(("vectors", cell.redrawn_errors, cell.redrawn_covariances))
-    for method, errors, covariances in methods:
+    sigma_s, sigma_c = np.sqrt(np.mean(np.square(sigmas_px), axis=0))
+    cpu_s = time.process_time() - begin
+    for method, results in (("pixels", found), ("vectors", redrawn)):
+        if not results:
+            continue
+        errors, covariances = (np.array(part) for part in zip(*results))
         off, variance = errors / ARCSEC, np.diagonal(covariances, axis1=1, axis2=2)
         squares = np.einsum("ra,rab,rb->r", errors, np.linalg.inv(covariances), errors)
         yield pd.DataFrame(
             {
-                "sigma_s_px": cell.sigma_s_px,
-                "sigma_c_px": cell.sigma_c_px,
+                "sigma_s_px": sigma_s,
+                "sigma_c_px": sigma_c,
                 "method": method,
                 "axis": list("XYZ"),
                 "rms_arcsec": np.sqrt(np.mean(off**2, axis=0)),
@@ -212,7 +184,7 @@ def _long_form(cell: PixelRuns) -> Iterator[pd.DataFrame]:
                 "mean_square": np.mean(errors**2 / variance, axis=0),  # in units of the stated variance
                 "nees": squares.mean(),
                 "runs": len(off),
-                "cpu_s": cell.cpu_s,
+                "cpu_s": cpu_s,
             }
         )
 

@@ -23,8 +23,9 @@ from boresight.pipeline.report.panels import AXES, BOUND, GREY, INK, OURS, THIRD
 
 __all__ = ["PLOTS"]
 
-# How Matplotlib draws the paper's values.
-PAPER = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
+# How Matplotlib draws the paper's values, as crosses, and as hollow marks.
+PAPER: dict[str, Any] = {"color": INK, "ls": "none", "marker": "x", "ms": 6, "mew": 1.5}
+HOLLOW = PAPER | {"ms": 5, "mfc": "#ffffff"}
 
 
 def plot_inputs(table: pd.DataFrame) -> Figure:
@@ -151,8 +152,7 @@ def plot_table4(table: pd.DataFrame) -> Figure:
         for who, shift, marker in (("wang", -0.27, "x"), ("paper", 0.27, "D")):
             values = [abs(row[who == "paper"][n]) for row in TABLE_4.values()]
             label = "paper's Wang, one run" if who == "wang" else "paper, one run"
-            style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff"}
-            ax.plot(at + shift, values, label=label, **style)
+            ax.plot(at + shift, values, label=label, **HOLLOW | {"marker": marker})
         ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in TABLE_4], fontsize=8)
         ax.set(yscale="log", title=axis)
     title = "Table 4: ours and Wang's method, on equal data and as in the paper"
@@ -171,13 +171,7 @@ def plot_table5(table: pd.DataFrame) -> Figure:
             part = table[(table["method"] == method) & (table["direction"] == direction)]
             name = "Wang's method" if method == "wang" else "ours"
             ax.plot(part["sigma_s_px"], part["rms_m"], label=name, **styles[method])
-            style: dict[str, Any] = PAPER | {
-                "marker": marker,
-                "ms": 5,
-                "mfc": "#ffffff",
-                "ls": ":",
-                "lw": 0.8,
-            }
+            style = HOLLOW | {"marker": marker, "ls": ":", "lw": 0.8}
             ax.plot(part["sigma_s_px"], part["paper_m"], label=paper, **style)
         ax.plot(
             part["sigma_s_px"], part["floor_m"], label="floor: GPS, vibration, clock, distortion", **BOUND
@@ -209,8 +203,8 @@ def plot_readings(table: pd.DataFrame) -> Figure:
                         label=label,
                     )
             for n, who, marker in ((0, "paper's Wang", "x"), (1, "paper", "D")):
-                style: dict[str, Any] = PAPER | {"marker": marker, "ms": 5, "mfc": "#ffffff", "label": who}
-                ax.plot(list(TABLE_5), [values[n + 2 * row] for values in TABLE_5.values()], **style)
+                values = [of_row[n + 2 * row] for of_row in TABLE_5.values()]
+                ax.plot(list(TABLE_5), values, label=who, **HOLLOW | {"marker": marker})
             ax.set_title(f"{direction}, star camera {axis} off the zenith", fontsize=9)
     title = "Table 5 with Wang's matrix of each single image"
     return _finished(figure, axes, title, "σs, px", "rms, m")
@@ -312,7 +306,7 @@ def plot_table4_pixels(table: pd.DataFrame) -> Figure:
         )
         ax.axhline(1.0, label="bound: stated 1σ", **BOUND)
         paper = part["paper_arcsec"] / part["paper_bound_arcsec"]
-        marks: dict[str, Any] = PAPER | {"marker": "D", "ms": 6, "mfc": "#ffffff"}
+        marks = HOLLOW | {"marker": "D", "ms": 6}
         ax.plot(at, paper, label="paper: one run over the bound of its cameras", **marks)
         ax.set_xticks(at, [f"{s:g}\n{c:g}" for s, c in zip(part["row_s_px"], part["row_c_px"])], fontsize=8)
         ax.set_title(f"{axis}: rms / bound {np.sqrt(np.mean(ratio**2)):.2f}", fontsize=10)

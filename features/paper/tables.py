@@ -1,30 +1,29 @@
-"""`boresight experiment NAME`: a simulation of the paper from scratch, as long-form CSV, plot and text
-record.
+"""`boresight experiment NAME`: a simulation of the paper from scratch, as long-form CSV, plot and record.
 
-The simulations are in `vector_experiments`, `geometry_search` and `pixels`;
-stars of Table 4 are those of Hipparcos.
+The simulations are in `vector_experiments`, `geometry_search` and `pixels`; stars of Table 4 are those of
+Hipparcos.
 """
 
 from __future__ import annotations
 
+import datetime
+import os
+import platform
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.geometry_search import geometry_map
 from boresight.features.paper.inputs import inputs
-from boresight.features.paper.pixels import (
-    PixelSettings,
-    grid_from_pixels,
-    table4_from_pixels,
-)
+from boresight.features.paper.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
 from boresight.features.paper.plots import PLOTS
-from boresight.features.paper.provenance import record_head
 from boresight.features.paper.vector_experiments import (
     ExperimentSettings,
     convergence_of_runs,
@@ -41,15 +40,9 @@ from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.simulator.campaign import CameraPair
 from boresight.star_id.catalogue import hipparcos_stars
+from boresight.version import version_text
 
-__all__ = [
-    "EXPERIMENTS",
-    "FROM_PIXELS",
-    "experiment_table",
-    "hipparcos_fields",
-    "run_experiment",
-    "run_from_pixels",
-]
+__all__ = ["EXPERIMENTS", "FROM_PIXELS", "hipparcos_fields", "record_head", "run_experiment"]
 
 Progress = Callable[[int, int], None]
 
@@ -71,42 +64,30 @@ FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rende
 
 
 def run_experiment(
-    name: str, out: Path, settings: ExperimentSettings, progress: Progress | None = None
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress | None = None
 ) -> tuple[pd.DataFrame, list[Path]]:
-    """Run one of `EXPERIMENTS`; its table, and the files written: `NAME.csv`, `NAME.png` and `NAME.txt` in
-    `out`.
+    """Run one of `EXPERIMENTS`, with `PixelSettings` one of `FROM_PIXELS` through rendered images; its table,
+    and the files written into `out`: `NAME.csv`, `NAME.png` and `NAME.txt`, or those of `NAME-pixels`.
 
     The text holds the paper's values beside ours, and commit, date, machine, versions, command and CPU time.
     """
     begin = time.process_time()
-    table = experiment_table(name, settings, progress)
-    return table, _written(name, table, out, time.process_time() - begin)
-
-
-def run_from_pixels(
-    name: str, out: Path, settings: PixelSettings, progress: Progress | None = None
-) -> tuple[pd.DataFrame, list[Path]]:
-    """Run one of `FROM_PIXELS` through rendered images; writes `NAME-pixels` as csv, png and txt."""
-    begin = time.process_time()
-    table = {"grid": grid_from_pixels, "table4": table4_from_pixels}[name](settings, progress)
-    return table, _written(f"{name}-pixels", table, out, time.process_time() - begin)
-
-
-def _written(name: str, table: pd.DataFrame, out: Path, cpu_s: float) -> list[Path]:
+    table = _experiment_table(name, settings, progress)
+    cpu_s, file = time.process_time() - begin, f"{name}{'-pixels' * isinstance(settings, PixelSettings)}"
     out.mkdir(parents=True, exist_ok=True)
-    written = [out / f"{name}.{kind}" for kind in ("csv", "png", "txt")]
+    written = [out / f"{file}.{kind}" for kind in ("csv", "png", "txt")]
     write_text(written[0], table_csv(table, "%.6g"))
-    figure = PLOTS[name](table)
-    figure.savefig(written[1], dpi=160)
-    lines = [*record_head(name, cpu_s), *COMPARISONS[name](table)]
+    PLOTS[file](table).savefig(written[1], dpi=160)
+    lines = [*record_head(file, cpu_s), *COMPARISONS[file](table)]
     written[2].write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return written
+    return table, written
 
 
-def experiment_table(
-    name: str, settings: ExperimentSettings, progress: Progress | None = None
+def _experiment_table(
+    name: str, settings: ExperimentSettings | PixelSettings, progress: Progress | None
 ) -> pd.DataFrame:
-    """The long-form table of one of `EXPERIMENTS`; `KeyError` for another name."""
+    if isinstance(settings, PixelSettings):
+        return {"grid": grid_from_pixels, "table4": table4_from_pixels}[name](settings, progress)
     if name == "table4":
         return table4(settings, hipparcos_fields(settings.cameras, 400, settings.seed), progress)
     if name in ("grid", "table5", "readings"):
@@ -131,3 +112,23 @@ def hipparcos_fields(cameras: CameraPair, fields: int, seed: int) -> list[Floats
         x, y, z = u_s.T
         found.append(u_s[(z > 0.0) & (np.abs(x) <= half_x * z) & (np.abs(y) <= half_y * z)])
     return found
+
+
+def record_head(name: str, cpu_s: float) -> list[str]:
+    """Lines that say what made a record of the experiment `name`, when, on what, and in which CPU time."""
+    cpu = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            cpu = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return [
+        f"experiment {name}",
+        f"commit    {version_text()}",
+        f"date      {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC",
+        f"machine   {cpu}, {os.cpu_count()} cores, {platform.system()}",
+        f"versions  Python {platform.python_version()}, NumPy {np.__version__}, SciPy {scipy.__version__}",
+        f"command   boresight {' '.join(sys.argv[1:])}",
+        f"CPU       {cpu_s:.0f} s",
+        "",
+    ]

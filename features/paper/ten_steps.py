@@ -22,13 +22,7 @@ Array = NDArray[np.float64]
 
 
 def frame_information_literally(
-    u_s: Array,
-    v_stars: Array,
-    sigma_s: Array,
-    w_c: Array,
-    v_targets: Array,
-    sigma_c: Array,
-    R_cs0: Rotation,
+    u_s: Array, v_stars: Array, sigma_s: Array, w_c: Array, v_targets: Array, sigma_c: Array, R_cs0: Rotation
 ) -> tuple[Array, Array]:
     """Steps 1 to 9 for one frame: F (3, 3) rad⁻² and F theta (3,) of (A13), about `R_cs0`.
 

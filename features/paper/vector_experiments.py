@@ -50,7 +50,7 @@ from boresight.geometry.vector_sets import VectorSets
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,
-    StripTruth,
+    Waves,
     draw_frames,
     draw_strips,
     installation_by_tilt,
@@ -178,9 +178,7 @@ def grid(settings: ExperimentSettings, progress: Progress | None = None) -> pd.D
 
 
 def table4(
-    settings: ExperimentSettings,
-    star_fields: Sequence[Floats],
-    progress: Progress | None = None,
+    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress | None = None
 ) -> pd.DataFrame:
     """Table 4: rms error over many runs beside the paper's single draws, "information" from many frames.
 
@@ -244,7 +242,7 @@ def table5_readings(settings: ExperimentSettings, progress: Progress | None = No
     white, attitudes smoothed over a strip or of the nearest exposure, and the star camera's axis.
     """
     axes = {"15 deg": settings.cameras, "60 deg": CameraPair(star_camera_rotation(60.0, 48.0, 0.0))}
-    rows: list[dict[str, object]] = []
+    rows = []
     for cell, (axis, gps, sigma_s) in enumerate(product(axes, ("constant", "white"), (0.05, 0.075, 0.10))):
         rng, found = _stream(settings, 8, cell), defaultdict[tuple[str, str, int], list[GroundErrors]](list)
         whole, each = (0.0, 2.0) if gps == "white" else (2.0, 0.0)  # Table 1: 2 m
@@ -261,18 +259,11 @@ def table5_readings(settings: ExperimentSettings, progress: Progress | None = No
             for key, errors in _one_matrix_per_image(plan, settings.wang_strips, axes[axis], rng):
                 found[key].append(errors)
         for (attitude, method, order), parts in found.items():
-            head: dict[str, object] = {
-                "axis": axis,
-                "gps": gps,
-                "attitude": attitude,
-                "sigma_s_px": sigma_s,
-                "method": method,
-            }
             for direction, rms in zip(("along", "across"), _rms(parts)):
-                rows.append(head | {"order": order, "direction": direction, "rms_m": rms})
+                rows.append((axis, gps, attitude, sigma_s, method, order, direction, rms))
         if progress:
             progress(cell + 1, 12)
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns="axis gps attitude sigma_s_px method order direction rms_m".split())
 
 
 def _one_matrix_per_image(
@@ -287,17 +278,11 @@ def _one_matrix_per_image(
     matrices = {("wang", order): wang_calibrate(strips[:n], R_cs0, order).R_cs_strips for order in (3, 5, 7)}
     ours = _estimated(strips[:n], R_cs0, stated).R_cs
     for k, strip in enumerate(strips[n:]):
-        for attitude, R_si in (
-            ("smoothed", smoothed_attitude(strip, MotionPrior())),
-            ("exposure", _nearest(strip)),
-        ):
-            yield (
-                (attitude, "ours", 0),
-                check_point_errors(strip, (ours * R_si).inv().apply(strip.ground.u_c)),
-            )
-            for (method, order), of_images in matrices.items():
-                look_i = (of_images[k] * R_si).inv().apply(strip.ground.u_c)
-                yield (attitude, method, order), check_point_errors(strip, look_i)
+        R_cs = {("ours", 0): ours} | {key: of_images[k] for key, of_images in matrices.items()}
+        readings = ("smoothed", smoothed_attitude(strip, MotionPrior())), ("exposure", _nearest(strip))
+        for (attitude, R_si), (method, matrix) in product(readings, R_cs.items()):
+            look_i = (matrix * R_si).inv().apply(strip.ground.u_c)
+            yield (attitude, *method), check_point_errors(strip, look_i)
 
 
 def _nearest(strip: StripSightings) -> Rotation:
@@ -356,10 +341,9 @@ def _waves(settings: ExperimentSettings, t_s: Floats) -> tuple[Floats, np.random
     """Attitude (N, 3) at `t_s` about the three axes, arcsec, of the one motion of Figs. 4 and 8, and its
     generator.
     """
-    rng, plan = _stream(settings, 7, 0), StripPlan()
-    amplitude = rng.uniform(*plan.wave_rad, 3) / ARCSEC
-    omega, phase = 2 * np.pi / rng.uniform(*plan.wave_s, 3), rng.uniform(0, 2 * np.pi, 3)
-    return np.asarray(amplitude * np.sin(omega * t_s[:, None] + phase)), rng
+    rng = _stream(settings, 7, 0)
+    drawn = Waves.draw(StripPlan(), rng)
+    return replace(drawn, amplitude=drawn.amplitude / ARCSEC).at(t_s), rng
 
 
 def _estimated(
@@ -389,16 +373,14 @@ def _frame_runs(
     errors, covariances = [], []
     for run in range(settings.runs):
         if run % 10 == 0:  # new positions of stars and targets every ten runs
-            fields = stars if isinstance(stars, int) else _some(stars, n_frames, rng)
+            fields = stars
+            if not isinstance(fields, int):
+                fields = [fields[k] for k in rng.integers(0, len(fields), n_frames)]
             exact = draw_frames(n_frames, fields, targets, *sigma_px, cameras, rng, noise=False)
         found = calibrate_frames(noisy_frames(exact, rng), R_cs0)
         errors.append(theta_between(found.R_cs, cameras.R_cs))
         covariances.append(found.solution.covariance)
     return np.array(errors), np.array(covariances)
-
-
-def _some(fields: Sequence[Floats], n: int, rng: np.random.Generator) -> list[Floats]:
-    return [fields[k] for k in rng.integers(0, len(fields), n)]
 
 
 def _strip_tables(
@@ -454,11 +436,7 @@ def _check_points(
         R_si = smoothed_attitude(strip, MotionPrior())
         for method, matrix in R_cs.items():
             yield method, check_point_errors(strip, (matrix * R_si).inv().apply(strip.ground.u_c))
-        yield "floor", check_point_errors(strip, _true_looks(truth, place))
-
-
-def _true_looks(truth: StripTruth, place: int) -> Floats:
-    return np.asarray(truth.R_ci[place].inv().apply(truth.look_c[place]))
+        yield "floor", check_point_errors(strip, truth.R_ci[place].inv().apply(truth.look_c[place]))
 
 
 def _central_exposures(strip: StripSightings, n: int) -> StripSightings:
@@ -479,12 +457,7 @@ def _rms(parts: list[GroundErrors]) -> tuple[float, float]:
 
 
 def _long_form(
-    runs: tuple[Floats, Floats],
-    sigma_s: float,
-    sigma_c: float,
-    method: str,
-    frames: int,
-    paper: Floats,
+    runs: tuple[Floats, Floats], sigma_s: float, sigma_c: float, method: str, frames: int, paper: Floats
 ) -> pd.DataFrame:
     errors, covariances = runs
     nees = float(np.mean(np.einsum("ra,rab,rb->r", errors, np.linalg.inv(covariances), errors)))

@@ -6,20 +6,9 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.planning",
     commands=(
-        Command(
-            "plan",
-            Job.PLAN,
-            "Forecast how well a campaign tells the matrix.",
-            "features.planning.plan_command:plan_command",
-            with_json=True,
-        ),
-        Command(
-            "sky-strip-plan",
-            Job.PLAN,
-            "Choose the scans of the sky that tell most.",
-            "features.planning.sky_strip_plan_command:sky_strip_plan_command",
-            with_json=True,
-        ),
+        Command("plan", Job.PLAN, "Forecast how well a campaign tells the matrix.", with_json=True),
+        Command("sky-strip-plan", Job.PLAN, "Choose the scans of the sky that tell most.", with_json=True),
     ),
 )

@@ -18,12 +18,7 @@ from boresight.geometry.gyro import GyroNoise
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.pipeline.files.text_files import toml_tables
-from boresight.pipeline.results.plan_forecast import (
-    PLAN_DRAWS,
-    SkyPart,
-    compare_campaigns,
-    forecast_of_plan,
-)
+from boresight.pipeline.results.plan_forecast import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.pipeline.run.settings import settings_from_values
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 

@@ -123,32 +123,13 @@ def choose_scans(
     settings: ScanSettings,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ScanChoice:
-    """The best scans from `start_s` (seconds since the orbit's epoch) on.
+    """The best scans from `start_s` on, TAI seconds since the orbit's epoch.
 
-    Parameters
-    ----------
-    cameras : ScanCameras
-        Cameras, matrix and orbit.
-    stars : SurveyedStars
-        Catalogue; only stars that it describes well as single are used.
-    start_s : float
-        Beginning of the time to choose from, TAI seconds since the orbit's epoch.
-    errors : CalibrationSettings
-        Priors of clock, vibration and distortion.
-    settings : ScanSettings
-        Scans and exclusion angles.
-    progress : callable, optional
-        Called with the candidates that were looked at, and all.
+    Of the catalogue `stars` only those are used that it describes well as single; `errors` has the priors of
+    clock, vibration and distortion; `progress` gets the candidates that were looked at, and all.
 
-    Returns
-    -------
-    ScanChoice
-
-    Raises
-    ------
-    ValueError
-        If fewer candidates than `settings.count` are clear of Sun, Moon and Earth and hold stars, or the time
-        lies further from the orbit's than `MOST_CONTINUED_S`.
+    Raises `ValueError` if fewer candidates than `settings.count` are clear of Sun, Moon and Earth and hold
+    stars, or the time lies further from the orbit's than `MOST_CONTINUED_S`.
     """
     _check_reach(cameras.orbit, start_s, start_s + 3600.0 * settings.hours)
     rng = np.random.default_rng(settings.seed)

@@ -6,12 +6,6 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
-    commands=(
-        Command(
-            "simulate",
-            Job.PLAN,
-            "Render a mission with known truth as a dump.",
-            "features.simulation.simulate_command:simulate_command",
-        ),
-    ),
+    "features.simulation",
+    commands=(Command("simulate", Job.PLAN, "Render a mission with known truth as a dump."),),
 )

@@ -12,10 +12,7 @@ import typer
 
 from boresight.pipeline import __version__
 from boresight.pipeline.console.completion import among, first_argument
-from boresight.pipeline.console.messages import (
-    Answer,
-    wrong_usage,
-)
+from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
@@ -44,9 +41,7 @@ def simulate_command(
     set_: Annotated[
         list[str] | None,
         typer.Option(
-            "--set",
-            help="Change one setting: strips.count=5. May be repeated.",
-            autocompletion=_settings_of,
+            "--set", help="Change one setting: strips.count=5. May be repeated.", autocompletion=_settings_of
         ),
     ] = None,
     workers: Annotated[

@@ -6,30 +6,11 @@ __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: its commands, each with a line of help.
 FEATURE = Feature(
+    "features.sky_images",
     commands=(
-        Command(
-            "identify",
-            Job.STARS,
-            "Name the stars of images, wherever they look.",
-            "features.sky_images.identify_command:identify_command",
-        ),
-        Command(
-            "centroids",
-            Job.STARS,
-            "Find the stars of images; with truth, say how well.",
-            "features.sky_images.centroids_command:centroids_command",
-        ),
-        Command(
-            "star-camera-plan",
-            Job.STARS,
-            "Choose the fields that calibrate a camera best.",
-            "features.sky_images.star_camera_plan_command:star_camera_plan_command",
-        ),
-        Command(
-            "star-camera-calibrate",
-            Job.STARS,
-            "Calibrate a star camera from images of the sky.",
-            "features.sky_images.star_camera_calibrate_command:star_camera_calibrate_command",
-        ),
+        Command("identify", Job.STARS, "Name the stars of images, wherever they look."),
+        Command("centroids", Job.STARS, "Find the stars of images; with truth, say how well."),
+        Command("star-camera-plan", Job.STARS, "Choose the fields that calibrate a camera best."),
+        Command("star-camera-calibrate", Job.STARS, "Calibrate a star camera from images of the sky."),
     ),
 )

@@ -312,9 +312,7 @@ class StarSolution(SuccessfulResult):
             raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
         if not (np.isfinite(xy).all() and (np.abs(xy) < LARGEST_PX).all()):
             raise wrong("xy_px", "values that are not finite or beyond a million", "pixels")
-        is_single, xy = xy.ndim == 1, np.atleast_2d(xy).copy()
-        if self.mirrored:
-            xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
+        is_single, xy = xy.ndim == 1, self._turned(np.atleast_2d(xy))
         u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
         ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
         place: SkyCoord = _world().SkyCoord(
@@ -377,18 +375,16 @@ class StarSolution(SuccessfulResult):
         and dec_deg.
         """
 
-        sky = self.pixel_to_sky(self._image_px)
+        sky = self.pixel_to_sky(self._turned(self.xy_px))
         columns = {"hip": self.hip, "x_px": self.xy_px[:, 0], "y_px": self.xy_px[:, 1]}
         columns |= {"residual_x_px": self.residual_px[:, 0], "residual_y_px": self.residual_px[:, 1]}
         return pd.DataFrame(columns | {"ra_deg": sky.ra.deg, "dec_deg": sky.dec.deg})
 
-    @property
-    def _image_px(self) -> Floats:
-        """(M, 2) the identified stars in the image as given."""
-        xy = self.xy_px.copy()
-        if self.mirrored:
-            xy[:, 0] = self.stars.size_px[0] - 1.0 - xy[:, 0]
-        return xy
+    def _turned(self, xy_px: Floats) -> Floats:
+        """Pixels (N, 2) with their columns reversed, of a mirror image; of others as they are."""
+        if not self.mirrored:
+            return xy_px
+        return np.column_stack([self.stars.size_px[0] - 1.0 - xy_px[:, 0], xy_px[:, 1]])
 
     def plot(self, ax: Axes | None = None, *, image: ImageLike | None = None) -> Axes:
         """The image as `boresight identify --overlay` draws it, with what is in it named, lines of right
@@ -409,10 +405,7 @@ class StarSolution(SuccessfulResult):
         picture = named_sky(seen, self.field, planets, no_stars)
 
         def sky_of(xy_px: Floats) -> Floats:
-            xy = xy_px.copy()
-            if self.mirrored:
-                xy[:, 0] = width - 1.0 - xy[:, 0]
-            place = self.pixel_to_sky(xy)
+            place = self.pixel_to_sky(self._turned(xy_px))
             return np.column_stack([place.ra.deg, place.dec.deg])
 
         return draw_sky(axes_or_new(ax), picture, self.stars.size_px, sky_of)
@@ -588,10 +581,7 @@ def identify(
     True True
     """
 
-    if camera is not None and fov_deg is not None:
-        raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
-    width_deg = _field_of(fov_deg)
-    known = None if camera is None else instance_of(camera, StarCamera, "camera")
+    known, width_deg = _known_of(camera, fov_deg)
     chosen = instance_of(settings, StarSettings, "settings")
     if site is not None and time is None:
         raise ValueError("site needs time: where a place on the Earth points depends on the time")
@@ -632,14 +622,14 @@ def stars_given(
     return given if isinstance(given, Stars) else None
 
 
-def _field_of(fov_deg: float | None) -> float | None:
-    """A stated field of view, checked."""
-    if fov_deg is None:
-        return None
-    width = number_of(fov_deg, "fov_deg")
-    if not NARROWEST_DEG < width < WIDEST_DEG:
+def _known_of(camera: StarCamera | None, fov_deg: float | None) -> tuple[StarCamera | None, float | None]:
+    """A camera or a field of view, as far as they are stated, checked."""
+    if camera is not None and fov_deg is not None:
+        raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
+    width = None if fov_deg is None else number_of(fov_deg, "fov_deg")
+    if width is not None and not NARROWEST_DEG < width < WIDEST_DEG:
         raise ValueError(f"fov_deg must be between {NARROWEST_DEG:g} and {WIDEST_DEG:g} deg, got {width:g}")
-    return width
+    return None if camera is None else instance_of(camera, StarCamera, "camera"), width
 
 
 def calibrate_star_camera(
@@ -696,11 +686,8 @@ def calibrate_star_camera(
     True
     """
 
-    if camera is not None and fov_deg is not None:
-        raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
-    fov_deg, chosen = _field_of(fov_deg), instance_of(settings, StarSettings, "settings")
-    told = progress_of(progress)
-    camera = None if camera is None else instance_of(camera, StarCamera, "camera")
+    camera, fov_deg = _known_of(camera, fov_deg)
+    chosen, told = instance_of(settings, StarSettings, "settings"), progress_of(progress)
     place = None if site is None else site_of(site)
     if site is not None and times is None:
         raise ValueError("site needs times: where a place on the Earth points depends on the time")

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.features.sky_images.image_time import time_of_image
-from boresight.features.sky_images.whereabouts import Whereabouts
+from boresight.features.sky_images.image_time import Whereabouts, time_of_image
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite
@@ -27,13 +26,7 @@ from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
 from boresight.star_id.observer import Observer
 
-__all__ = [
-    "SkyImage",
-    "SkyImages",
-    "observer_at",
-    "observers_of",
-    "open_sky_images",
-]
+__all__ = ["SkyImage", "SkyImages", "observer_at", "observers_of", "open_sky_images"]
 
 
 @record

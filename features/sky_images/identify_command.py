@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from boresight.features.sky_images.identify_images import Request, identify_images, own_name, read_camera
+from boresight.features.sky_images.image_time import Whereabouts
 from boresight.features.sky_images.options import (
     CameraFile,
     Dark,
@@ -19,7 +20,6 @@ from boresight.features.sky_images.options import (
     Times,
     star_settings,
 )
-from boresight.features.sky_images.whereabouts import Whereabouts
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.messages import (
     DATA_DID_NOT_ALLOW,

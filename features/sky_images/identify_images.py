@@ -17,9 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.features.sky_images.image_time import time_of_image
+from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image
 from boresight.features.sky_images.planets import Planet, planets_in_view
-from boresight.features.sky_images.whereabouts import NOWHERE, Whereabouts
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
@@ -28,13 +27,7 @@ from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.stages.cached import UNFORESEEN, internal_error
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import (
-    LARGEST_FOV_RAD,
-    SMALLEST_FOV_RAD,
-    FieldSolution,
-    ra_dec_roll,
-    solve_list,
-)
+from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, ra_dec_roll, solve_list
 from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.fisheye import FISHEYE_RAD, WIDEST_RAD, is_fisheye
 from boresight.star_id.identification.identify import NotIdentified
@@ -107,7 +100,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                 if isinstance(solved, NotIdentified):
                     yield _unnamed(name, width, "not identified", solved.reason, started)
                     continue
-                record = _record(name, solved, 1e3 * (time.process_time() - started))
+                record = _record(name, solved, _spent_ms(started))
                 yield Line(f"{name!s:{width}s}   {_facts(record, solved)}", True, record, solved)
             continue
         try:
@@ -132,7 +125,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             line = _unnamed(path, width, "not identified", reason, started)
             yield replace(line, image=image, stars=stars)
             continue
-        spent_ms = 1e3 * (time.process_time() - started)
+        spent_ms = _spent_ms(started)
         planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
             _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))
@@ -168,14 +161,14 @@ def _of_centroids(
 
 
 def read_camera(file: Path | None) -> StarCamera | None:
-    """The camera of a star_camera.toml."""
+    """The camera of a star_camera.toml. `RawDataError` names file and field where it is not complete."""
     if file is None:
         return None
-    from boresight.features.sky_images.camera_file import (
-        camera_in,  # with the schemas of a dump 0.1 s to load
-    )
+    from boresight.pipeline.files.dump_schema import StarCameraFile  # 0.1 s to load, as the two below
+    from boresight.pipeline.files.star_side import single_camera_of
+    from boresight.pipeline.files.text_files import read_toml
 
-    return camera_in(file)
+    return single_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
 
 
 def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer]:
@@ -183,9 +176,7 @@ def _observers(images: Sequence[Path], known: Whereabouts) -> dict[str, Observer
     stated = known.times is not None or known.orbit is not None or known.site_deg_m is not None
     if not stated and not any(time_of_image(path) for path in images):
         return {}
-    from boresight.features.sky_images.frame_facts import (
-        observers_of,  # with orbits and terrain 0.3 s to load
-    )
+    from boresight.features.sky_images.frame_facts import observers_of  # with orbits, terrain 0.3 s to load
 
     return observers_of(images, known)
 
@@ -201,16 +192,12 @@ def read_sky_image(path: Path, camera: StarCamera | None, camera_file: Path | No
 
 
 def _unnamed(path: Path, width: int, what: str, reason: str, started: float) -> Line:
-    record = {
-        "file": str(path),
-        "identified": False,
-        "cpu_ms": _spent(started),
-        "reason": f"{what}: {reason}",
-    }
-    return Line(f"{path!s:{width}s}   {what}: {reason}", False, record, None)
+    record = {"file": str(path), "identified": False, "cpu_ms": _spent_ms(started)}
+    record["reason"] = f"{what}: {reason}"
+    return Line(f"{path!s:{width}s}   {record['reason']}", False, record, None)
 
 
-def _spent(started: float) -> float:
+def _spent_ms(started: float) -> float:
     return round(1e3 * (time.process_time() - started), 2)
 
 
@@ -226,7 +213,7 @@ def _record(path: Path, found: FieldSolution, spent_ms: float) -> dict[str, Any]
         "matches": found.matches,
         "rms_arcsec": found.rms_arcsec,
         "false_alarm_probability": found.false_alarm_probability,
-        "cpu_ms": round(spent_ms, 2),
+        "cpu_ms": spent_ms,
         "pointing_sigma_arcsec": found.pointing_sigma_rad / ARCSEC,
         "roll_sigma_arcsec": found.roll_sigma_rad / ARCSEC,
         "fov_x_sigma_deg": float(np.degrees(found.fov_x_sigma_rad)),

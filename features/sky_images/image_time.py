@@ -1,4 +1,4 @@
-"""When an image was taken, as its own file says: FITS keywords, EXIF.
+"""When an image was taken, as its own file says (FITS, EXIF), and what a user states of time and place.
 
 Cameras write local time where EXIF states no offset; it is then taken as UTC, which changes the direction of
 the Earth's velocity by half a degree at most (0.2 arc-seconds of aberration).
@@ -15,10 +15,11 @@ from typing import Any
 
 from PIL import Image
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.images.image_file import ImageFile, open_image
 from boresight.pipeline.files.images.star_images import opened_fits
 
-__all__ = ["time_of_image"]
+__all__ = ["NOWHERE", "Whereabouts", "time_of_image"]
 
 _HEAD_BYTES = 2**17  # EXIF stands before the pixels
 # Tags of EXIF 2.32: its directory, DateTimeOriginal, OffsetTimeOriginal, ExposureTime.
@@ -83,3 +84,17 @@ def _of_exif(image: ImageFile) -> datetime | None:
         sign = -1 if match[1] == "+" else 1
         when += sign * timedelta(hours=int(match[2]), minutes=int(match[3]))
     return when + timedelta(seconds=0.5 * float(tags.get(_EXPOSURE_S, 0.0)))
+
+
+@record
+class Whereabouts:
+    """Times and position of single images, as far as the user states them."""
+
+    times: Path | None = scalar("CSV with columns file, utc_mid", default=None)
+    orbit: Path | None = scalar("OEM of a satellite", default=None)
+    site_deg_m: tuple[float, float, float] | None = scalar(
+        "latitude, longitude (degrees), ellipsoidal height (m)", default=None
+    )
+
+
+NOWHERE = Whereabouts()  # neither times nor place are known

@@ -83,10 +83,7 @@ _PLANET = _Kind("◇", "planets", (225, 150, 255), (np.array([(1, 0), (0, 1), (-
 
 
 def named_sky(
-    image: NDArray[Any],
-    found: FieldSolution,
-    planets: Sequence[Planet],
-    no_stars_px: Floats,
+    image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], no_stars_px: Floats
 ) -> NDArray[np.uint8]:
     """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size; a small one enlarged by a
     whole number.
@@ -144,11 +141,7 @@ def _enlarged(xy_px: Floats, larger: int) -> Floats:
 
 
 def _labels(
-    hip: NDArray[np.integer],
-    v_mag: Floats,
-    marks: Sequence[_Marks],
-    planets: Sequence[Planet],
-    letters: int,
+    hip: NDArray[np.integer], v_mag: Floats, marks: Sequence[_Marks], planets: Sequence[Planet], letters: int
 ) -> list[_Label]:
     """What is to be written, the most important first: planets, stars by brightness."""
     stars, space = marks[0], 0.2 * letters
@@ -171,11 +164,7 @@ def _draw(picture: NDArray[np.uint8], lines: Floats, colour: Colour, thick: int)
 
 
 def _written(
-    picture: NDArray[np.uint8],
-    labels: Sequence[_Label],
-    taken: Floats,
-    marks: Sequence[_Marks],
-    letters: int,
+    picture: NDArray[np.uint8], labels: Sequence[_Label], taken: Floats, marks: Sequence[_Marks], letters: int
 ) -> NDArray[np.uint8]:
     """The picture with a key in its corner and the labels that find room."""
     height, width = picture.shape[:2]

@@ -258,13 +258,7 @@ class _Tracker:
             now = predicted_motion(self.motion, t_s, self.push, self.focal_drift)
         if now is not None and self.seen is not None and not isinstance(given, Stars):
             fix = near_prediction(
-                given,
-                now,
-                self.seen,
-                self.camera,
-                self.index,
-                self.settings,
-                exposure_s=self.exposure_s,
+                given, now, self.seen, self.camera, self.index, self.settings, exposure_s=self.exposure_s
             )
         if fix is None:
             state, (fix, reason) = FOUND_ANEW, self._anew(given)

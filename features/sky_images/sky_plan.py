@@ -102,27 +102,8 @@ def plan_pointings(
     candidates: Rotation,
     frames: int,
 ) -> SkyPlan:
-    """The best pointings for the calibration of an approximately known camera.
-
-    Parameters
-    ----------
-    camera : StarCamera
-        Approximate camera.
-    images : StarImageModel
-        Brightness and noise of star images in it.
-    index : StarIndex
-        Catalogue stars.
-    settings : StarSettings
-        Limits of reliable stars.
-    candidates : Rotation
-        Attitudes R_si (N,) to choose from.
-    frames : int
-        Number of pointings.
-
-    Raises
-    ------
-    ValueError
-        For fewer candidates than frames.
+    """The best pointings, so many `frames`, of the attitudes `candidates` (N,), GCRS to frame s, for the
+    calibration of an approximately known camera. `ValueError` for fewer candidates than frames.
     """
     if not 1 <= frames <= len(candidates):
         raise ValueError(f"frames must be 1 to the number of candidates, {len(candidates)}, got {frames}")

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from boresight.features.sky_images.image_time import Whereabouts
 from boresight.features.sky_images.options import CameraFile, Fov, OrbitFile, Site, Times, star_settings
 from boresight.features.sky_images.star_camera_report import CameraRequest, calibrate_from_images
-from boresight.features.sky_images.whereabouts import Whereabouts
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars

@@ -8,13 +8,8 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.sky_images.field_plan import SkyPlanRequest, plan_sky
-from boresight.features.sky_images.options import (
-    CameraFile,
-    Fov,
-    star_settings,
-)
-from boresight.features.sky_images.planned_camera import LIMIT_SNR, CameraNumbers
+from boresight.features.sky_images.field_plan import LIMIT_SNR, CameraNumbers, SkyPlanRequest, plan_sky
+from boresight.features.sky_images.options import CameraFile, Fov, star_settings
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.messages import Answer, wrong_usage
 

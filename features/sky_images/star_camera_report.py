@@ -20,7 +20,7 @@ from boresight.features.sky_images.identify_images import (
     read_sky_image,
     sky_index,
 )
-from boresight.features.sky_images.whereabouts import NOWHERE, Whereabouts
+from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -285,30 +285,13 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     scale = longest / (0.9 * min(width, height))  # px of residual a px of the picture
     figure, ((axes,),) = panels(1, 1, 5.0)
     axes.grid(False)
-    size = 2.0 * cells.error_px[cells.count > 0] / scale
-    axes.add_collection(
-        EllipseCollection(
-            size,
-            size,
-            0.0 * size,
-            units="xy",
-            offsets=np.column_stack([x[cells.count > 0], y[cells.count > 0]]),
-            offset_transform=axes.transData,
-            facecolors="0.88",
-            edgecolors=GREY,
-            linewidths=0.6,
-        )
-    )
-    arrows = axes.quiver(
-        x,
-        y,
-        cells.mean_px[..., 0],
-        cells.mean_px[..., 1],
-        angles="xy",
-        scale_units="xy",
-        scale=scale,
-        width=0.004,
-    )
+    seen = cells.count > 0
+    size = 2.0 * cells.error_px[seen] / scale
+    places = {"offsets": np.column_stack([x[seen], y[seen]]), "offset_transform": axes.transData}
+    style = {"facecolors": "0.88", "edgecolors": GREY, "linewidths": 0.6}
+    axes.add_collection(EllipseCollection(size, size, 0.0 * size, units="xy", **places, **style))
+    u, v = np.moveaxis(cells.mean_px, 2, 0)
+    arrows = axes.quiver(x, y, u, v, angles="xy", scale_units="xy", scale=scale, width=0.004)
     key = 10.0 ** np.floor(np.log10(longest))
     axes.quiverkey(arrows, 0.9, 1.03, key, f"{key:g} px", labelpos="W")
     axes.set_xlim(-0.5 * width, camera.width_px + 0.5 * width)

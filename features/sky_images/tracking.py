@@ -172,24 +172,11 @@ def near_prediction(
     *,
     exposure_s: float | None = None,
 ) -> StarFix | None:
-    """Attitude of a frame by the stars at their predicted places; None where they are not there.
+    """Attitude of a raw image (H, W) by the stars at their predicted places; None where they are not there.
 
-    Parameters
-    ----------
-    image : (H, W) array
-        Raw image.
-    motion : CameraMotion
-        Predicted for the middle of the exposure.
-    before : StarList
-        Of the last frame that was searched as a whole: its PSF, gain, noise and saturation hold.
-    camera : StarCamera
-        Calibrated camera.
-    index : StarIndex
-        Star index for the camera.
-    settings : StarSettings
-        `max_false_alarm_probability`, `epoch_error_years` and `max_photocentre_shift_px` are used.
-    exposure_s : float, optional
-        Exposure time: the rate then gives the trails of the stars; without it they are as `before`.
+    `motion` is predicted for the middle of the exposure. `before` are the stars of the last frame that was
+    searched as a whole: its PSF, gain, noise and saturation hold. With an exposure time the rate gives the
+    trails of the stars; without it they are as `before`.
     """
     lens = replace(camera, focal_m=camera.focal_m * math.exp(motion.log_scale))
     focal_px = camera.focal_m / camera.pixel_m

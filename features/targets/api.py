@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from boresight.accepted import (
-    PathLike,
-    Progress,
-    counted,
-    listed,
-    no_progress,
-    progress_of,
-    source_of,
-    wrong,
-)
+from boresight.accepted import PathLike, Progress, counted, listed, no_progress, progress_of, source_of, wrong
 from boresight.display import Result, axes_or_new
 from boresight.features.targets.target_matches import matched_lines, matches_table
 from boresight.geometry.record import record, scalar
@@ -77,10 +68,7 @@ class TargetMatches(Result):
 
 
 def match_targets(
-    dump: PathLike | Dump,
-    *,
-    strips: Iterable[str] | str | None = None,
-    progress: Progress = no_progress,
+    dump: PathLike | Dump, *, strips: Iterable[str] | str | None = None, progress: Progress = no_progress
 ) -> TargetMatches:
     """Targets of a dump found in its raw strips, starting from the pre-launch installation matrix.
 

@@ -21,6 +21,7 @@ __all__ = ["SuggestedTarget", "suggest_targets"]
 
 _COARSE_PIXELS = 2.5e5  # size of the picture in which rivals are searched
 _RIVAL = 0.7  # chips with a rival of at least this correlation are excluded
+_LARGEST_SIGMA_PX = 0.02  # expected standard error of a match from which a position does not qualify
 _TRIED = 40  # positions tried for each one wanted, until three times as many qualify
 
 
@@ -48,41 +49,18 @@ def suggest_targets(
     *,
     size_px: int,
     most: int,
-    largest_sigma_px: float = 0.02,
 ) -> tuple[SuggestedTarget, ...]:
-    """The best positions for targets in an ortho-image, best first.
+    """The best positions for targets in an ortho-image (H, W), best first, at most `most`.
 
-    Parameters
-    ----------
-    image : (H, W) array
-        Grey values.
-    transform : (a, b, c, d, e, f)
-        Pixel corners to map coordinates, as in `Chip`.
-    valid : (H, W) array
-        False where the image has no data or a cloud.
-    size_px : int
-        Side of a chip, pixels of the image.
-    most : int
-        Largest number of targets.
-    largest_sigma_px : float
-        Largest expected standard error of a match, pixels of the image.
-
-    Returns
-    -------
-    tuple of SuggestedTarget
-        Fewer than `most` if no more positions qualify.
-
-    Raises
-    ------
-    ValueError
-        If the image is smaller than two chips.
+    `transform` takes pixel corners to map coordinates, as in `Chip`; `valid` (H, W) is False where the image
+    has no data or a cloud; `size_px` is the side of a chip. `ValueError` for an image smaller than two chips.
     """
     if min(image.shape) < 2 * size_px:
         raise ValueError(
             f"the image of {image.shape[1]} x {image.shape[0]} px is smaller than two chips of {size_px} px"
         )
     sigma = _expected_sigma(image.astype(np.float32), valid, size_px)
-    positions = _peaks(sigma, size_px // 2, _TRIED * most, largest_sigma_px)
+    positions = _peaks(sigma, size_px // 2, _TRIED * most)
     factor = int(np.clip(np.sqrt(image.size / _COARSE_PIXELS), 1, max(1, size_px // 12)))
     coarse = cv2.resize(
         image.astype(np.float32), None, fx=1.0 / factor, fy=1.0 / factor, interpolation=cv2.INTER_AREA
@@ -131,21 +109,21 @@ def _expected_sigma(image: Image, valid: Bools, size_px: int) -> Image:
     return sigma
 
 
-def _peaks(sigma: Image, apart: int, most: int, largest: float) -> list[tuple[int, int]]:
-    """(column, row) of the minima below `largest` that are lowest within `apart` px, lowest first."""
-
+def _peaks(sigma: Image, apart: int, most: int) -> list[tuple[int, int]]:
+    """(column, row) of the minima of a map (H, W) that are lowest within `apart` px, lowest first."""
     peaks = skimage.feature.peak_local_max(
-        1.0 / sigma, min_distance=apart, threshold_abs=1.0 / largest, exclude_border=False, num_peaks=most
+        1.0 / sigma,
+        min_distance=apart,
+        threshold_abs=1.0 / _LARGEST_SIGMA_PX,
+        exclude_border=False,
+        num_peaks=most,
     )
     return [(column, row) for row, column in peaks.tolist()]
 
 
 def _rival(seen: Image, x: int, y: int, half: int) -> float:
     """Highest correlation, 0 to 1, of the chip around (x, y) with the coarse picture outside the chip."""
-    left, top = (
-        min(max(0, x - half), seen.shape[1] - 2 * half),
-        min(max(0, y - half), seen.shape[0] - 2 * half),
-    )
+    left, top = (min(max(0, at - half), size - 2 * half) for at, size in zip((x, y), seen.shape[::-1]))
     surface = correlation_surface(seen[top : top + 2 * half, left : left + 2 * half], seen)
     surface[max(0, top - half) : top + half + 1, max(0, left - half) : left + half + 1] = 0.0
     return float(np.clip(surface.max(), 0.0, 1.0))

@@ -47,24 +47,9 @@ def choose_targets(
 ) -> TargetChoice:
     """At most `most` of the candidates that strips may show.
 
-    Parameters
-    ----------
-    strips : sequence of StripSightings
-        Strips with all candidates that they may show; `cov_c` is the expected covariance of a match.
-    probability : sequence of (J,) arrays
-        For each strip, the probability that a candidate is in view and matched; it weights its information.
-    R_cs : Rotation
-        Installation matrix, star camera to remote-sensing camera.
-    sigma_installation_rad : (3,) array
-        1-sigma error of that matrix, rad: the information before any target.
-    settings : CalibrationSettings
-        Priors of the errors. The distortion is taken as each strip's own.
-    most : int
-        Number of targets wanted.
-
-    Returns
-    -------
-    TargetChoice
+    Each of `strips` has all candidates that it may show, with the expected covariance of a match as `cov_c`,
+    and a `probability` (J,) that they are in view and matched, which weights their information. The 1-sigma
+    error (3,) of `R_cs`, rad, is the information before any target; the distortion is each strip's own.
     """
     rows = [_rows(one, p, R_cs, settings) for one, p in zip(strips, probability)]
     left = sorted({name for one in rows for name in one.candidate})

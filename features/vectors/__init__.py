@@ -5,4 +5,4 @@ from boresight.pipeline.console.feature import Feature
 __all__ = ["FEATURE"]
 
 # What `boresight.features.table` finds of this feature: it has no command, `boresight.vectors` calls it.
-FEATURE = Feature(commands=())
+FEATURE = Feature("features.vectors", commands=())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -33,15 +34,21 @@ class Command:
     name: str  # words on the command line, one or two: "plan", "dump check"
     job: Job  # where the help lists it
     summary: str  # one line of the program's help, uncut on a terminal of 80 columns
-    place: str  # "module:function" below `boresight`
     with_json: bool = False  # offers --json by the rules of docs/json.md
+    module: str = ""  # where its function is; empty: that of the function's name
 
 
 @dataclass(frozen=True)
 class Feature:
-    """A job of the program."""
+    """A job of the program. The function of its command "dump check" is `dump_check_command`."""
 
+    folder: str  # of its modules, below `boresight`
     commands: tuple[Command, ...]
     groups: dict[str, str] = field(default_factory=dict)  # first word of two, and its line in the help
     after_joint: str = ""  # "module:function" below `boresight`, an `AfterJoint`
     to_archive: str = ""  # "module:function" below `boresight`, a `ToArchive`
+
+    def place_of(self, command: Command) -> str:
+        """Place of a command below `boresight`, "module:function"."""
+        function = f"{re.sub('[ -]', '_', command.name)}_command"
+        return f"{self.folder}.{command.module or function}:{function}"

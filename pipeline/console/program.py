@@ -47,7 +47,8 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
                 form: dict[str, Any] = {"no_args_is_help": True, "cls": _ByJob, "rich_markup_mode": None}
                 groups[group] = typer.Typer(help=feature.groups[group], **form)
                 app.add_typer(groups[group], name=group)
-            _add(groups.get(group, app), name, command, words is None or _named(command, words))
+            place = feature.place_of(command) if words is None or _named(command, words) else ""
+            _add(groups.get(group, app), name, command, place)
     return app
 
 
@@ -102,9 +103,9 @@ def _named(command: Command, words: Sequence[str]) -> bool:
     return [word for word in words if not word.startswith("-")][: len(named)] == named
 
 
-def _add(app: typer.Typer, name: str, command: Command, is_called: bool) -> None:
-    if is_called:
-        function = with_messages(function_at(command.place), command.name, with_json=command.with_json)
+def _add(app: typer.Typer, name: str, command: Command, place: str) -> None:
+    if place:  # else it is only listed
+        function = with_messages(function_at(place), command.name, with_json=command.with_json)
         app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
     else:
         app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)
@@ -131,36 +132,17 @@ def _listed() -> None:
     """A command of which only the summary is shown."""
 
 
-_CONSOLE = "pipeline.console"  # module below `boresight` with the spine's commands
 # The commands of the spine, in the form of a feature, each with a line of help.
 SPINE = Feature(
+    "pipeline.console",
     commands=(
         Command(
-            "calibrate",
-            Job.CALIBRATE,
-            "Estimate the installation matrix from raw images.",
-            f"{_CONSOLE}.calibrate_command:calibrate_command",
-            with_json=True,
+            "calibrate", Job.CALIBRATE, "Estimate the installation matrix from raw images.", with_json=True
         ),
+        Command("validate", Job.CALIBRATE, "Compare a result with a simulated dump's truth.", with_json=True),
         Command(
-            "validate",
-            Job.CALIBRATE,
-            "Compare a result with a simulated dump's truth.",
-            f"{_CONSOLE}.validate_command:validate_command",
-            with_json=True,
+            "status", Job.CALIBRATE, "Show what of a run is finished, and what is unused.", with_json=True
         ),
-        Command(
-            "status",
-            Job.CALIBRATE,
-            "Show what of a run is finished, and what is unused.",
-            f"{_CONSOLE}.status_command:status_command",
-            with_json=True,
-        ),
-        Command(
-            "report",
-            Job.CALIBRATE,
-            "Draw one HTML page about a result.",
-            f"{_CONSOLE}.report_command:report_command",
-        ),
-    )
+        Command("report", Job.CALIBRATE, "Draw one HTML page about a result."),
+    ),
 )

@@ -16,9 +16,8 @@ from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
 from boresight.simulator.head_attitudes import with_gyro
-from boresight.simulator.sky_campaign import draw_sky_strips
 
 __all__ = [
     "PLAN_DRAWS",

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from real_sentinel2 import BULLETIN, grid_of, looks
 from record import SHARED
 
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.operators.sentinel2_grid import operator_orbit
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2, read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
@@ -47,10 +47,10 @@ SEEN = looks(STRIP, grid_of(REAL, "B04"), ORBIT, "taylor")
 
 def errors_of(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Instants, and rotations (K, 3), arc-seconds, axes of the tracker, from the corrected attitude to it."""
-    t, tracker, inside = _within(STRIP.trackers[name])
+    t, tracker = _within(STRIP.trackers[name])
     corrected = _track(STRIP.corrected).R_si(t)
     off = (tracker * (STRIP.R_ps[name].inv() * corrected).inv()).as_rotvec() / ARCSEC
-    return t[inside], off[inside]
+    return t, off
 
 
 def _track(record: AttitudeRecord) -> AttitudeTrack:
@@ -59,10 +59,10 @@ def _track(record: AttitudeRecord) -> AttitudeTrack:
     return AttitudeTrack(record.t_s[inside], record.R_is[inside].inv(), ORBIT)
 
 
-def _within(record: AttitudeRecord) -> tuple[np.ndarray, Rotation, np.ndarray]:
+def _within(record: AttitudeRecord) -> tuple[np.ndarray, Rotation]:
     low, high = STRIP.corrected.t_s[1], ORBIT.span_s[1] - 0.1
     inside = (record.t_s >= low) & (record.t_s <= high)
-    return record.t_s[inside], record.R_is[inside].inv(), np.ones(inside.sum(), dtype=bool)
+    return record.t_s[inside], record.R_is[inside].inv()
 
 
 def noise(ink: Ink) -> Figure:
@@ -91,7 +91,7 @@ def noise(ink: Ink) -> Figure:
 
 def alignment(ink: Ink) -> Figure:
     """Running means of STR2 against STR1, about the axes of the MSI, against the operator's file."""
-    t, one, _ = _within(STRIP.trackers["STR1"])
+    t, one = _within(STRIP.trackers["STR1"])
     two = _track(STRIP.trackers["STR2"]).R_si(t)
     in_msi = [STRIP.R_cp * STRIP.R_ps[name] for name in ("STR1", "STR2")]
     off = (in_msi[1] * two * (in_msi[0] * one).inv()).as_rotvec() / ARCSEC

@@ -41,36 +41,27 @@ def paint(ink: Ink) -> Figure:
     y0, y1 = max(y - reach, 0), min(y + reach, task.strip.lines)
     x0, x1 = max(x - reach, 0), min(x + reach, task.camera.n_px(match.ccd))
     window = task.strip.images.read(match.ccd, y0, y1, x0, x1)
+    pictures = {
+        "chip (ortho-image)": chip,
+        "template in strip geometry": template,
+        "window of the raw strip": window,
+        "correlation surface": surface,
+        f"measured, σ × {ERROR_SCALE:.0f}": found,
+    }
     figure, panels = plt.subplots(1, 5, figsize=(13.5, 3.1), gridspec_kw={"wspace": 0.08})
-    panels[0].imshow(chip, cmap="gray")
-    panels[1].imshow(template, cmap="gray")
-    panels[2].imshow(window, cmap="gray", extent=(x0 - 0.5, x1 - 0.5, y1 - 0.5, y0 - 0.5))
-    corner = match.xy_px - 0.5 * np.array([w, h])
-    panels[2].add_patch(plt.Rectangle(corner, w, h, fill=False, ec="#ffb27a", lw=1.6))
-    panels[3].imshow(surface, cmap="viridis")
-    row, column = np.unravel_index(np.argmax(surface), surface.shape)
-    panels[3].plot(column, row, "o", mfc="none", mec="white", ms=12)
-    panels[4].imshow(found, cmap="gray")
-    sx, sy = ERROR_SCALE * np.sqrt(np.diag(match.cov_px))
-    panels[4].errorbar(0.5 * (w - 1), 0.5 * (h - 1), xerr=sx, yerr=sy, fmt="+", color="#ffb27a", lw=1.6, ms=9)
-    titles = (
-        "chip (ortho-image)",
-        "template in strip geometry",
-        "window of the raw strip",
-        "correlation surface",
-        f"measured, σ × {ERROR_SCALE:.0f}",
-    )
-    for panel, title in zip(panels, titles):
+    for panel, (title, picture) in zip(panels, pictures.items()):
+        edges = (x0 - 0.5, x1 - 0.5, y1 - 0.5, y0 - 0.5) if picture is window else None
+        panel.imshow(picture, cmap="viridis" if picture is surface else "gray", extent=edges)
         panel.set_title(title, color=ink.text, fontsize=11)
         panel.set_xticks([])
         panel.set_yticks([])
-    for panel, width in (
-        (panels[0], chip.shape[1]),
-        (panels[1], w),
-        (panels[2], x1 - x0),
-        (panels[3], surface.shape[1]),
-    ):
-        panel.set_xlabel(f"{width} px", color=ink.text)
+        panel.set_xlabel(f"{picture.shape[1]} px", color=ink.text)
+    corner = match.xy_px - 0.5 * np.array([w, h])
+    panels[2].add_patch(plt.Rectangle(corner, w, h, fill=False, ec="#ffb27a", lw=1.6))
+    row, column = np.unravel_index(np.argmax(surface), surface.shape)
+    panels[3].plot(column, row, "o", mfc="none", mec="white", ms=12)
+    sx, sy = ERROR_SCALE * np.sqrt(np.diag(match.cov_px))
+    panels[4].errorbar(0.5 * (w - 1), 0.5 * (h - 1), xerr=sx, yerr=sy, fmt="+", color="#ffb27a", lw=1.6, ms=9)
     panels[4].set_xlabel(
         f"σ = {np.sqrt(match.cov_px[0, 0]):.4f}, {np.sqrt(match.cov_px[1, 1]):.4f} px", color=ink.text
     )

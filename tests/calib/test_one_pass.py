@@ -28,9 +28,15 @@ from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import GroundReferences, HeadAttitudes, StripSightings
 from boresight.geometry.vector_sets import VectorSets
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_frames, draw_other_camera, draw_strips
+from boresight.simulator.campaign import (
+    CameraPair,
+    StripPlan,
+    draw_frames,
+    draw_other_camera,
+    draw_sky_strips,
+    draw_strips,
+)
 from boresight.simulator.head_attitudes import HeadPlan, with_heads
-from boresight.simulator.sky_campaign import draw_sky_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 SECOND = Rotation.from_euler("xyz", [-35.0, 20.0, 110.0], degrees=True)

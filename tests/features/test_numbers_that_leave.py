@@ -31,8 +31,7 @@ from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.reliability import HypothesisTest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
-from boresight.features.exports.spice_attitude import instrument_kernel
-from boresight.features.exports.spice_frame import SpiceFrames
+from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
 from boresight.features.mission import joint_trend
 from boresight.features.targets.target_matches import StripLine, matches_table
@@ -528,7 +527,7 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "boresight/array_stars.py": lists_of_stars,
     "features/targets/target_matches.py": matches,
     "features/mission/joint_trend.py": trend,
-    "features/exports/spice_attitude.py": fields_of_view,
+    "features/exports/spice_export.py": fields_of_view,
     "features/interior/interior_files.py": interior,
     "pipeline/results/writing.py": installations,
 }
@@ -550,7 +549,7 @@ def test_every_number_that_leaves_is_the_one_computed_independently(module: str,
 # Modules that write JSON or CSV and have no case here: the tests that compare what they write.
 ELSEWHERE = {
     "features/exports/csm_isd.py": "features/exports/test_csm_isd.py",
-    "features/exports/gcp_geojson.py": "features/exports/test_ground_points.py",
+    "features/exports/ground_control_points.py": "features/exports/test_ground_points.py",
     "features/exports/operator_parameters.py": "features/exports/test_operator_parameters.py",
     "features/heads/head_files.py": "features/heads/test_noise_and_heads.py",
     "features/mission/archive.py": "features/mission/test_archive.py",

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_strips
-from boresight.simulator.sky_campaign import draw_sky_strips
+from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_sky_strips, draw_strips
 
 CAMERAS = CameraPair(Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True))
 EXACT = StripPlan(strips=2, targets=30, exposures=40, exposure_margin_s=0.2, sigma_s_px=1e-7, sigma_c_px=1e-7)

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from orbiting_camera import LINES, NOTES, strip
 
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_geojson import points_geojson
-from boresight.features.exports.gcp_texts import points_asp, points_envi, points_qgis
+from boresight.features.exports.ground_control_points import (
+    GroundPoints,
+    points_asp,
+    points_envi,
+    points_geojson,
+    points_qgis,
+)
 from boresight.geometry.constants import WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef

@@ -12,10 +12,9 @@ from orbiting_camera import NOTES
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.gcp_texts import points_asp, points_envi
+from boresight.features.exports.ground_control_points import GroundPoints, points_asp, points_envi
 from boresight.features.exports.kml import kml_text
-from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps
 from boresight.geometry.epoch import Epoch

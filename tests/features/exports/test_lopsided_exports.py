@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 from lopsided import PLACES
 
-from boresight.features.exports.exported_points import GroundPoints
+from boresight.features.exports.ground_control_points import GroundPoints
 from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.notes import Notes

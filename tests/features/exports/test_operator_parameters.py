@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports.operator_parameters import operator_parameters
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction, operator_parameters
 from boresight.geometry.epoch import Epoch
 
 EPOCH = Epoch.from_utc("2020-08-16T12:02:20")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from boresight.features.exports.quaternions import continuous_quaternions, instants_to_interpolate
-from boresight.features.exports.spice_attitude import on_ticks
+from boresight.features.exports.spice_export import on_ticks
 from boresight.geometry.attitude import AttitudeTrack, ConstantRate
 from boresight.geometry.epoch import Epoch
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction
 
 R_CS0 = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 ANGLES = np.array([[3.0e-4, -2.0e-4, 5.0e-4], [4.0e-6, 1.0e-6, -2.0e-6]])  # rad, rad/s

@@ -5,7 +5,7 @@ import pytest
 import spiceypy
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports.spice_frame import SpiceFrames, frame_kernel
+from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
 
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 

@@ -122,13 +122,12 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
     camera = small_camera()
     points = np.vstack([ccd.focal_plane(np.arange(WIDTH)) for ccd in camera.ccds])
     a, b = np.polyfit(points[:, 1], points[:, 0], 1)
-    ideal = virtual_camera(camera, 1e-5)
+    ideal, pitch = virtual_camera(camera), np.mean([ccd.pixel_m for ccd in camera.ccds])
     n = np.arange(ideal.n_px(0), dtype=float)
     on_line = ideal.ccds[0].focal_plane(n)
     assert np.abs(on_line[:, 0] - (a * on_line[:, 1] + b)).max() < 1e-12  # m
-    assert np.linalg.norm(np.diff(on_line, axis=0), axis=1) == pytest.approx(
-        np.full(len(n) - 1, 1e-5), abs=1e-15
-    )
+    steps = np.linalg.norm(np.diff(on_line, axis=0), axis=1)
+    assert steps == pytest.approx(np.full(len(n) - 1, pitch), abs=1e-15)
     assert on_line[0, 1] == pytest.approx(points[:, 1].min(), abs=1e-12)
     assert points[:, 1].max() - 1e-5 < on_line[-1, 1] <= points[:, 1].max()
     # an ideal pinhole: look directions are those of the line, without distortion

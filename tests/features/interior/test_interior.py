@@ -19,8 +19,7 @@ from boresight.features.interior.interior_estimate import (
 )
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
-from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_strips
-from boresight.simulator.sky_campaign import draw_sky_strips
+from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_sky_strips, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 NODES = np.linspace(0.0, 6143.0, 9)

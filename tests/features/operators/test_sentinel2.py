@@ -10,7 +10,7 @@ import pytest
 from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation, Slerp
 
-from boresight.features.exports.refining import fit_correction
+from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom, refined_camera
 from boresight.features.operators.sentinel2_import import sentinel2_mission

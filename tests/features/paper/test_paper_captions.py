@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from boresight.features.paper.paper_captions import CAPTIONS
+from boresight.features.paper.paper_page import CAPTIONS
 from boresight.features.paper.paper_tables import FIGURES_5_6_Z_ARCSEC, TABLE_4_RMS_ARCSEC, TABLE_5
 from boresight.features.paper.tables import EXPERIMENTS
 

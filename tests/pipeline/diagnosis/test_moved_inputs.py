@@ -22,8 +22,7 @@ from boresight.pipeline.diagnosis.moved_inputs import (
     _line_of_sight,
     _turned_by_velocity,
 )
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-from boresight.simulator.sky_campaign import draw_sky_strips
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)

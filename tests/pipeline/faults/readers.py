@@ -38,7 +38,7 @@ from boresight.features.planning import campaign_plan
 from boresight.features.planning.campaign_plan import read_plan
 from boresight.features.sky_images.centroid_report import _read_truth
 from boresight.features.sky_images.frame_facts import observers_of
-from boresight.features.sky_images.whereabouts import Whereabouts
+from boresight.features.sky_images.image_time import Whereabouts
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects

@@ -1,23 +1,45 @@
-"""Ground control points of one image as texts of other programs.
+"""Matched targets in raw images as ground control points of other programs.
 
 | format | image points count from | heights | rejected points |
 | --- | --- | --- | --- |
 | Ames Stereo Pipeline, .gcp | the centre of the first pixel, as ours | ellipsoidal | left out |
 | ENVI, .pts | (1, 1) at the outer corner of the first pixel | orthometric, EGM96 | left out |
 | QGIS, .points | (0, 0) at that corner, rows negative | none | `enable` 0 |
+| GeoJSON (RFC 7946) | the centre of the first pixel, in the properties | ellipsoidal | `used` false |
 """
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+
 import numpy as np
 from pyproj import CRS
 
-from boresight.features.exports.exported_points import GroundPoints
-from boresight.features.exports.notes import Notes
-from boresight.features.exports.one_line import one_line
+from boresight.features.exports.notes import Notes, one_line
 from boresight.geometry.geoid import Geoid
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
-__all__ = ["points_asp", "points_envi", "points_qgis"]
+__all__ = ["GroundPoints", "points_asp", "points_envi", "points_geojson", "points_qgis"]
+
+
+@record(kw_only=True)
+class GroundPoints:
+    """Targets in the raw image of one CCD of one strip. Row n of every array is the same target."""
+
+    strip_id: str = scalar("id of the strip")
+    ccd: int = scalar("index of the CCD")
+    image: str = scalar("file name of the raw image")
+    target_id: tuple[str, ...] = array("N", "ids of the targets")
+    lat_deg: Floats = array("N", "WGS84 latitude, degrees")
+    lon_deg: Floats = array("N", "longitude, degrees")
+    height_m: Floats = array("N", "height above the WGS84 ellipsoid, m")
+    xy_px: Floats = array("N, 2", "(sample, line); (0, 0) is the centre of the first pixel")
+    sigma_px: Floats = array("N, 2", "1-sigma of xy_px")
+    residual_px: Floats = array("N, 2", "measured minus computed with the result's matrix; NaN: not computed")
+    sigma_m: Floats = array("N, 3", "1-sigma of the target's coordinates east, north, up")
+    used: Bools = array("N", "False: rejected by the calibration")
+
 
 LEAST_SIGMA_M = 1e-3  # ASP divides by it
 # Coordinates that a program gives the centre of the first pixel, px; here it is 0.
@@ -71,3 +93,37 @@ def points_qgis(points: GroundPoints, notes: Notes) -> str:
         dx, dy = np.nan_to_num(points.residual_px[n]) * [1.0, -1.0]
         lines.append(f"{point},{int(points.used[n])},{dx:.4f},{dy:.4f},{np.hypot(dx, dy):.4f}")
     return "\n".join(lines) + "\n"
+
+
+def points_geojson(parts: Sequence[GroundPoints], notes: Notes) -> str:
+    """GeoJSON text: one feature collection of the targets of all `parts`."""
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {
+                "type": "Point",
+                "coordinates": [float(part.lon_deg[n]), float(part.lat_deg[n]), float(part.height_m[n])],
+            },
+            "properties": {
+                "target": part.target_id[n],
+                "strip": part.strip_id,
+                "ccd": int(part.ccd),
+                "image": part.image,
+                "sample": float(part.xy_px[n, 0]),
+                "line": float(part.xy_px[n, 1]),
+                "sigma_sample_px": float(part.sigma_px[n, 0]),
+                "sigma_line_px": float(part.sigma_px[n, 1]),
+                "residual_sample_px": _finite(part.residual_px[n, 0]),
+                "residual_line_px": _finite(part.residual_px[n, 1]),
+                "used": bool(part.used[n]),
+            },
+        }
+        for part in parts
+        for n in range(len(part.target_id))
+    ]
+    content = {"type": "FeatureCollection", "boresight": notes.items(), "features": features}
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
