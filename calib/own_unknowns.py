@@ -23,8 +23,7 @@ from boresight.geometry.record import Floats
 
 __all__ = ["condensed"]
 
-# What is left of a column below this share of the largest is rounding.
-NO_EFFECT = 1e-12
+NO_EFFECT = 1e-12  # what is left of a column below this share of the largest is rounding
 
 
 def condensed(group: StripGroup) -> StripGroup:

@@ -24,12 +24,10 @@ __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
 # Parts of the star camera's model whose errors are estimated, in the order of the columns.
 PARTS = ("focal length", "principal point, column", "principal point, row", "radial distortion")
-# One hundredth: the unit in which errors of focal length and distortion are stated.
-PERCENT = 1e-2
+PERCENT = 1e-2  # one hundredth: the unit in which errors of focal length and distortion are stated
 INFORMATIVE = 30.0  # chi-square by which a part of the model is taken to be wrong
 FARTHEST_RAD = 5e-3  # a star farther from its place is another one
-# Most rounds of fitting the camera's errors and rejecting outliers (set by hand).
-MOST_ROUNDS = 5
+MOST_ROUNDS = 5  # most rounds of fitting the camera's errors and rejecting outliers (set by hand)
 
 
 @record(kw_only=True)

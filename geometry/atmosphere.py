@@ -34,10 +34,8 @@ Array = NDArray[np.float64]
 
 _EARTH_RADIUS_M = 6_371_000.0  # mean; the curvature term is a thousandth of the whole
 _TOP_M = 84_852.0  # top of the 1976 layers used here
-# Lowest height of the table of the air, m: below the Dead Sea's shore.
-_LOWEST_M = -1_000.0
-# Step of that table, m; the air changes by 1/400 in it.
-_STEP_M = 20.0
+_LOWEST_M = -1_000.0  # lowest height of the table of the air, m: below the Dead Sea's shore
+_STEP_M = 20.0  # step of that table, m; the air changes by 1/400 in it
 _STEEPEST = np.cos(np.radians(80.0))  # beyond 80 deg the expansion fails
 
 

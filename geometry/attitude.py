@@ -36,8 +36,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Interpolation = Literal["lagrange", "taylor"]  # names of the ways between attitudes; see `AttitudeTrack`
-# Attitudes around an instant that the operator's interpolation of Sentinel-2 takes.
-_TAYLOR_POINTS = 8
+_TAYLOR_POINTS = 8  # attitudes around an instant that the operator's interpolation of Sentinel-2 takes
 _NEAR = 0.1  # of the mean step: exposures nearer to one another give no slope
 
 

@@ -28,8 +28,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-# 1972-01-01, MJD: before it UTC had no leap seconds, and the table is not used.
-_MJD_1972 = 41317.0
+_MJD_1972 = 41317.0  # 1972-01-01, MJD: before it UTC had no leap seconds, and the table is not used
 _EQUATOR_SPEED = 465.1  # m/s on the equator: displacement per second of UT1
 # Metres on the ground by a rotation of the Earth of one arc-second, for its mean radius of 6371 km.
 _METRES_PER_ARCSEC = 6_371_000.0 * ARCSEC

@@ -30,21 +30,15 @@ Array = NDArray[np.float64]
 TT_MINUS_TAI_S = 32.184  # s, IAU 1991 Recommendation IV
 GPS_MINUS_TAI_S = -19  # s, IS-GPS-200: GPS time met UTC on 1980-01-06
 J2000_JD = 2451545.0  # 2000-01-01T12:00:00, the origin of `Epoch.tai_s`
-# Julian date of MJD 0.
-MJD_ZERO_JD = 2400000.5
+MJD_ZERO_JD = 2400000.5  # Julian date of MJD 0
 MJD_OF_ORIGIN = 51544  # the day whose noon is the origin
-# Seconds of a day without leap second.
-_DAY = 86_400
-# Seconds from midnight to noon: days of UTC begin at midnight, `tai_s` counts from noon.
-_NOON = 43_200
-# Origin of `Epoch.tai_s` as a calendar date.
-_NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)
-# 1972-01-01, MJD: the first day of UTC with whole leap seconds.
-_MJD_1972 = 41317
+_DAY = 86_400  # seconds of a day without leap second
+_NOON = 43_200  # seconds from midnight to noon: days of UTC begin at midnight, `tai_s` counts from noon
+_NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)  # origin of `Epoch.tai_s` as a calendar date
+_MJD_1972 = 41317  # 1972-01-01, MJD: the first day of UTC with whole leap seconds
 # Regular expression of a UTC date with or without time, ISO 8601, to 1e-18 s.
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
-# Length of the text of a time to the minute, colon included.
-_MINUTE = len("2024-06-30T23:59:")
+_MINUTE = len("2024-06-30T23:59:")  # length of the text of a time to the minute, colon included
 # after the minute; a leap second is looked at with its minute
 _SECONDS = re.compile(r"([0-5]\d)(?:\.(\d{1,18}))?Z?", re.A)
 # Day 0 of MJD, 1858-11-17, in Python's count of days.

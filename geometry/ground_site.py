@@ -19,8 +19,7 @@ __all__ = ["Air", "GroundSite", "SiteState", "refract_by_air"]
 
 Array = NDArray[np.float64]
 
-# Wavelength for refraction, µm: the middle of visible light.
-_WAVELENGTH_UM = 0.55
+_WAVELENGTH_UM = 0.55  # wavelength for refraction, µm: the middle of visible light
 _LOWEST_COSINE = 0.05  # of the zenith distance: 3 degrees above the horizon, where the formula's use ends
 
 

@@ -58,8 +58,7 @@ _MARGIN_ROWS = 256.0  # error of a predicted line that the table still covers
 _FEW = 16  # points found by a scan, from which the lines of the others are predicted
 _SCAN = 65  # lines of the scan
 _MIN_STEP_PX = 1e-2  # a slope from a shorter step would be noise
-# Step, px, at which that line has converged: far below any measurement.
-_CONVERGED_PX = 1e-7
+_CONVERGED_PX = 1e-7  # step, px, at which that line has converged: far below any measurement
 _CURVATURE_M = 2e-5  # curvature of a light path that its tangent may neglect
 _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height difference d is this times d^2
 _CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km

@@ -59,8 +59,7 @@ else:
 
 Record = TypeVar("Record")
 T = TypeVar("T")
-# Beyond it a number of a record is no measurement: products of two overflow.
-LARGEST_NUMBER = 1e300
+LARGEST_NUMBER = 1e300  # beyond it a number of a record is no measurement: products of two overflow
 Dimension = tuple[str, int]  # a shared length plus a number; "" is the length 0
 # Regular expression of one dimension of a shape: a number, or a capital letter plus or minus a number.
 _DIMENSION = re.compile(r"(\d+)|([A-Z])(?:\s*([+-])\s*(\d+))?")

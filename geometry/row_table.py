@@ -22,10 +22,8 @@ __all__ = ["RowTable", "tabulated"]
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Lines between the nodes of the first table; halved where interpolation errs.
-_FIRST_STEP = 64.0
-# Least distance of nodes, lines; a function rougher than that is evaluated itself.
-_LAST_STEP = 1.0
+_FIRST_STEP = 64.0  # lines between the nodes of the first table; halved where interpolation errs
+_LAST_STEP = 1.0  # least distance of nodes, lines; a function rougher than that is evaluated itself
 _RUN = 4  # mean number of successive equal lines from which each is looked up only once
 _ROUGH_SHARE = 0.005  # share of cells in which the function itself may be evaluated
 

@@ -16,8 +16,7 @@ from boresight.geometry.record import Floats, array, record, scalar
 __all__ = ["SmoothDistortion", "legendre_terms", "term_orders"]
 
 _BEYOND = 1.2  # times half the longer side: farther out the displacement stays what it is there
-# Step, px, at which the inverse has converged: the rounding of doubles at 1e5 px.
-_EXACT_PX = 1e-11
+_EXACT_PX = 1e-11  # step, px, at which the inverse has converged: the rounding of doubles at 1e5 px
 
 
 @record

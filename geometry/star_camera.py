@@ -37,8 +37,7 @@ _EXACT_MM = 2e-13
 # Cosine of the angle from the axis, 89 degrees, up to which pixels and stars of a fisheye are used: at 90 a
 # direction has no place in the tangent plane.
 LEAST_FORWARD = math.cos(math.radians(89.0))
-# Error, px, of the directions at which pixels are derived.
-_SLOPES_ERROR_PX = 1e-5
+_SLOPES_ERROR_PX = 1e-5  # error, px, of the directions at which pixels are derived
 _SQUARE = 1e-3  # difference of the focal lengths along columns and rows of an OpenCV camera, at most
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
 

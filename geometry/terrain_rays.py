@@ -36,11 +36,9 @@ _TILE = 8  # pixels a side of the finest tiles
 _GROWTH = 4  # tile size from level to level
 _BAND = 64 * _TILE  # rows per block in `bounds_of_heights`
 _MARGIN_M = 1e-4  # added to the bounds of tiles
-# Step along a ray, m, at which its point on the ground has converged.
-_CONVERGED_M = 1e-7
+_CONVERGED_M = 1e-7  # step along a ray, m, at which its point on the ground has converged
 _FEWER = 0.9  # of the rays: to take the others out costs less than to refine them once more
-# Most steps of Newton's method before the rays left are enclosed instead (set by hand).
-_NEWTON_STEPS = 8
+_NEWTON_STEPS = 8  # most steps of Newton's method before the rays left are enclosed instead (set by hand)
 _FEW_LEFT = 0.5  # of the rays of Newton's method, likewise
 _UNKNOWN_RISE_M = 1e9  # at pixels without data and outside the grid
 _SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at the end
