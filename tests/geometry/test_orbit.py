@@ -39,19 +39,10 @@ def in_axes_e(t_s):
     return p_e, np.einsum("nij,nj->ni", R_ei, v) - np.cross(TurningEarth.omega_e, p_e)
 
 
-def orbit(t_s, degree=7, frame="GCRF", method="lagrange", velocities=True, **more):
-    p, v = state(t_s) if frame == "GCRF" else in_axes_e(t_s)
-    return Orbit(
-        epoch=EPOCH,
-        t_s=t_s,
-        positions_m=p,
-        velocities_m_s=v if velocities else None,
-        frame=frame,
-        degree=degree,
-        earth=TurningEarth(),
-        method=method,
-        **more,
-    )
+def orbit(t_s, degree=7, frame="GCRF", method="lagrange", states=None, **more):
+    p, v = states or (state(t_s) if frame == "GCRF" else in_axes_e(t_s))
+    given = {"t_s": t_s, "positions_m": p, "velocities_m_s": v, "frame": frame, "degree": degree}
+    return Orbit(epoch=EPOCH, earth=TurningEarth(), method=method, **given | more)
 
 
 SECONDS = np.arange(0.0, 61.0)
@@ -75,7 +66,7 @@ def test_states_at_1_hz_are_those_of_the_true_orbit(frame, method, degree):
 
 
 def test_velocity_without_velocities_is_the_slope_of_the_positions():
-    ephemeris = orbit(SECONDS, velocities=False)
+    ephemeris = orbit(SECONDS, velocities_m_s=None)
     assert np.abs(ephemeris.velocities_i(BETWEEN) - state(BETWEEN)[1]).max() < 1e-6  # m/s
 
 
@@ -88,16 +79,7 @@ def test_the_degree_asked_for_is_the_degree_used(method, step_s, degree):
     for power, exact in ((degree, True), (degree + 1, False)):
         p = np.outer(1e6 * x(t) ** power, [1.0, -2.0, 0.5])
         v = np.outer(1e6 * power * x(t) ** (power - 1) / 300.0, [1.0, -2.0, 0.5])
-        ephemeris = Orbit(
-            epoch=EPOCH,
-            t_s=t,
-            positions_m=p,
-            velocities_m_s=v,
-            frame="GCRF",
-            degree=degree,
-            earth=TurningEarth(),
-            method=method,
-        )
+        ephemeris = orbit(t, degree, method=method, states=(p, v))
         error = np.abs(ephemeris.positions_i(at) - np.outer(1e6 * x(at) ** power, [1.0, -2.0, 0.5])).max()
         assert (error < 1e-6) == exact
 
@@ -123,16 +105,7 @@ def test_a_gap_is_refused_and_never_reached_across(method):
     assert np.abs(ephemeris.positions_i(at) - state(at)[0]).max() < 1e-6
     poisoned = state(kept)[0]
     poisoned[kept > 26.0] += 1e6  # what stands beyond the gap must not matter here
-    beyond = Orbit(
-        epoch=EPOCH,
-        t_s=kept,
-        positions_m=poisoned,
-        velocities_m_s=state(kept)[1],
-        frame="GCRF",
-        degree=7,
-        earth=TurningEarth(),
-        method=method,
-    )
+    beyond = orbit(kept, method=method, states=(poisoned, state(kept)[1]))
     assert np.abs(beyond.positions_i(at[:2]) - state(at[:2])[0]).max() < 1e-6
 
 
@@ -157,17 +130,9 @@ def test_nonsense_is_refused():
     with pytest.raises(ValueError, match="frame"):
         replace(orbit(SECONDS), frame="TEME")
     with pytest.raises(ValueError, match="velocities"):
-        orbit(SECONDS, method="hermite", velocities=False)
+        orbit(SECONDS, method="hermite", velocities_m_s=None)
     with pytest.raises(ValueError, match="shape"):
-        Orbit(
-            epoch=EPOCH,
-            t_s=SECONDS,
-            positions_m=state(SECONDS)[0][:5],
-            velocities_m_s=None,
-            frame="GCRF",
-            degree=7,
-            earth=TurningEarth(),
-        )
+        orbit(SECONDS, positions_m=state(SECONDS)[0][:5])
 
 
 def test_the_orbital_frame_has_z_down_y_against_the_normal_and_x_along():
