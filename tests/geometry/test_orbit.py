@@ -155,28 +155,3 @@ def test_the_argument_of_latitude_counts_from_the_ascending_node():
 def test_an_orbit_in_the_equator_counts_from_the_x_axis():
     p, v = np.array([[0.0, 7e6, 0.0]]), np.array([[-7.5e3, 0.0, 0.0]])
     np.testing.assert_allclose(argument_of_latitude(p, v), [np.pi / 2], atol=1e-12)
-
-
-def parabola_through(nodes: Orbit, t_start_s: float, t_stop_s: float, t_s: np.ndarray) -> np.ndarray:
-    """Positions at `t_s` by a least-squares parabola through nodes of an interval (paper, section 3.2)."""
-    used = (nodes.t_s >= t_start_s) & (nodes.t_s <= t_stop_s)
-    middle = 0.5 * (t_start_s + t_stop_s)
-    coefficients = np.polyfit(nodes.t_s[used] - middle, nodes.positions_m[used], 2)
-    return np.array([np.polyval(one, t_s - middle) for one in coefficients.T]).T
-
-
-@pytest.mark.parametrize(("length_s", "bound_m"), [(2.0, 4.0e-4), (4.0, 3.1e-3), (10.0, 4.8e-2)])
-def test_a_parabola_departs_by_the_third_derivative(length_s, bound_m):
-    # The best parabola over T misses r n^3 T^3 / 192; least squares over nodes at 1 Hz at most 1.6 times as
-    # much.
-    at = np.linspace(20.0, 20.0 + length_s, 100)
-    parabola = parabola_through(orbit(SECONDS), 20.0, 20.0 + length_s, at)
-    departure = np.linalg.norm(parabola - state(at)[0], axis=1).max()
-    assert 0.5 * bound_m < departure < 1.6 * bound_m
-
-
-def test_paper_section_3_2_parabola_and_lagrange_of_degree_8_do_not_differ_over_a_strip():
-    # Over the 1.8 s of a strip: 1 mm, against the receiver's 2 m.
-    t = np.linspace(30.1, 31.9, 50)
-    parabola = parabola_through(orbit(SECONDS), 30.0, 32.0, t)
-    assert np.abs(parabola - orbit(SECONDS, 8).positions_i(t)).max() < 1e-3

@@ -117,14 +117,6 @@ def test_the_course_with_a_walk_is_the_dense_gaussian_posterior():
         assert_allclose(own[k], block, atol=1e-4 * ARCSEC**2)
 
 
-def test_a_walk_of_density_nothing_is_the_merged_matrix():
-    series = drawn(np.zeros((12, 3)), np.random.default_rng(7))
-    merged = fit_columns(series, np.ones((12, 1)))
-    near = fit_columns(series, np.ones((12, 1)), 1e-10 * ARCSEC**2 / DAY_S)
-    assert_allclose(near.coefficients[0], merged.coefficients[0], atol=1e-4 * ARCSEC)
-    assert_allclose(near.covariance[:3, :3], merged.covariance, rtol=1e-4)
-
-
 def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
     rng = np.random.default_rng(31)
     series = drawn(rng.normal(size=(12, 3)) * ARCSEC, rng)
@@ -212,14 +204,6 @@ def test_months_merge_to_the_calibration_of_all_their_strips(strips):
     # 3e-4 of the covariance here.
     assert np.all(np.abs(theta_between(R_cs, whole.R_cs)) < 1e-3 * whole.sigma_theta)
     assert_allclose(merged.covariance, whole.cov_theta, rtol=0, atol=2e-3 * np.diag(whole.cov_theta).min())
-
-
-def test_averaging_months_as_independent_makes_the_covariance_too_small(strips):
-    shared = against_rest(series_of(in_months(strips))[0]).rest.covariance
-    averaged = against_rest(series_taken_as_independent(in_months(strips))).rest.covariance
-    assert np.linalg.eigvalsh(shared - averaged)[0] > -1e-3 * np.linalg.eigvalsh(averaged)[0]
-    # The rotation about Z depends on the distortion: 24 strips are near its floor; months do not lower it.
-    assert shared[2, 2] > 2.0 * averaged[2, 2]
 
 
 def remounted(strips, R_before, R_after):
