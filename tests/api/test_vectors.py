@@ -96,7 +96,7 @@ def with_nan(v: np.ndarray) -> np.ndarray:
         ("u_s", lambda v: v[:, :2], r"u_s: found shape \(20, 2\), expected \(N, 3\)"),
         ("u_s", lambda v: "stars", "u_s: found 'stars', expected vectors"),
         ("u_s", lambda v: np.ma.masked_greater(v, 0.5), r"u_s.*: found an array with masked values"),
-        ("u_s", lambda v: 1j * v, "u_s of frame 0: found an array of shape .* and type complex128"),
+        ("u_s", lambda v: 1j * v, "u_s: found an array of shape .* and type complex128"),
         ("w_c", lambda v: [*v.tolist()[:-1], ["a", "b", "c"]], r"w_c.*expected numbers of shape \(N, 3\)"),
         ("u_s", lambda v: np.vstack([v[:-1], v[:1]]), "u_s, rows 0 and 19 of frame 0: found .*equal vectors"),
         ("R_cs0", lambda R: R.as_matrix() * 1.1, "R_cs0: found .*off the identity"),
