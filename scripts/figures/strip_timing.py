@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from style import Ink, draw
 
-from boresight.geometry.attitude import lagrange_weights
+from boresight.geometry.attitude import interpolation_weights
 
 EXPOSURES_S = np.arange(-0.6, 2.61, 0.2)  # mid-exposure instants; the strip begins at 0
 STRIP_S = 1.82  # 26 000 rows of 0.07 ms
@@ -29,7 +29,7 @@ def paint(ink: Ink) -> Figure:
     time.set_yticks([])
     near = np.argsort(np.abs(EXPOSURES_S - TARGET_S))[:4]
     nodes = np.sort(EXPOSURES_S[near])
-    (weights,) = lagrange_weights(nodes, np.array([TARGET_S]))
+    (weights,) = interpolation_weights(nodes, np.array([TARGET_S]))
     weight.axhline(0.0, color=ink.faint, lw=0.8)
     weight.bar(nodes, weights, width=0.035, color=ink.star)
     for t, w in zip(nodes, weights):

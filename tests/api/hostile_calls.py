@@ -61,24 +61,9 @@ VALUES: list[Any] = [
     *(bs.StarSettings(), bs.MatchSettings(), bs.RawDataError("a", "b", "c", "d")),
 ]
 PLAUSIBLE: list[Any] = [
-    *(
-        1,
-        0.5,
-        20.0,
-        64.0,
-        1e-6,
-        (48.1, 11.6, 500.0),
-        (3.0, 4.0),
-        "json",
-        "2026-01-01T00:00:00",
-        [0.1, 0.2, 0.3],
-    ),
-    *(
-        datetime.datetime(2026, 1, 1),
-        Time("2026-01-01"),
-        Rotation.identity(),
-        np.array([[1.0, 2.0], [3.0, 4.0]]),
-    ),
+    *(1, 0.5, 20.0, 64.0, 1e-6, (48.1, 11.6, 500.0), (3.0, 4.0), "json", "2026-01-01T00:00:00"),
+    *([0.1, 0.2, 0.3], datetime.datetime(2026, 1, 1), Time("2026-01-01")),
+    *(Rotation.identity(), np.array([[1.0, 2.0], [3.0, 4.0]])),
     *(np.full((64, 64), 7, np.uint16), np.full((64, 64), 255, np.uint8), np.eye(64), np.full((64, 64), 1e15)),
     *(np.random.default_rng(3).normal(100.0, 5.0, (64, 64)), np.random.default_rng(4).random((64, 64))),
     *(np.random.default_rng(5).integers(0, 4096, (64, 64)), np.ones((20, 3)), np.linspace(0.0, 1.0, 20)),

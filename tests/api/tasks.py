@@ -127,9 +127,8 @@ def identify_with_a_datetime(given: Given) -> None:
 
 def identify_with_an_astropy_time_and_a_site(given: Given) -> None:
     when = Time("2024-11-20T03:40:01.6", scale="utc")
-    assert (
-        bs.identify(given.stars, camera=given.solution.camera, time=when, site=(48.1, 11.6, 500)) is not None
-    )
+    solution = bs.identify(given.stars, camera=given.solution.camera, time=when, site=(48.1, 11.6, 500))
+    assert solution is not None
 
 
 def learn_why_an_image_is_not_identified(given: Given) -> None:
@@ -226,7 +225,7 @@ def latitude_and_longitude_of_pixels(given: Given) -> None:
 
 
 def compare_with_a_simulated_truth(given: Given) -> None:
-    found = bs.validate(bs.calibrate(given.mini), given.mini)
+    found = bs.validate(bs.calibrate(given.mini, strips=["s01"]), given.mini)
     assert found.nees < 16.3 and len(repr(found).splitlines()) <= 25
 
 
@@ -256,37 +255,8 @@ def calibrate_arrays_in_memory(given: Given) -> None:
     np.testing.assert_allclose(found.cov_theta, given.result.cov_theta, rtol=1e-6)
 
 
-TASKS = [
-    find_stars_in_a_file,
-    know_how_good_each_centroid_is,
-    know_which_detections_are_no_stars,
-    identify_an_image_with_its_field_of_view,
-    identify_a_colour_image,
-    identify_with_a_datetime,
-    identify_with_an_astropy_time_and_a_site,
-    learn_why_an_image_is_not_identified,
-    right_ascension_and_declination_of_a_pixel,
-    world_coordinates_for_other_software,
-    table_of_identified_stars_with_coordinates,
-    calibrate_a_star_camera,
-    find_a_template_in_a_picture,
-    measure_the_targets_of_a_strip,
-    look_into_a_dump,
-    calibrate_a_dump_into_a_folder,
-    use_some_strips_only,
-    read_the_verdict_and_its_checks,
-    know_what_the_data_cannot_show,
-    residuals_of_targets_and_stars,
-    list_what_was_not_used,
-    write_the_report,
-    export_to_spice,
-    latitude_and_longitude_of_pixels,
-    compare_with_a_simulated_truth,
-    calibrate_vectors_with_a_matrix,
-    forecast_a_campaign_from_values,
-    calibrate_several_dumps_jointly,
-    calibrate_arrays_in_memory,
-]
+# All functions above of what is given alone, in their order.
+TASKS = [one for one in list(globals().values()) if getattr(one, "__annotations__", {}).get("given") is Given]
 
 
 def main() -> None:

@@ -1,6 +1,5 @@
 """Further tasks of people who know names and docstrings alone, with values given by mistake."""
 
-import shutil
 import warnings
 from pathlib import Path
 
@@ -95,31 +94,7 @@ def test_a_file_in_place_of_a_folder_is_said() -> None:
         bs.calibrate(MINI, settings={"run": {"rounds": 1}})  # type: ignore[arg-type]
 
 
-def test_a_result_is_validated_against_its_own_dump_alone(tmp_path: Path) -> None:
-    copy = Path(shutil.copytree(MINI, tmp_path / "copy"))
-    for name, rows in (("strips.csv", 4), ("exposures.csv", 14), ("targets.csv", 12)):
-        lines = (copy / name).read_text().splitlines(keepends=True)
-        (copy / name).write_text("".join(lines[: rows + 1]))
-    in_memory, on_disk = bs.calibrate(copy), bs.calibrate(copy, out=tmp_path / "result")
-    for result in (in_memory, on_disk, tmp_path / "result"):
-        assert bs.validate(result, copy).nees > 0.0
-        with pytest.raises(bs.RawDataError, match="another dump"):
-            bs.validate(result, MINI)
-
-
 def test_masked_pixels_of_a_floating_chip_are_no_numbers() -> None:
     chip = np.ma.masked_less(np.linspace(0.0, 1.0, 12).reshape(3, 4), 0.5)
     given = pixels_of(lambda: chip, "targets, row 0, chip", "grey values")
     assert np.array_equal(np.isnan(given), np.ma.getmaskarray(chip))
-
-
-def test_masked_numbers_are_refused() -> None:
-    hidden = np.ma.masked_greater(np.eye(3), 0.5)
-    with pytest.raises(ValueError, match=r"u_s.*: found an array with masked values"):
-        bs.calibrate_vectors([hidden], [np.eye(3)], 1e-5, [np.eye(3)], [np.eye(3)], 1e-5, np.eye(3))
-
-
-@pytest.mark.filterwarnings("error")
-def test_complex_vectors_are_refused_without_a_warning() -> None:
-    with pytest.raises(ValueError, match=r"u_s of frame 0: found an array of shape .* and type complex128"):
-        bs.calibrate_vectors([1j * np.eye(3)], [np.eye(3)], 1e-5, [np.eye(3)], [np.eye(3)], 1e-5, np.eye(3))

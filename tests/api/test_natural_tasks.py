@@ -26,7 +26,6 @@ import boresight as bs
 
 ARCSEC = np.pi / 648000.0
 NEES_LIMIT = 21.1  # chi-square, 3 degrees of freedom, 1 in 10 000
-TASKS: list[Callable[[At], None]] = []
 
 
 class At(NamedTuple):
@@ -52,11 +51,6 @@ class Labelled:
 
     def __iter__(self) -> object:
         return iter(self.values)
-
-
-def task(function: Callable[[At], None]) -> Callable[[At], None]:
-    TASKS.append(function)
-    return function
 
 
 def same(a: bs.Calibration, b: bs.Calibration, rad: float = 1e-13) -> bool:
@@ -96,21 +90,18 @@ def at(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
     return At(given, result, calibrated, finished[0], orbit, tmp_path_factory.mktemp("tasks"))
 
 
-@task
 def frames_of_unequal_length_with_one_sigma_a_vector(at: At) -> None:
     sizes = (5, 9, 14, 20)
     cut = [[part[k][:n] for k, n in enumerate(sizes)] for part in (at.given.u_s, at.given.v_stars)]
     assert right(bs.calibrate_vectors(*cut, [np.full(n, SIGMA_S) for n in sizes], *at.given[3:]))
 
 
-@task
 def frames_of_unequal_length_as_nested_lists(at: At) -> None:
     cut = [[part[k][: 10 + k].tolist() for k in range(4)] for part in (at.given.u_s, at.given.v_stars)]
     sigmas = [[SIGMA_S] * (10 + k) for k in range(4)]
     assert right(bs.calibrate_vectors(*cut, sigmas, *at.given[3:]))
 
 
-@task
 def a_covariance_that_is_wider_along_one_axis_widens_that_axis(at: At) -> None:
     wide = [np.broadcast_to(SIGMA_C**2 * np.diag([100.0, 1.0, 1.0]), (20, 3, 3)) for _ in range(4)]
     found = bs.calibrate_vectors(*at.given._replace(sigma_c=wide))
@@ -118,7 +109,6 @@ def a_covariance_that_is_wider_along_one_axis_widens_that_axis(at: At) -> None:
     assert ratio[1] > 1.05 > 1.02 > ratio[0]  # what lies along x shows a rotation about y
 
 
-@task
 def a_prior_that_is_wide_changes_nothing_and_a_tight_one_holds(at: At) -> None:
     wide = bs.calibrate_vectors(*at.given, sigma_R_cs0_rad=1.0)
     assert same(wide, at.result, rad=1e-9)
@@ -126,21 +116,18 @@ def a_prior_that_is_wide_changes_nothing_and_a_tight_one_holds(at: At) -> None:
     assert (tight.sigma_arcsec <= 0.1).all() and right(tight)
 
 
-@task
 def a_prior_as_a_covariance_in_degrees(at: At) -> None:
     cov = (np.eye(3) * 0.02**2) * u.deg**2
     by_sigma = bs.calibrate_vectors(*at.given, sigma_R_cs0_rad=0.02 * u.deg)
     assert same(bs.calibrate_vectors(*at.given, sigma_R_cs0_rad=cov), by_sigma, rad=1e-12)
 
 
-@task
 def a_fixed_axis_stays_where_it_is_and_the_others_are_free(at: At) -> None:
     found = bs.calibrate_vectors(*at.given._replace(R_cs0=R_TRUE), sigma_R_cs0_rad=[np.inf, np.inf, 0.0])
     assert abs(found.theta[2]) < 1e-8 and found.sigma_arcsec[2] < 1e-3
     assert found.sigma_arcsec[0] > 0.05 and right(found)
 
 
-@task
 def one_target_and_a_prior(at: At) -> None:
     one = one_frame(at.given)
     few = one._replace(w_c=one.w_c[:1], v_targets=one.v_targets[:1], R_cs0=R_TRUE)
@@ -148,19 +135,16 @@ def one_target_and_a_prior(at: At) -> None:
     assert found.verdict == "not checkable" and found.sigma_arcsec[2] == pytest.approx(100.0, rel=0.01)
 
 
-@task
 def a_prior_that_the_vectors_contradict_refutes(at: At) -> None:
     off = Rotation.from_rotvec([0.0, 0.0, 1e-3]) * R_TRUE
     assert bs.calibrate_vectors(*at.given._replace(R_cs0=off), sigma_R_cs0_rad=1e-5).verdict == "refuted"
 
 
-@task
 def targets_as_places_with_an_orbit(at: At) -> None:
     found = calibrated_places(at, [places_below(at.orbit, n) for n in (50, 60)])
     assert right(found) and len(found.targets) == 24
 
 
-@task
 def targets_as_places_with_astropy_times_and_units(at: At) -> None:
     table = places_below(at.orbit, 60)
     rows = [
@@ -170,7 +154,6 @@ def targets_as_places_with_astropy_times_and_units(at: At) -> None:
     assert same(calibrated_places(at, [table], given=[rows]), calibrated_places(at, [table]))
 
 
-@task
 def errors_of_places_that_several_frames_list_count_once(at: At) -> None:
     tables = [places_below(at.orbit, 60).assign(time=str(at.orbit["time"][n])) for n in (59, 60, 61)]
     exact = calibrated_places(at, tables)
@@ -180,7 +163,6 @@ def errors_of_places_that_several_frames_list_count_once(at: At) -> None:
     assert once.sigma_arcsec[2] > 1.2 * each.sigma_arcsec[2] > exact.sigma_arcsec[2]
 
 
-@task
 def heights_above_the_geoid(at: At) -> None:
     table = places_below(at.orbit, 60)
     below = calibrated_places(at, [table], given=[table.assign(height_kind="egm96")])
@@ -188,13 +170,11 @@ def heights_above_the_geoid(at: At) -> None:
     assert 1e-8 < off < 2e-5  # rad: some 30 m between geoid and ellipsoid, from 500 km, near the nadir
 
 
-@task
 def places_without_an_orbit_are_refused_by_name(at: At) -> None:
     with pytest.raises(ValueError, match="orbit: found None, expected states of the satellite"):
         bs.calibrate_vectors(*at.given._replace(v_targets=[places_below(at.orbit, 60)] * 4))
 
 
-@task
 def parts_of_one_instant_are_one_frame(at: At) -> None:
     times = pd.date_range("2026-03-01", periods=4, freq="min")
     assert same(bs.calibrate_vectors(*at.given, instants=times), at.result)
@@ -205,21 +185,18 @@ def parts_of_one_instant_are_one_frame(at: At) -> None:
     assert same(cut, bs.calibrate_vectors(*one), rad=1e-12)
 
 
-@task
 def a_frame_that_clouds_hide(at: At) -> None:
     w_c, v_targets = [*at.given.w_c[:3], []], [*at.given.v_targets[:3], np.zeros((0, 3))]
     found = bs.calibrate_vectors(*at.given._replace(w_c=w_c, v_targets=v_targets))
     assert right(found) and found.not_used[["name", "reason"]].values.tolist() == [["3", "has no targets"]]
 
 
-@task
 def a_frame_without_stars(at: At) -> None:
     u_s, v_stars = [*at.given.u_s[:3], []], [*at.given.v_stars[:3], []]
     found = bs.calibrate_vectors(*at.given._replace(u_s=u_s, v_stars=v_stars))
     assert right(found) and set(found.not_used["name"]) == {"3"}
 
 
-@task
 def know_which_vectors_were_rejected(at: At) -> None:
     rng = np.random.default_rng(77)
     given = drawn_vectors(rng, frames=3, stars=2, targets=2)
@@ -235,14 +212,12 @@ def know_which_vectors_were_rejected(at: At) -> None:
     assert "that the other targets predict" in text
 
 
-@task
 def join_residuals_with_own_tables(at: At) -> None:
     own = pd.DataFrame({"frame": np.repeat(range(4), 20), "target": np.tile(range(20), 4)})
     joined = own.merge(at.result.residuals(), on=["frame", "target"])
     assert len(joined) == 80 and np.isfinite(joined["residual_x_arcsec"]).all()
 
 
-@task
 def save_and_read_back(at: At) -> None:
     again = bs.read_result(at.result.save(at.out / "saved"))
     assert np.array_equal(again.theta, at.result.theta) and np.array_equal(
@@ -254,7 +229,6 @@ def save_and_read_back(at: At) -> None:
     pd.testing.assert_frame_equal(again.residuals("stars"), at.result.residuals("stars"))
 
 
-@task
 def save_over_something_is_refused(at: At) -> None:
     (at.out / "full").mkdir()
     (at.out / "full" / "mine.txt").write_text("mine")
@@ -262,7 +236,6 @@ def save_over_something_is_refused(at: At) -> None:
         at.result.save(at.out / "full")
 
 
-@task
 def a_page_to_hand_on(at: At) -> None:
     page = at.result.report(at.out / "vectors.html").read_text()
     assert page.rstrip().endswith("</html>") and "<svg" in page and "consistent" in page
@@ -270,7 +243,6 @@ def a_page_to_hand_on(at: At) -> None:
     plt.close("all")
 
 
-@task
 def export_to_spice(at: At) -> None:
     (file,) = at.result.export("spice", at.out / "kernels")
     assert "FRAME" in file.read_text()
@@ -278,7 +250,6 @@ def export_to_spice(at: At) -> None:
         at.result.export("rpc", at.out / "kernels")
 
 
-@task
 def compare_two_results_from_vectors(at: At) -> None:
     other = bs.calibrate_vectors(*drawn_vectors(np.random.default_rng(32), frames=4))
     assert not bs.compare(at.result, other).differs
@@ -288,18 +259,15 @@ def compare_two_results_from_vectors(at: At) -> None:
     assert bs.compare(at.result, bs.calibrate_vectors(*far)).differs
 
 
-@task
 def a_result_without_strips_says_so(at: At) -> None:
     with pytest.raises(ValueError, match="from vectors"):
         at.result.geolocate("s01", 0, 1.0, 2.0)
 
 
-@task
 def the_folder_of_a_result(at: At) -> None:
     assert {"installation.json", "sightings"} <= set(os.listdir(os.fspath(at.result)))
 
 
-@task
 def progress_is_told(at: At) -> None:
     told: list[tuple[str, int, int]] = []
     bs.calibrate_vectors(*one_frame(at.given), progress=lambda *step: told.append(step))
@@ -308,28 +276,24 @@ def progress_is_told(at: At) -> None:
         bs.calibrate_vectors(*at.given, progress=3)  # type: ignore[arg-type]
 
 
-@task
 def what_vectors_cannot_show_is_named(at: At) -> None:
     for found in (at.result, bs.calibrate_vectors(*one_frame(at.given))):
         unseen = found.blind_spots.query("is_unseen")["cause"]
         assert {f"attitude and aberration of all frames, about {axis} of c" for axis in "xyz"} <= set(unseen)
 
 
-@task
 def results_in_other_processes(at: At) -> None:
     again = pickle.loads(pickle.dumps(at.result))
     assert same(again, at.result) and Path(again).is_dir()
     assert same(copy.deepcopy(at.result), at.result)
 
 
-@task
 def the_same_bits_again_and_in_any_order_of_frames(at: At) -> None:
     assert np.array_equal(bs.calibrate_vectors(*at.given).theta, at.result.theta)
     back = [part[::-1] if isinstance(part, list) else part for part in at.given]
     assert same(bs.calibrate_vectors(*back), at.result)
 
 
-@task
 def numbers_for_a_paper(at: At) -> None:
     table = at.result.table()
     assert table["sigma_arcsec"].to_numpy() == pytest.approx(at.result.sigma_arcsec)
@@ -337,33 +301,28 @@ def numbers_for_a_paper(at: At) -> None:
     assert at.result.R_cs.as_quat().shape == (4,)
 
 
-@task
 def more_weight_by_leaving_a_frame_out(at: At) -> None:
     less = bs.what_if(at.result, {"0": np.inf})
     rest = bs.calibrate_vectors(*(part[1:] if isinstance(part, list) else part for part in at.given))
     assert np.allclose(np.sqrt(np.diag(less.covariance)) / ARCSEC, rest.sigma_arcsec, rtol=1e-3)
 
 
-@task
 def a_result_of_a_dump_saved_elsewhere(at: At) -> None:
     again = bs.read_result(at.calibrated.save(at.out / "elsewhere"))
     assert np.array_equal(again.theta, at.calibrated.theta)
 
 
-@task
 def progress_of_a_dump(at: At) -> None:
     with pytest.raises(ValueError, match="progress: found 'bar'"):
         bs.calibrate(at.dump, progress="bar")  # type: ignore[arg-type]
 
 
-@task
 def a_height_with_its_unit(at: At) -> None:
     place = {"ccd": 1, "line": 9.0, "sample": 3.0, "dump": at.dump}
     a = at.calibrated.geolocate("s01", **place, height_m=0.5 * u.km)
     pd.testing.assert_frame_equal(a, at.calibrated.geolocate("s01", **place, height_m=500.0))
 
 
-@task
 def a_field_of_view_in_radians(at: At) -> None:
     stars = bs.find_stars(at.dump / "exposures" / "e0001.png")
     a, b = bs.identify(stars, fov_deg=np.radians(18.6) * u.rad), bs.identify(stars, fov_deg=18.6)
@@ -372,17 +331,14 @@ def a_field_of_view_in_radians(at: At) -> None:
         bs.identify(stars, fov_deg=3.0 * u.m)
 
 
-@task
 def debug_lines_are_our_own(at: At) -> None:
     assert logging.getLogger("rasterio").level == logging.INFO
 
 
-@task
 def two_results_of_one_mission_one_from_vectors(at: At) -> None:
     assert bs.compare(at.result, at.calibrated).differs
 
 
-@task
 def cut_a_result_by_hand(at: At) -> None:
     bad = at.result.targets.nlargest(3, "statistic")
     keep = [
@@ -392,7 +348,6 @@ def cut_a_result_by_hand(at: At) -> None:
     assert right(bs.calibrate_vectors(*at.given[:3], *cut, *at.given[5:]))
 
 
-@task
 def show_it_in_a_notebook(at: At) -> None:
     assert "<table" in at.result._repr_html_() and at.result.plot().get_legend() is not None
     plt.close("all")
@@ -442,6 +397,11 @@ def test_another_form_of_the_same_vectors_gives_the_same_result(form: str, at: A
         one = one_frame(at.given)
         found, expected = bs.calibrate_vectors(*OF_ONE[form](one)), bs.calibrate_vectors(*one)
     assert same(found, expected, rad=1e-11 if "matrix" in form else 1e-13)
+
+
+# All functions above that take what the tasks begin with alone.
+ALONE = {"at": "At", "return": "None"}
+TASKS = [one for one in list(globals().values()) if getattr(one, "__annotations__", None) == ALONE]
 
 
 @pytest.mark.parametrize("what", TASKS, ids=lambda one: one.__name__)

@@ -22,7 +22,7 @@ GYRO = GyroNoise(
 )
 ASSUMED = 6.0 * ARCSEC  # of the motion between exposures, 1 sigma
 SETTINGS = CalibrationSettings(sigma_motion_rad=ASSUMED)
-RUNS = 30
+RUNS = 18
 WITHIN = 3.0 * np.sqrt(6.0 / RUNS)  # of the mean of so many
 
 

@@ -25,7 +25,7 @@ R_B = Rotation.from_euler("xyz", [-75.0, 20.0, 35.0], degrees=True)
 SHAKEN = Rotation.from_rotvec([2e-3, -1e-3, 3e-3])  # by the launch
 PLAN = StripPlan(strips=2, sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC)
 SETTINGS = CalibrationSettings(sigma_distortion_rad=0.0)
-RUNS = 40
+RUNS = 24
 
 
 def noise(
@@ -89,8 +89,7 @@ SLOW = {  # errors that go on from one strip to the next, which begin 62 s apart
 }
 
 
-@pytest.mark.parametrize("heads", [1, 2])
-@pytest.mark.parametrize("slow", SLOW)
+@pytest.mark.parametrize(("slow", "heads"), [*((slow, 2) for slow in SLOW), ("constant over a strip", 1)])
 def test_covariance_holds_with_errors_of_heads_that_outlast_a_strip(slow: str, heads: int) -> None:
     stated = {key: np.array(v) * (ARCSEC if key.endswith("rad") else 1.0) for key, v in SLOW[slow].items()}
     plans = [
@@ -157,25 +156,25 @@ NAMES = ("strip_id", "exposures", "ground", "R_oi_exposures", "R_oi_targets", "a
 
 
 def test_second_head_makes_the_estimate_better_by_what_its_own_noise_allows() -> None:
-    ratios = [estimated(flown(n, 2)).sigma_theta / estimated(flown(n, 1)).sigma_theta for n in range(10)]
+    ratios = [estimated(flown(n, 2)).sigma_theta / estimated(flown(n, 1)).sigma_theta for n in range(6)]
     x, y, z = np.mean(ratios, axis=0)
     assert x < 1.0 and y < 1.0  # Z is the targets'
     assert x * y * z > 0.3  # two like heads: 0.35 if nothing else had errors
 
 
 def test_head_that_moves_from_strip_to_strip_is_named() -> None:
-    named, seeds = 0, 10
+    named, seeds = 0, 6
     for seed in range(seeds):
         for n, name in enumerate(("A", "B")):
             wrong = (8.0, 0.0) if n == 0 else (0.0, 8.0)  # arcsec, per axis
             estimate = estimated(flown(1000 + seed, 2, wrong, 4)).with_reference("A")
             found = {group for check in assess(estimate, []).refuted_by for group in check.names}
             named += found == {(name,)}
-    assert named >= 0.95 * 2 * seeds
+    assert named >= 2 * seeds - 1
 
 
 def test_heads_that_agree_are_not_suspected() -> None:
-    outcomes = [assess(estimated(flown(seed, 2, count=4)), []) for seed in range(10)]
+    outcomes = [assess(estimated(flown(seed, 2, count=4)), []) for seed in range(6)]
     kinds = {check.kind.value for verdict in outcomes for check in verdict.refuted_by}
     assert not kinds & {"agreement between heads", "alignment between heads from strip to strip"}
 
@@ -200,7 +199,7 @@ def three_heads(seed: int) -> list[StripSightings]:
 
 
 def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
-    runs, nees = 150, 0.0
+    runs, nees = 60, 0.0
     chi2_all, dof_all, gain, dof_gain = 0.0, 0, 0.0, 0
     for seed in range(runs):
         estimate = estimated(three_heads(seed))

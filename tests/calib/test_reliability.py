@@ -124,7 +124,7 @@ def test_the_detectable_error_is_found_in_nine_of_ten():
     for seed in range(DRAWS):
         strips, _, reliability = clean(seed)
         limit = EXACT.probability_found / N
-        for n in range(seed, N, DRAWS):
+        for n in range(seed, N, 2 * DRAWS):
             test = reliability.tests[n]
             if not test.is_unseen:
                 spoilt = injected(strips, table_of(seed)[n].change_c, test.detectable)

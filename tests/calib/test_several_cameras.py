@@ -66,7 +66,7 @@ def told(strips: list[StripSightings], estimate: InstallationEstimate) -> Verdic
 
 
 def test_the_covariance_of_both_matrices_and_of_the_rotation_between_them_is_honest() -> None:
-    runs, of_both, of_between = 60, [], []
+    runs, of_both, of_between = 30, [], []
     for seed in range(runs):
         found = estimated(campaign(seed))
         assert found.cameras == ("nadir", "oblique")
@@ -100,25 +100,6 @@ def test_each_matrix_is_as_well_known_as_alone_and_the_rotation_between_them_bet
 def test_exposures_of_both_cameras_are_counted_once() -> None:
     assert (first().n_exposures, first().n_strips) == (24, 6)
     assert first().dof == 2 * first().n_targets - 6
-
-
-def test_names_and_cuts_of_the_strips_of_cameras_change_nothing() -> None:
-    strips, rng = campaign(0), np.random.default_rng(4)
-    parts = []
-    for n, strip in enumerate(strips):
-        for k in range(2):
-            rows = np.flatnonzero(np.arange(PLAN.targets) % 2 == k)
-            ground, R_oi = strip.ground.take(rows), strip.R_oi_targets[rows]
-            parts.append(replace(strip, strip_id=f"{k}{n}{strip.strip_id}", ground=ground, R_oi_targets=R_oi))
-    found = estimated([parts[k] for k in rng.permutation(len(parts))])
-    apart = theta_between(found.R_cs, first().R_cs).ravel() / first().sigma_theta
-    assert np.max(np.abs(apart)) < 0.05  # 1-sigma: what bookkeeping may move
-    np.testing.assert_allclose(found.cov_theta, first().cov_theta, rtol=0.01, atol=1e-16)
-    assert (found.n_exposures, found.n_targets, found.dof) == (
-        first().n_exposures,
-        first().n_targets,
-        first().dof,
-    )
 
 
 def test_a_sound_campaign_is_consistent_and_a_moved_ccd_is_named_with_its_camera() -> None:

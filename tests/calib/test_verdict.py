@@ -49,7 +49,7 @@ def check(verdict, kind):
 def test_consistent_campaigns_are_consistent_and_their_p_values_uniform():
     exact = VerdictSettings(sigma_understated=1.0, sigma_overstated=1.0)
     p_values = {CheckKind.STAR_RESIDUALS: [], CheckKind.TARGET_RESIDUALS: [], CheckKind.BETWEEN_STRIPS: []}
-    for seed in range(150):
+    for seed in range(80):
         strips = drawn(seed)
         estimate = calibrate_strips(strips, BOLD, CalibrationSettings(robust=False))
         assert assess(estimate, strips, sigma_installation_rad=SIGMA_START).outcome is Outcome.CONSISTENT

@@ -56,12 +56,6 @@ CCDS = (Ccd(n_px=400, y_first_m=-0.003, x_offset_m=0.0004, pixel_m=7e-6, **PLAIN
 CCDS += (Ccd(n_px=300, y_first_m=-0.0005, x_offset_m=-0.0011, pixel_m=7e-6, **PLAIN),)
 
 
-def of_text(text: str) -> dict[str, Any]:
-    """Words and numbers of a text in their order."""
-    words = re.findall(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?|[^\W\d_]+", text)
-    return {str(n): word for n, word in enumerate(words)}
-
-
 def places(value: Any, at: str = "") -> dict[str, Any]:
     """Every single value by its path."""
     if isinstance(value, pd.DataFrame):

@@ -48,12 +48,12 @@ def case() -> Case:
 
 
 def _pairs(picture: NDArray) -> dict[tuple[str, int], list[Pair]]:
-    """40 pairs of each condition and size; a chip is rendered once and serves every condition."""
+    """24 pairs of each condition and size; a chip is rendered once and serves every condition."""
     pairs: dict[tuple[str, int], list[Pair]] = {
         (condition, size): [] for size in (128, 64) for condition in ("clean", "date", "affine")
     }
     for size in (128, 64):
-        for k in range(40):
+        for k in range(24):
             rng = np.random.default_rng([size, k])
             view = draw_view(picture, rng, size_px=size, margin_px=16)
             for condition in ("clean", "date", "affine"):

@@ -52,9 +52,8 @@ LIMITS = {
 def test_aerial_chips_are_placed_to_thousandths_of_a_pixel(aerial_pairs: Pairs, condition: str, size: int):
     error, nees = errors(aerial_pairs[condition, size])
     assert np.sqrt(np.mean(error**2)) <= LIMITS[condition, size]
-    # mean of 40 pairs: the 99.9 % band of chi² with 80 degrees of freedom is 0.55 to 1.58 of its mean;
-    # what the date
-    # does to a scene is not chi², its tail may be longer
+    # mean of 24 pairs: the 99.9 % band of chi² with 48 degrees of freedom is 0.45 to 1.75 of its mean; what
+    # another date does to a scene is not chi², its tail may be longer
     assert np.mean(nees) / 2.0 < (2.2 if condition == "date" else 1.6)
 
 
@@ -66,13 +65,6 @@ def test_invented_chips_are_placed_near_the_bound(invented_pairs: Pairs, conditi
     # the bound knows the radiometry and uses the rim; another date hides a sixth and changes the tones of
     # the rest
     assert np.mean(error**2) <= (3.0 if condition == "date" else 1.8) ** 2 * bound
-
-
-def test_error_stays_within_one_and_a_half_times_the_bound(aerial_pairs: Pairs):
-    pairs = aerial_pairs["clean", 128]
-    error, _ = errors(pairs)
-    bound = np.mean([np.trace(pair.cov_bound_px) / 2.0 for pair in pairs])
-    assert np.mean(error**2) <= 1.5**2 * bound
 
 
 def test_stated_covariance_matches_the_scatter(invented_pairs: Pairs):
@@ -98,7 +90,7 @@ def test_error_does_not_lock_to_whole_pixels(aerial_pairs: Pairs):
     pairs = aerial_pairs["clean", 128]
     error, _ = errors(pairs)
     wave = np.exp(-2j * np.pi * np.array([pair.offset_px for pair in pairs]))
-    # 0.002 px is asked for; the mean of 40 errors of 0.002 px has a standard error of 0.0005 px
+    # 0.002 px is asked for; the mean of 24 errors of 0.002 px has a standard error of 0.0006 px
     assert np.abs(2.0 * np.mean(error * wave, axis=0)).max() < 0.002
 
 
@@ -114,12 +106,6 @@ def test_affine_map_is_the_one_that_was_applied(aerial_pairs: Pairs):
     A = np.eye(2) + placed(pair).affine
     assert abs(np.degrees(np.arctan2(A[1, 0] - A[0, 1], A[0, 0] + A[1, 1]))) == pytest.approx(0.5, abs=0.01)
     assert abs(np.sqrt(np.linalg.det(A)) - 1.0) == pytest.approx(0.005, abs=2e-4)
-
-
-def test_place_does_not_depend_on_grey_scale(invented_pairs: Pairs):
-    pair = invented_pairs["clean", 64][0]
-    other = Pair(pair.template * 40.0 + 900.0, pair.window * 3.0 - 70.0, pair.offset_px, pair.cov_bound_px)
-    assert placed(other).xy_px == pytest.approx(placed(pair).xy_px, abs=1e-4)  # px: single precision
 
 
 def test_reference_point_moves_with_the_affine_map(invented_pairs: Pairs):
@@ -146,7 +132,7 @@ def test_masked_cloud_does_not_move_the_place(invented_pairs: Pairs):
 
 def test_unlike_pictures_do_not_converge_to_a_confident_place(invented_pairs: Pairs):
     pairs = invented_pairs["clean", 64]
-    for one, two in zip(pairs[:15], pairs[15:30]):
+    for one, two in zip(pairs[:9], pairs[15:]):
         mixed = Pair(one.template, two.window, one.offset_px, one.cov_bound_px)
         outcome = placed(mixed)
         assert not outcome.converged or outcome.correlation < 0.6 or np.sqrt(np.trace(outcome.cov_px)) > 0.05

@@ -3,6 +3,7 @@
 import time
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from boresight.gct_match.match import match_strip
 from boresight.gct_match.predict.scene import Scene, scene_of
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
-from boresight.gct_match.records import Chip, StripMatches, Target
+from boresight.gct_match.records import StripMatches, Target
 from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.search_plan import _GRID, SearchPlan, _on_grid, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
@@ -26,20 +27,18 @@ from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.ledger import Reason
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
+SURE = np.full(3, 1e-5)  # rad: of one that is nearly right
 
 
-def matched(case: Case, strip: SmallStrip | None = None, chips: list[Chip] | None = None) -> StripMatches:
-    return match_strip(
-        scene_of(
-            strip or case.strip,
-            case.pushbroom,
-            case.targets,
-            chips or case.chips,
-            SURFACE,
-            SIGMA,
-            MatchSettings(),
-        )
-    )
+def scene(case: Case, **changed: Any) -> Scene:
+    """The case from its wrong matrix, but for what is given."""
+    given = {"strip": case.strip, "pushbroom": case.pushbroom, "targets": case.targets, "chips": case.chips}
+    given |= {"surface": SURFACE, "sigma_installation_rad": SIGMA, "settings": MatchSettings()}
+    return scene_of(**given | changed)
+
+
+def matched(case: Case, **changed: Any) -> StripMatches:
+    return match_strip(scene(case, **changed))
 
 
 def errors(case: Case, outcome: StripMatches) -> tuple[NDArray, NDArray]:
@@ -50,6 +49,12 @@ def errors(case: Case, outcome: StripMatches) -> tuple[NDArray, NDArray]:
         error.append(match.xy_px - np.array([sample[0], line[0]]))
         nees.append(error[-1] @ np.linalg.solve(match.cov_px, error[-1]))
     return np.array(error), np.array(nees)
+
+
+@pytest.fixture(scope="module")
+def elsewhere(case: Case) -> SmallStrip:
+    """The strip of another place."""
+    return make_case(np.random.default_rng(99), case.theta, 1).strip
 
 
 @pytest.fixture(scope="module")
@@ -86,17 +91,14 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
     shown = min(case.targets, key=lambda t: np.linalg.norm(t.p_e - p_e))
     chip = next(c for c in case.chips if c.target_id == shown.target_id)
     inside = [ccd for ccd in (0, 1) if 8.0 < case.true.pixels_from_ground(ccd, shown.p_e[None])[0][0] < 411.0]
-    model = case.true
-    outcome = match_strip(
-        scene_of(
-            case.strip,
-            model,
-            [shown],
-            [chip],
-            SURFACE,
-            np.full(3, 1e-5),
-            MatchSettings(smallest_template_px=16),
-        )
+    settings = MatchSettings(smallest_template_px=16)
+    outcome = matched(
+        case,
+        pushbroom=case.true,
+        targets=[shown],
+        chips=[chip],
+        settings=settings,
+        sigma_installation_rad=SURE,
     )
     assert sorted(m.ccd for m in outcome.matches) == inside
 
@@ -108,10 +110,8 @@ def test_targets_compared_in_groups_are_those_that_agree_together(
     monkeypatch.setattr(consistency, "_MOST_TOGETHER", 5)
     matches = list(outcome.matches)
     wrong = replace(matches[3], xy_px=matches[3].xy_px + np.array([20.0, 0.0]))  # px; 0.5 px may differ
-    scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
-    kept, refused, theta = consistency.consistent_matches(
-        scene, [*matches[:3], wrong, *matches[4:]], case.theta
-    )
+    every = [*matches[:3], wrong, *matches[4:]]
+    kept, refused, theta = consistency.consistent_matches(scene(case), every, case.theta)
     assert [entry.subject.id for entry in refused] == [wrong.target_id]
     assert refused[0].xy_px == tuple(wrong.xy_px.tolist())
     assert [one.target_id for one in kept] == [m.target_id for m in matches if m.target_id != wrong.target_id]
@@ -119,29 +119,17 @@ def test_targets_compared_in_groups_are_those_that_agree_together(
     assert theta[2] == pytest.approx(case.theta[2], abs=2e-4)
 
 
-def test_small_uncertainty_needs_no_bootstrap(case: Case):
-    case.strip.pixels_read = 0
-    outcome = match_strip(
-        scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, np.full(3, 1e-5), MatchSettings())
-    )
-    assert len(outcome.matches) == len(case.targets)
-    assert case.strip.pixels_read < 12 * 200 * 200
-
-
 WINDOWS = np.full(3, 3e-5)  # rad: 2.5 px, which windows of 12 px hold, and boxes around them not
 
 
 def test_places_predicted_within_a_window_are_measured_without_a_search(case: Case):
-    settings = MatchSettings()
-    scene = scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
-    plan = plan_search(scene)
-    assert max(window.radius_px for window in plan.windows) > 2 * settings.margin_px + 2
+    near = {"pushbroom": case.true, "sigma_installation_rad": WINDOWS}
+    plan = plan_search(around := scene(case, **near))
+    assert max(window.radius_px for window in plan.windows) > 2 * MatchSettings().margin_px + 2
     case.strip.pixels_read = 0
-    outcome = match_strip(
-        scene_of(case.strip, case.true, case.targets, case.chips, SURFACE, WINDOWS, settings)
-    )
+    outcome = matched(case, **near)
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
-    assert case.strip.pixels_read < searched_px(scene, plan)  # of which a search reads all
+    assert case.strip.pixels_read < searched_px(around, plan)  # of which a search reads all
 
 
 def searched_px(scene: Scene, plan: SearchPlan) -> int:
@@ -154,9 +142,7 @@ def searched_px(scene: Scene, plan: SearchPlan) -> int:
 def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case, off_px: float):
     theta = np.array([off_px * 1.2e-5, 0.0, 0.0])  # 12 µrad a pixel
     model = case.true.with_installation(deviation_from_theta(theta).inv() * case.true.R_cs)
-    outcome = match_strip(
-        scene_of(case.strip, model, case.targets, case.chips, SURFACE, WINDOWS, MatchSettings())
-    )
+    outcome = matched(case, pushbroom=model, sigma_installation_rad=WINDOWS)
     error, _ = errors(case, outcome)
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
     assert np.abs(error).max() < 0.015  # px, as from any other matrix
@@ -164,31 +150,29 @@ def test_displaced_strip_is_searched_although_its_places_seemed_known(case: Case
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_so_few_targets_are_kept_where_others_gave_the_matrix(case: Case, count: int):
-    of = case.targets[:count], case.chips[:count], SURFACE, np.full(3, 4e-5)
-    settings = MatchSettings(probability_chance=1e-12)  # which the vote of two does not reach
-    alone = match_strip(scene_of(case.strip, case.true, *of, settings))
+def test_so_few_targets_are_kept_where_others_gave_the_matrix(case: Case, elsewhere: SmallStrip, count: int):
+    few = {"targets": case.targets[:count], "chips": case.chips[:count], "pushbroom": case.true}
+    few |= {"sigma_installation_rad": np.full(3, 4e-5)}
+    few |= {"settings": MatchSettings(probability_chance=1e-12)}  # which the vote of two does not reach
+    alone = matched(case, **few)
     assert not alone.matches
     assert {refusal.reason for refusal in alone.refused} == {Reason.NO_COMMON_ROTATION}
-    found = match_strip(scene_of(case.strip, case.true, *of, settings, is_known=True))
-    assert {match.target_id for match in found.matches} == {target.target_id for target in of[0]}
+    found = matched(case, **few, is_known=True)
+    assert {match.target_id for match in found.matches} == {target.target_id for target in few["targets"]}
     assert np.abs(errors(case, found)[0]).max() < 0.015  # px
-    other = make_case(np.random.default_rng(99), case.theta, 1)
-    assert not match_strip(scene_of(other.strip, case.true, *of, settings, is_known=True)).matches
+    assert not matched(case, **few, is_known=True, strip=elsewhere).matches
 
 
 def test_cost_is_known_before_the_search_starts(case: Case):
-    scene = scene_of(case.strip, case.pushbroom, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
-    plan = plan_search(scene)
+    plan = plan_search(around := scene(case))
     case.strip.pixels_read = 0
     matched(case)
-    windows = case.strip.pixels_read - searched_px(scene, plan)
+    windows = case.strip.pixels_read - searched_px(around, plan)
     assert 0 < windows < 14 * 200 * 200
 
 
-def test_strip_of_another_place_gives_no_match(case: Case):
-    other = make_case(np.random.default_rng(99), case.theta, 1)
-    outcome = matched(case, other.strip)
+def test_strip_of_another_place_gives_no_match(case: Case, elsewhere: SmallStrip):
+    outcome = matched(case, strip=elsewhere)
     assert outcome.matches == ()
     assert len(outcome.refused) == len(case.targets)
     assert all(refusal.reason is Reason.NO_COMMON_ROTATION for refusal in outcome.refused)
@@ -252,17 +236,7 @@ def test_cloud_and_saturation_are_kept_out(case: Case):
         images[ccd] = image.astype(np.float32)
         images[ccd][200:330, 100:300] = np.nan  # a cloud mask
         images[ccd][400:420, :] = 4095.0  # blooming
-    outcome = match_strip(
-        scene_of(
-            SmallStrip(images),
-            case.pushbroom,
-            case.targets,
-            case.chips,
-            SURFACE,
-            SIGMA,
-            MatchSettings(saturation_dn=4000.0),
-        )
-    )
+    outcome = matched(case, strip=SmallStrip(images), settings=MatchSettings(saturation_dn=4000.0))
     error, _ = errors(case, outcome)
     assert len(outcome.matches) >= 8
     assert np.abs(error).max() < 0.03  # px
@@ -272,17 +246,8 @@ def test_cloud_and_saturation_are_kept_out(case: Case):
 def test_target_outside_the_strip_is_listed(case: Case):
     far = Target("far", case.targets[0].p_e + np.array([0.0, 0.0, 90e3]), np.full(3, 0.1))
     chip = replace(case.chips[0], target_id="far")
-    outcome = match_strip(
-        scene_of(
-            case.strip,
-            case.true,
-            [*case.targets, far],
-            [*case.chips, chip],
-            SURFACE,
-            np.full(3, 1e-5),
-            MatchSettings(),
-        )
-    )
+    more = {"targets": [*case.targets, far], "chips": [*case.chips, chip], "sigma_installation_rad": SURE}
+    outcome = matched(case, pushbroom=case.true, **more)
     reasons = {refusal.subject.id: refusal.reason for refusal in outcome.refused}
     assert reasons["far"] is Reason.OUTSIDE_REACH
 
@@ -327,11 +292,7 @@ def test_template_looks_like_the_strip(case: Case):
 def test_virtual_ccd_gives_the_same_places_as_the_raw_ones(case: Case, outcome: StripMatches):
     virtual = VirtualStrip(case.pushbroom, SURFACE)
     image = virtual.stitched(case.strip.read, dict.fromkeys(case.strip.ccds, LINES), (0, LINES))
-    found = match_strip(
-        scene_of(
-            SmallStrip({0: image}), virtual.virtual, case.targets, case.chips, SURFACE, SIGMA, MatchSettings()
-        )
-    )
+    found = matched(case, strip=SmallStrip({0: image}), pushbroom=virtual.virtual)
     placed = {match.target_id: match for match in found.matches}
     nees = []
     for raw in outcome.matches:
@@ -350,9 +311,7 @@ def test_places_that_an_exposure_moves_together_are_kept(case: Case):
     turn[np.argmin(np.abs(track.t_s - 0.4))] = case.pushbroom.R_cs.inv().apply([0.0, 72e-6, 0.0])
     nodes = Rotation.from_rotvec(turn) * track.R_si_nodes
     moved = replace(case.pushbroom, attitude=replace(track, R_si_nodes=nodes))
-    outcome = match_strip(
-        scene_of(case.strip, moved, case.targets, case.chips, SURFACE, SIGMA, MatchSettings())
-    )
+    outcome = matched(case, pushbroom=moved)
     residual = np.array([match.residual_px for match in outcome.matches])
     assert len({match.target_id for match in outcome.matches}) == len(case.targets)
     assert np.ptp(residual, axis=0).max() > 5.0  # px
@@ -384,8 +343,8 @@ def test_a_ccd_whose_image_begins_later_has_its_targets_on_its_own_lines(case: C
     images = {0: case.strip.images[0], 1: case.strip.images[1][later:]}
     rows = replace(case.pushbroom.rows, first_row={1: float(later)})
     pushbroom = replace(case.pushbroom, rows=rows)
-    targets = case.targets[-4:], case.chips[-4:]
-    found = match_strip(scene_of(SmallStrip(images), pushbroom, *targets, SURFACE, SIGMA, MatchSettings()))
+    last = {"targets": case.targets[-4:], "chips": case.chips[-4:]}
+    found = matched(case, strip=SmallStrip(images), pushbroom=pushbroom, **last)
     place = {target.target_id: target.p_e[None] for target in case.targets}
     assert {one.ccd for one in found.matches} == {0, 1} and len(found.matches) >= 4
     for one in found.matches:

@@ -124,11 +124,6 @@ def test_the_waves_of_figure_4_are_restored_to_milliarcseconds():
     assert np.abs((plain * true_attitude(inner).inv()).as_rotvec()).max() > 0.1 * ARCSEC
 
 
-def test_the_track_passes_through_its_exposures():
-    track = AttitudeTrack(EXPOSURES, true_attitude(EXPOSURES), Nominal())
-    assert np.abs(error_s(track, EXPOSURES)).max() < 1e-14
-
-
 def test_the_stated_interpolation_error_is_that_of_the_interpolation():
     track = AttitudeTrack(EXPOSURES, true_attitude(EXPOSURES), Nominal())
     stated = np.sqrt((track.interpolation_sigma_rad(INSIDE) ** 2).mean(axis=0))

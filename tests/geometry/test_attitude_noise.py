@@ -36,7 +36,7 @@ def test_white_part_has_the_stated_error_about_each_axis_of_the_head(name: str) 
         )
 
 
-@pytest.mark.parametrize("span_s", np.geomspace(0.05, 60.0, 9).tolist())
+@pytest.mark.parametrize("span_s", [0.05, 0.7, 9.0, 60.0])
 @pytest.mark.parametrize("name", HEADS)
 def test_noise_of_a_pass_and_its_constants_are_the_noise(name: str, span_s: float) -> None:
     noise = HEADS[name]

@@ -5,13 +5,14 @@ import numpy as np
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.time import Time
 from astropy.utils import iers
+from still_stars import still_stars
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.ground_site import GroundSite, refract_by_air
-from boresight.geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.geometry.starlight import apparent_star_directions
 
 UTC = "2019-07-29T20:47:26"
 SITE = GroundSite(np.radians(52.2), np.radians(4.4), 30.0, 1009.0, 17.5)
@@ -19,20 +20,7 @@ SITE = GroundSite(np.radians(52.2), np.radians(4.4), 30.0, 1009.0, 17.5)
 
 def sky(n, rng):
     """Stars without motion at random places of the catalogue frame."""
-    zero = np.zeros(n)
-    ra, dec = rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
-    return StarPlaces(
-        hip=np.arange(n),
-        ra_rad=ra,
-        dec_rad=dec,
-        pm_ra_rad_yr=zero,
-        pm_dec_rad_yr=zero,
-        parallax_arcsec=zero,
-        radial_velocity_km_s=zero,
-        v_mag=zero,
-        b_v=zero,
-        epoch_jyear=2000.0,
-    )
+    return still_stars(rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n)))
 
 
 def test_stars_stand_over_the_horizon_where_astropy_sees_them():

@@ -39,19 +39,10 @@ def in_axes_e(t_s):
     return p_e, np.einsum("nij,nj->ni", R_ei, v) - np.cross(TurningEarth.omega_e, p_e)
 
 
-def orbit(t_s, degree=7, frame="GCRF", method="lagrange", velocities=True, **more):
-    p, v = state(t_s) if frame == "GCRF" else in_axes_e(t_s)
-    return Orbit(
-        epoch=EPOCH,
-        t_s=t_s,
-        positions_m=p,
-        velocities_m_s=v if velocities else None,
-        frame=frame,
-        degree=degree,
-        earth=TurningEarth(),
-        method=method,
-        **more,
-    )
+def orbit(t_s, degree=7, frame="GCRF", method="lagrange", states=None, **more):
+    p, v = states or (state(t_s) if frame == "GCRF" else in_axes_e(t_s))
+    given = {"t_s": t_s, "positions_m": p, "velocities_m_s": v, "frame": frame, "degree": degree}
+    return Orbit(epoch=EPOCH, earth=TurningEarth(), method=method, **given | more)
 
 
 SECONDS = np.arange(0.0, 61.0)
@@ -75,7 +66,7 @@ def test_states_at_1_hz_are_those_of_the_true_orbit(frame, method, degree):
 
 
 def test_velocity_without_velocities_is_the_slope_of_the_positions():
-    ephemeris = orbit(SECONDS, velocities=False)
+    ephemeris = orbit(SECONDS, velocities_m_s=None)
     assert np.abs(ephemeris.states_i(BETWEEN)[1] - state(BETWEEN)[1]).max() < 1e-6  # m/s
 
 
@@ -88,16 +79,7 @@ def test_the_degree_asked_for_is_the_degree_used(method, step_s, degree):
     for power, exact in ((degree, True), (degree + 1, False)):
         p = np.outer(1e6 * x(t) ** power, [1.0, -2.0, 0.5])
         v = np.outer(1e6 * power * x(t) ** (power - 1) / 300.0, [1.0, -2.0, 0.5])
-        ephemeris = Orbit(
-            epoch=EPOCH,
-            t_s=t,
-            positions_m=p,
-            velocities_m_s=v,
-            frame="GCRF",
-            degree=degree,
-            earth=TurningEarth(),
-            method=method,
-        )
+        ephemeris = orbit(t, degree, method=method, states=(p, v))
         error = np.abs(ephemeris.positions_i(at) - np.outer(1e6 * x(at) ** power, [1.0, -2.0, 0.5])).max()
         assert (error < 1e-6) == exact
 
@@ -123,16 +105,7 @@ def test_a_gap_is_refused_and_never_reached_across(method):
     assert np.abs(ephemeris.positions_i(at) - state(at)[0]).max() < 1e-6
     poisoned = state(kept)[0]
     poisoned[kept > 26.0] += 1e6  # what stands beyond the gap must not matter here
-    beyond = Orbit(
-        epoch=EPOCH,
-        t_s=kept,
-        positions_m=poisoned,
-        velocities_m_s=state(kept)[1],
-        frame="GCRF",
-        degree=7,
-        earth=TurningEarth(),
-        method=method,
-    )
+    beyond = orbit(kept, method=method, states=(poisoned, state(kept)[1]))
     assert np.abs(beyond.positions_i(at[:2]) - state(at[:2])[0]).max() < 1e-6
 
 
@@ -157,17 +130,9 @@ def test_nonsense_is_refused():
     with pytest.raises(ValueError, match="frame"):
         replace(orbit(SECONDS), frame="TEME")
     with pytest.raises(ValueError, match="velocities"):
-        orbit(SECONDS, method="hermite", velocities=False)
+        orbit(SECONDS, method="hermite", velocities_m_s=None)
     with pytest.raises(ValueError, match="shape"):
-        Orbit(
-            epoch=EPOCH,
-            t_s=SECONDS,
-            positions_m=state(SECONDS)[0][:5],
-            velocities_m_s=None,
-            frame="GCRF",
-            degree=7,
-            earth=TurningEarth(),
-        )
+        orbit(SECONDS, positions_m=state(SECONDS)[0][:5])
 
 
 def test_the_orbital_frame_has_z_down_y_against_the_normal_and_x_along():
@@ -190,28 +155,3 @@ def test_the_argument_of_latitude_counts_from_the_ascending_node():
 def test_an_orbit_in_the_equator_counts_from_the_x_axis():
     p, v = np.array([[0.0, 7e6, 0.0]]), np.array([[-7.5e3, 0.0, 0.0]])
     np.testing.assert_allclose(argument_of_latitude(p, v), [np.pi / 2], atol=1e-12)
-
-
-def parabola_through(nodes: Orbit, t_start_s: float, t_stop_s: float, t_s: np.ndarray) -> np.ndarray:
-    """Positions at `t_s` by a least-squares parabola through nodes of an interval (paper, section 3.2)."""
-    used = (nodes.t_s >= t_start_s) & (nodes.t_s <= t_stop_s)
-    middle = 0.5 * (t_start_s + t_stop_s)
-    coefficients = np.polyfit(nodes.t_s[used] - middle, nodes.positions_m[used], 2)
-    return np.array([np.polyval(one, t_s - middle) for one in coefficients.T]).T
-
-
-@pytest.mark.parametrize(("length_s", "bound_m"), [(2.0, 4.0e-4), (4.0, 3.1e-3), (10.0, 4.8e-2)])
-def test_a_parabola_departs_by_the_third_derivative(length_s, bound_m):
-    # The best parabola over T misses r n^3 T^3 / 192; least squares over nodes at 1 Hz at most 1.6 times as
-    # much.
-    at = np.linspace(20.0, 20.0 + length_s, 100)
-    parabola = parabola_through(orbit(SECONDS), 20.0, 20.0 + length_s, at)
-    departure = np.linalg.norm(parabola - state(at)[0], axis=1).max()
-    assert 0.5 * bound_m < departure < 1.6 * bound_m
-
-
-def test_paper_section_3_2_parabola_and_lagrange_of_degree_8_do_not_differ_over_a_strip():
-    # Over the 1.8 s of a strip: 1 mm, against the receiver's 2 m.
-    t = np.linspace(30.1, 31.9, 50)
-    parabola = parabola_through(orbit(SECONDS), 30.0, 32.0, t)
-    assert np.abs(parabola - orbit(SECONDS, 8).positions_i(t)).max() < 1e-3

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from still_stars import still_stars
 
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.geoid import egm96
-from boresight.geometry.starlight import StarPlaces
 from boresight.simulator.mission import render_mission
 from boresight.simulator.scenario import scenario_from_dict, scenario_to_dict
 
@@ -23,14 +23,12 @@ SMALL = {
 def invented_catalogue(count=20_000, seed=5):
     """Stars all over the sky with sizeable proper motions and parallaxes."""
     rng = np.random.default_rng(seed)
-    return StarPlaces(
-        hip=np.arange(1, count + 1),
-        ra_rad=rng.uniform(0.0, 2.0 * np.pi, count),
-        dec_rad=np.arcsin(rng.uniform(-1.0, 1.0, count)),
+    return still_stars(
+        rng.uniform(0.0, 2.0 * np.pi, count),
+        np.arcsin(rng.uniform(-1.0, 1.0, count)),
         pm_ra_rad_yr=rng.normal(0.0, 1e-6, count),
         pm_dec_rad_yr=rng.normal(0.0, 1e-6, count),
         parallax_arcsec=rng.uniform(0.0, 0.3, count),
-        radial_velocity_km_s=np.zeros(count),
         v_mag=rng.uniform(2.0, 8.0, count),
         b_v=np.full(count, np.nan),
         epoch_jyear=1991.25,

@@ -75,12 +75,6 @@ def test_the_installation_is_wrong_by_what_the_scenario_says(mission):
     assert np.degrees(np.arccos(-z_s[2])) == pytest.approx(40.0, abs=1e-9)
 
 
-def test_the_papers_matrix_is_the_default_deviation(mission):
-    M = (mission.truth.R_cs * mission.installation.R_cs.inv()).as_matrix()
-    printed = np.array([[1, 0.001, -0.002], [-0.001, 1, 0.003], [0.002, -0.003, 1]])
-    assert np.abs(M - printed).max() < 8e-6  # (28) is the first order; the second is theta^2 / 2
-
-
 def test_reported_positions_are_wrong_by_one_draw_for_each_strip(mission, tables):
     epoch, times = mission.epoch, mission.orbit.t_s
     earth = EarthRotation.over(epoch, times[0], times[-1], tables[0])

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from pytest import approx
 from scipy.spatial.transform import Rotation, Slerp
+from still_stars import still_stars
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_star_directions
+from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.files.scenario_file import fly
 from boresight.simulator import mission
 from boresight.simulator.scenario import (
@@ -96,23 +97,18 @@ def test_a_star_crosses_where_the_pixel_looks_at_it(rate):
 
 def test_true_places_differ_from_the_catalogue_by_its_error_in_right_ascension_and_declination():
     """4000 stars at 70° north, with unlike errors in 1991.25 that their proper motions enlarge until 2024."""
-    n, rng, zero = 4000, np.random.default_rng(6), np.zeros(4000)
+    n, rng = 4000, np.random.default_rng(6)
     middle_rad = np.radians([35.0, 70.0])  # right ascension and declination
     place = np.column_stack([rng.uniform(-0.05, 0.05, n), rng.uniform(-0.02, 0.02, n)]) + middle_rad
-    fixed = dict.fromkeys(("pm_ra_rad_yr", "pm_dec_rad_yr", "parallax_arcsec", "radial_velocity_km_s"), zero)
-    places = StarPlaces(
-        hip=np.arange(n) + 1,
-        ra_rad=place[:, 0],
-        dec_rad=place[:, 1],
-        **fixed,
-        v_mag=zero,
-        b_v=zero,
-        epoch_jyear=1991.25,
-    )
+    places = still_stars(*place.T, epoch_jyear=1991.25)
     sigma, sigma_pm = np.array([0.02, 0.7]) * ARCSEC, np.array([0.003, 0.001]) * ARCSEC  # every other star
     each = np.arange(n) % 2
     survey = SurveyedStars(
-        name="HIP", places=places, sigma_rad=sigma[each], sigma_pm_rad_yr=sigma_pm[each], single=zero == 0.0
+        name="HIP",
+        places=places,
+        sigma_rad=sigma[each],
+        sigma_pm_rad_yr=sigma_pm[each],
+        single=np.ones(n, dtype=bool),
     )
     R_oi = Rotation.from_euler("ZY", [middle_rad[0], np.pi / 2.0 - middle_rad[1]]).inv()
     orbit = SimpleNamespace(

@@ -31,7 +31,7 @@ TRUTH = replace(PAPER_CAMERA, principal_px=(2571.3, 1893.2))  # the detector is 
 SIZE, MIDDLE = (5120, 3840), [[2559.5, 1919.5]]
 SETTINGS = StarSettings()
 ARCSEC = np.pi / 648000.0
-IMAGES = 40
+IMAGES = 24
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_few_stars_bear_few_numbers(index, images, count):
     """However few stars are named, the attitude has an error, and the middle is where it says."""
     true_width = angle_between_edges(TRUTH)
     squares, solved = [], 0
-    for R_si, stars in images[:20]:
+    for R_si, stars in images[:12]:
         bright = stars.take(np.arange(count))
         found = solve_list(bright, SIZE, index, SETTINGS, fov_x_rad=0.98 * true_width)
         if not isinstance(found, FieldSolution):
@@ -133,7 +133,7 @@ def test_few_stars_bear_few_numbers(index, images, count):
         assert np.isfinite(found.cov_s).all() and (np.linalg.eigvalsh(found.cov_s) > 0.0).all()
         # of a lens that bends by 15 px in the corners, with so few stars that one parameter must do
         assert squares[-1] < (8.0 * found.pointing_sigma_rad) ** 2 + (30.0 * ARCSEC) ** 2
-    assert solved >= (0 if count < 8 else 15)
+    assert solved >= (0 if count < 8 else 9)
 
 
 def test_an_observer_has_aberration_removed(index):
@@ -169,7 +169,7 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
     sky = build_index(places, places.epoch_jyear, (np.radians(0.75 * fov_deg), np.radians(1.2 * fov_deg)))
     rng, together, width, counts = np.random.default_rng(40), [], [], []
     true_width = camera.fov_x_rad
-    for _ in range(30):
+    for _ in range(20):
         R_si = Rotation.random(random_state=rng)
         stars = listed_stars(camera, R_si, places, rng, brightest=1000.0)
         found = solve_list(stars, (2048, 1536), sky, SETTINGS, fov_x_rad=0.97 * true_width)
@@ -183,7 +183,7 @@ def test_the_error_stated_is_true_of_narrow_and_wide_lenses_alike(fov_deg, fewes
         together.append(in_s @ np.linalg.solve(found.cov_s, in_s))
         width.append(((found.fov_x_rad - true_width) / found.fov_x_sigma_rad) ** 2)
         counts.append(found.matches)
-    assert len(counts) > 15 and min(counts) >= fewest
+    assert len(counts) > 10 and min(counts) >= fewest
     # the prior of lens parameters makes errors smaller than stated where the lens is better than the prior
     assert np.mean(together) / 3.0 < chi2.ppf(1.0 - 1.5e-4, 3 * len(together)) / (3 * len(together))
     assert np.mean(width) < chi2.ppf(1.0 - 1.5e-4, len(width)) / len(width)

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frames import PAPER_CAMERA, stars_in_view
-from plain_attitude import plain_attitude
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import (
@@ -80,12 +78,12 @@ def share_right(named_hip, rows, hip):
 
 
 @pytest.mark.parametrize(
-    ("stars", "false", "least"), [(138, 0, 40), (138, 50, 40), (138, 200, 38), (8, 3, 40)]
+    ("stars", "false", "least"), [(138, 0, 15), (138, 50, 15), (138, 200, 14), (8, 3, 15)]
 )
 def test_a_known_camera_is_identified_among_false_stars(index, places, stars, false, least):
     rng = np.random.default_rng([1, stars, false])
     named = 0
-    for _ in range(40):
+    for _ in range(15):
         R_si = Rotation.random(random_state=rng)
         xy, hip = detections(PAPER_CAMERA, R_si, places, rng, stars=stars, false=false)
         found = identify_stars(
@@ -191,12 +189,12 @@ def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
 def test_noise_is_never_identified(index, wide_index):
     rng = np.random.default_rng(3)
     field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
-    for _ in range(150):
+    for _ in range(60):
         xy = rng.uniform([0, 0], SIZE, (int(rng.integers(4, 350)), 2))
         answer = identify_stars(tangent_coordinates(PAPER_CAMERA, xy), field, index, SETTINGS)
         assert isinstance(answer, NotIdentified)
         best = max(best, answer.best_log_odds)
-    assert best < 6.0  # 20.7 is asked for; 150 images of noise should come to ln 150 at most
+    assert best < 6.0  # 20.7 is asked for; 60 images of noise should come to ln 60 at most
     xy = rng.uniform([0, 0], SIZE, (40, 2))
     assert isinstance(solve_stars(xy, SIZE, wide_index, SETTINGS), NotIdentified)
 
@@ -228,20 +226,6 @@ def test_the_bound_of_a_false_alarm_counts_every_proposal(index, places):
     between = replace(SETTINGS, max_false_alarm_probability=10.0 * alone.false_alarm_probability)
     assert isinstance(identify_stars(plane, field, index, between), Identification)
     assert isinstance(identify_stars(plane, field, index, between, tried=more), NotIdentified)
-
-
-def test_a_prior_attitude_counts_every_shift_of_its_square(index, places):
-    rng, sigma = np.random.default_rng(22), 5e-3
-    R_si = Rotation.random(random_state=rng)
-    xy, _ = detections(PAPER_CAMERA, R_si, places, rng, stars=9, false=2)
-    plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
-    prior = AttitudePrior(Rotation.from_rotvec([sigma, -0.5 * sigma, 0.0]) * R_si, sigma)
-    found = identify_stars(plane, field, index, SETTINGS, prior=prior)
-    assert found.proposals >= 16**2  # 4 sigma to each side in both directions, in steps of half a sigma
-    limit = found.false_alarm_probability / np.sqrt(found.proposals)
-    strict = replace(SETTINGS, max_false_alarm_probability=limit)
-    again = identify_stars(plane, field, index, strict, prior=prior)
-    assert not again or again.false_alarm_probability < limit
 
 
 @pytest.mark.parametrize("sigma_rad", [0.0, 2e-4, 5e-3])
@@ -360,23 +344,6 @@ def test_the_shape_of_a_triangle_does_not_depend_on_where_or_in_which_order():
     longest = np.arccos(np.cos(0.1) * np.cos(0.06))  # the right angle is at the third star
     assert shapes[0, :2] == pytest.approx([0.1 / longest, 0.06 / longest], rel=1e-9)
     assert abs(shapes[0, 2]) == pytest.approx(longest, rel=1e-9)
-
-
-def test_the_stated_covariance_of_the_attitude_holds():
-    rng, total, runs = np.random.default_rng(8), 0.0, 300
-    R_si = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-    for _ in range(runs):
-        u_s = np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)])
-        u_s /= np.linalg.norm(u_s, axis=1, keepdims=True)
-        xy = PAPER_CAMERA.pixels_from_directions(u_s)
-        L = np.array([[0.3, 0.0], [0.15, 0.1]])  # px: lopsided errors
-        J = PAPER_CAMERA.pixel_jacobian(xy)
-        cov_s = J @ (L @ L.T) @ J.transpose(0, 2, 1)
-        measured = PAPER_CAMERA.directions_from_pixels(xy + rng.normal(size=(20, 2)) @ L.T)
-        attitude = plain_attitude(measured, R_si.inv().apply(u_s), cov_s, AttitudeSettings(robust=False))
-        delta_s = (attitude.R_si * R_si.inv()).as_rotvec()
-        total += delta_s @ np.linalg.solve(attitude.cov_s, delta_s)
-    assert total / runs == pytest.approx(3.0, abs=5 * np.sqrt(6.0 / runs))
 
 
 def test_a_guess_without_catalogue_stars_is_no_match(index):

@@ -1,7 +1,5 @@
 """The attitude of one image beside the plain form of the same estimate."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from frames import SMALL_CAMERA
@@ -31,7 +29,7 @@ def measured(seed: int, outliers: float, scatter: float = 1.0):
 
 @pytest.mark.parametrize(("outliers", "scatter"), [(0.0, 1.0), (0.0, 3.0), (0.03, 1.0), (0.15, 2.0)])
 def test_attitude_covariance_and_rejected_stars_are_those_of_the_plain_form(outliers, scatter):
-    for seed in range(60):
+    for seed in range(20):
         xy, cov, u_i, R_si = measured(seed, outliers, scatter)
         u_s, J = SMALL_CAMERA.directions_and_jacobian(xy)
         plain = attitude_by_scatter(u_s, u_i, J @ cov @ J.transpose(0, 2, 1), FALSE_ALARM)
@@ -58,18 +56,6 @@ def test_stars_at_one_place_fix_no_attitude():
     one = [0] * 6
     with pytest.raises(ValueError, match="6 directions, too few or too close together"):
         fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy[one]), cov[one], u_i[one], R_si, FALSE_ALARM)
-
-
-@pytest.mark.parametrize("projection", ["tangent", "equidistant", "stereographic"])
-def test_slopes_of_pixels_are_the_inverse_of_those_of_directions(projection):
-    camera = replace(SMALL_CAMERA, projection=projection, q1=SMALL_CAMERA.q1 + 1e-6)
-    xy = np.random.default_rng(2).uniform(0.0, SIZE - 1.0, (50, 2))
-    u_s, J = camera.directions_and_jacobian(xy)
-    slopes = camera.pixel_slopes(xy)
-    # px/px and px: the derivative by differences is good to 1e-9 of itself
-    np.testing.assert_allclose(slopes @ J, np.broadcast_to(np.eye(2), (50, 2, 2)), atol=1e-7)
-    scale = camera.focal_m / camera.pixel_m
-    np.testing.assert_allclose(slopes @ u_s[:, :, None] / scale, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("apart_px", "fixed"), [(1e-4, False), (300.0, True)])

@@ -124,16 +124,14 @@ def test_the_search_misses_few_stars_of_snr_8_in_any_sky(sky):
 def test_errors_are_at_the_bound_and_stated_honestly_without_being_told_the_psf(snr, flux):
     rng = np.random.default_rng(snr)
     sensor = Sensor()
-    parts, truths = [], []
-    for _ in range(2):
-        image, xy = grid_of_stars(rng, flux, size=1000, step=24, sensor=sensor)
-        parts.append(list_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=5000)))
-        truths.append((xy, np.full(len(xy), flux)))
+    image, xy = grid_of_stars(rng, flux, size=1000, step=24, sensor=sensor)
+    parts = [list_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=5000))]
+    truths = [(xy, np.full(len(xy), flux))]
     psf = Psf(1.25, 1.25, (0.0, 0.0), 1000, 1000)
     score = score_centroids(parts, truths, saturation_dn=255.0, psf=psf, gain_e_per_dn=40.0)
     bins = score.found > 500
     assert bins.any()
-    # 3400 coordinates a flux: 1.2 % on the rms, 2.4 % on chi2 (1 sigma)
+    # 3200 coordinates a flux: 1.3 % on the rms, 2.5 % on chi2 (1 sigma)
     assert (score.over_bound[bins] < 1.05 + 0.03).all()
     assert ((score.chi2[bins] > 0.9) & (score.chi2[bins] < 1.1)).all()
 
@@ -158,13 +156,13 @@ def test_stars_near_the_threshold_state_honest_errors():
 def test_no_bias_over_pixel_phase():
     rng = np.random.default_rng(6)
     parts, truths = [], []
-    for _ in range(4):
+    for _ in range(2):
         image, xy = grid_of_stars(rng, 1400.0, size=1500, step=20)
         parts.append(list_stars(image, StarSettings(gain_e_per_dn=40.0, max_stars=10000)))
         truths.append((xy, np.full(len(xy), 1400.0)))
     score = score_centroids(parts, truths, saturation_dn=255.0)
-    # 20 phases of 2000 coordinates each, standard error 0.0003 px
-    assert np.nanmax(score.phase_error_px) < 0.0006
+    # 20 phases of 1000 coordinates each, standard error 0.0004 px
+    assert np.nanmax(score.phase_error_px) < 0.0009
     assert np.nanmax(np.abs(score.phase_bias_px)) < 0.003
 
 
@@ -186,13 +184,11 @@ def test_a_field_dependent_width_is_found():
     corner = ((xy + 0.5) / size - 0.5) ** 2
     sigma = 1.0 + 0.5 * 2.0 * corner.sum(axis=1)
     quiet = Sensor(read_noise_dn=0.01, background_dn=0.0, bits=16)
-    parts = [
-        render(xy[[k]], np.array([900.0]), size, size, Sensor(**(vars(quiet) | {"sigma_px": s})), rng)[None]
-        for k, s in list(enumerate(sigma))[:60]
-    ]
-    image = (
-        np.clip(np.sum(parts, axis=0)[0] + rng.normal(20, 2, (size, size)), 0, 255).round().astype(np.uint8)
-    )
+    image = rng.normal(20, 2, (size, size))
+    for width in np.arange(1.0, 1.55, 0.05):  # px; stars are as wide as the next of these
+        alike = xy[:60][np.abs(sigma[:60] - width) <= 0.025]
+        image += render(alike, np.full(len(alike), 900.0), size, size, replace(quiet, sigma_px=width), rng)
+    image = image.clip(0, 255).round().astype(np.uint8)
     psf = list_stars(image, TOLD_GAIN).psf
     assert psf.sigma_px == pytest.approx(1.0, abs=0.06)
     assert psf.sigma_corner_px == pytest.approx(1.5, abs=0.15)

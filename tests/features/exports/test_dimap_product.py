@@ -26,16 +26,9 @@ HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
 
 
-def turned(model: Pushbroom, R_cs: Rotation) -> Pushbroom:
-    return Pushbroom(
-        camera=model.camera,
-        rows=model.rows,
-        orbit=model.orbit,
-        earth=model.earth,
-        attitude=model.attitude,
-        R_cs=R_cs,
-        effects=model.effects,
-    )
+def turned(path: Path) -> Pushbroom:
+    """The operator's model with another mounting."""
+    return operator_model(path).pushbroom.with_installation(TURN)
 
 
 def pixels() -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +43,7 @@ def test_corrected_product_has_the_places_of_the_corrected_camera(tmp_path, form
     path.write_text(text)
     raw = corrected_dimap(path, TURN, {"mission": "A--B", "note": "<&>"})
     (tmp_path / "corrected.xml").write_bytes(raw)
-    expected = turned(operator_model(path).pushbroom, TURN).ground_points(0, *pixels(), ConstantHeight(50.0))
+    expected = turned(path).ground_points(0, *pixels(), ConstantHeight(50.0))
     found = operator_model(tmp_path / "corrected.xml").pushbroom.ground_points(
         0, *pixels(), ConstantHeight(50.0)
     )
@@ -83,7 +76,7 @@ def test_only_the_quaternions_of_the_model_are_corrected(tmp_path, version):
     q0, x, y, z = map(float, root.findtext(".//WGS84_Attitudes/Q_VALUES").split())
     turn = Rotation.from_quat([0.0, -0.7071, 0.0, 0.7071]) * TURN.inv()  # camera to ITRS
     assert (Rotation.from_quat([x, y, z, q0]) * turn.inv()).magnitude() < 1e-12  # rad
-    expected = turned(operator_model(path).pushbroom, TURN).ground_points(0, *pixels(), ConstantHeight(50.0))
+    expected = turned(path).ground_points(0, *pixels(), ConstantHeight(50.0))
     found = operator_model(tmp_path / "corrected.xml").pushbroom
     off = found.ground_points(0, *pixels(), ConstantHeight(50.0)) - expected
     assert np.linalg.norm(off, axis=1).max() < 1e-5  # m
@@ -93,7 +86,7 @@ def test_only_the_quaternions_of_the_model_are_corrected(tmp_path, version):
 def test_a_real_product_is_corrected(tmp_path):
     (tmp_path / "corrected.xml").write_bytes(corrected_dimap(REAL, TURN, {"mission": "M"}))
     sample, line = np.array([0.0, 39_999.0]), np.array([0.0, 38_247.0])
-    model = turned(operator_model(REAL).pushbroom, TURN)
+    model = turned(REAL)
     expected = model.ground_points(0, sample, line, ConstantHeight(50.0))
     found = operator_model(tmp_path / "corrected.xml").pushbroom
     off = found.ground_points(0, sample, line, ConstantHeight(50.0)) - expected
@@ -103,7 +96,7 @@ def test_a_real_product_is_corrected(tmp_path):
 def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     product = tmp_path / "product.xml"
     product.write_text(dimap_text())
-    truth = turned(operator_model(product).pushbroom, TURN)
+    truth = turned(product)
     sample, line = pixels()
     lat, lon, height = geodetic_from_ecef(truth.ground_points(0, sample, line, ConstantHeight(50.0)), WGS84)
     rows = zip(

@@ -88,16 +88,8 @@ def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
     finished, tmp_path, monkeypatch, limit_px, is_told
 ):
     monkeypatch.setattr(formats, "RPC_LIMIT_PX", limit_px)
-    asked = [
-        "export",
-        str(finished[1]),
-        "--dump",
-        str(finished[0]),
-        "--format",
-        "rpc",
-        "--out",
-        str(tmp_path),
-    ]
+    dump, result = map(str, finished)
+    asked = ["export", result, "--dump", dump, "--format", "rpc", "--out", str(tmp_path)]
     ran = runner.invoke(app, asked)
     assert ran.exit_code == 0, ran.output
     told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", ran.output)
@@ -133,13 +125,6 @@ def test_a_calibration_file_has_matrix_covariance_and_dates(finished, tmp_path, 
     dates = content["valid_from_utc"], content["valid_to_utc"]
     assert dates == ("2026-03-01T00:00:00.0Z", "2026-06-01T00:00:00.0Z")
     assert content["notes"]["use"] == " to ".join(dates)
-
-
-def test_spice_turns_as_installation_json_says(exported, installation):
-    spiceypy.furnsh(str(exported[0] / "installation.tf"))
-    got = spiceypy.pxform("BORESIGHT_STAR_CAMERA", "BORESIGHT_REMOTE_CAMERA", 0.0)
-    spiceypy.kclear()
-    assert np.abs(got - np.array(installation["R_cs"])).max() < 1e-12
 
 
 def test_a_dump_reads_the_exported_kernels_as_the_attitudes_they_were_made_from(exported, finished):
@@ -208,19 +193,6 @@ def test_ground_points_are_the_targets_of_the_dump(exported, finished):
     assert sum(not line.startswith(";") for line in lines) == used
 
 
-def test_every_text_says_what_it_is_made_from(exported, finished):
-    """Date, mission, dump, frames and validity are in every file; of an RPC in the VRT beside it."""
-    dump = json.loads((finished[1] / "boresight-result.json").read_text())["dump"]
-    mission = open_calibrated(finished[1], finished[0]).dump.mission
-    for path in exported[0].iterdir():
-        if path.name.endswith("_RPC.TXT"):
-            path = path.with_name(path.name.replace("_RPC.TXT", ".rpc.vrt"))
-        text = path.read_bytes().decode("utf-8", "replace").replace("CONTINUE  '", "").replace("HISTORY ", "")
-        text = re.sub(r"\s+", "", text)
-        assert dump in text and mission in text and "u_c=R_csu_s" in text, path.name
-        assert re.search(r"created.{0,20}20\d\d-\d\d-\d\dT", text, re.IGNORECASE), path.name
-
-
 def read_notes(path: Path) -> str:
     """What the reader of a format shows of its origin: tags, header, comments, metadata."""
     if path.suffix == ".vrt":
@@ -285,14 +257,6 @@ def test_ogr_reads_kml_and_geojson(exported, finished):
     assert pyogrio.read_info(exported[0] / "targets.geojson")["features"] == len(features)
     names = fields[[name.lower() for name in about["fields"]].index("name")]
     assert set(names) == {f["properties"]["target"] for f in features} | {features[0]["properties"]["strip"]}
-
-
-def test_a_used_target_misses_its_computed_place_by_little(exported):
-    """Position and clock of the strip are wrong by some metres, which is less than 2 px of 6.4 m."""
-    features = json.loads((exported[0] / "targets.geojson").read_text())["features"]
-    used = [f["properties"] for f in features if f["properties"]["used"]]
-    residuals = np.array([[f["residual_sample_px"], f["residual_line_px"]] for f in used])
-    assert 0.0 < np.abs(residuals).max() < 2.0
 
 
 def test_an_unknown_format_or_frame_name_is_wrong_usage(finished, tmp_path):

@@ -10,9 +10,10 @@ import pytest
 from astropy.io import fits
 from orbiting_camera import NOTES
 from scipy.spatial.transform import Rotation
+from test_ground_points import POINTS
 
 from boresight.features.exports.ccsds_aem import AemHeader, attitude_message
-from boresight.features.exports.ground_control_points import GroundPoints, points_asp, points_envi
+from boresight.features.exports.ground_control_points import points_asp, points_envi
 from boresight.features.exports.kml import kml_text
 from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
 from boresight.features.exports.star_fits import centroids_fits
@@ -56,23 +57,10 @@ def test_an_attitude_message_keeps_its_lines(name):
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_other_texts_keep_their_lines(name):
-    points = GroundPoints(
-        strip_id="S",
-        ccd=0,
-        image=name,
-        target_id=("T",),
-        lat_deg=np.array([46.0]),
-        lon_deg=np.array([102.0]),
-        height_m=np.array([10.0]),
-        xy_px=np.zeros((1, 2)),
-        sigma_px=np.ones((1, 2)),
-        residual_px=np.zeros((1, 2)),
-        sigma_m=np.ones((1, 3)),
-        used=np.array([True]),
-    )
-    assert len(points_envi(points, NOTES, egm96()).splitlines()) == 6 + len(NOTES.lines())
-    *notes, point = points_asp(points, NOTES).splitlines()
-    assert len(notes) == len(NOTES.lines()) and len(point.split()) == 12
+    points = replace(POINTS, image=name)  # two of its three points are used
+    assert len(points_envi(points, NOTES, egm96()).splitlines()) == 7 + len(NOTES.lines())
+    *notes, one, other = points_asp(points, NOTES).splitlines()
+    assert len(notes) == len(NOTES.lines()) and len(one.split()) == len(other.split()) == 12
     assert ElementTree.fromstring(kml_text({name: np.eye(2)}, [points], NOTES)) is not None
     assert ElementTree.fromstring(vrt_with_gcps(Path(name), (2, 2), "Byte", points, NOTES)) is not None
     kernel = frame_kernel(Rotation.identity(), f"{name}\n\\begindata", SpiceFrames())

@@ -1,45 +1,28 @@
 """Numbers of exports that only their readers would miss: each beside the place it was made from."""
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 from lopsided import PLACES
+from orbiting_camera import NOTES
+from test_ground_points import POINTS
 
-from boresight.features.exports.ground_control_points import GroundPoints
 from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.kml import kml_text
-from boresight.features.exports.notes import Notes
 from boresight.features.exports.rpc import Rpc, rpc_text
 
-NOTES = Notes(
-    created="c",
-    program="p",
-    mission="m",
-    dump="d",
-    frames="f",
-    valid="v",
-    verdict="w",
-    result="r",
-    inputs="i",
-)
 KML = "{http://www.opengis.net/kml/2.2}"
 
 
 def test_kml_has_longitude_before_latitude_and_the_height_of_each_target() -> None:
     lat, lon, height = np.array(list(PLACES.values())).T
-    n = len(PLACES)
-    points = GroundPoints(
-        strip_id="S",
-        ccd=0,
-        image="a.tif",
+    points = replace(
+        POINTS,
         target_id=tuple(PLACES),
         lat_deg=lat,
         lon_deg=lon,
         height_m=height,
-        xy_px=np.arange(2.0 * n).reshape(n, 2),
-        sigma_px=np.ones((n, 2)),
-        residual_px=np.zeros((n, 2)),
-        sigma_m=np.ones((n, 3)),
         used=np.array([True, False, True]),
     )
     outline = np.column_stack([lon, lat])

@@ -1,4 +1,4 @@
-"""CK, SCLK and IK, loaded by NAIF's own toolkit; leap seconds for it are those of ERFA."""
+"""CK, SCLK, FK and IK, loaded by NAIF's own toolkit; leap seconds for it are those of ERFA."""
 
 import numpy as np
 import pytest
@@ -66,6 +66,17 @@ def test_utc_leads_to_the_attitude_of_that_instant(ticks_and_instants):
         assert ephemeris_time(EPOCH, np.array([t]))[0] == pytest.approx(et, abs=2e-7)
         star = spiceypy.pxform("J2000", FRAMES.star_camera_name, et)
         assert np.abs(star - attitude([t])[0].as_matrix()).max() < 3e-10
+
+
+def test_spice_knows_both_frames_by_name_and_id(ticks_and_instants):
+    assert spiceypy.namfrm("BORESIGHT_REMOTE_CAMERA") == -999002
+    assert spiceypy.frmnam(-999001) == "BORESIGHT_STAR_CAMERA"
+
+
+@pytest.mark.parametrize("name", ["lower", "WITH SPACE", "X" * 33, ""])
+def test_names_that_spice_cannot_take_are_refused(name):
+    with pytest.raises(ValueError, match="frame name"):
+        SpiceFrames(remote_camera_name=name)
 
 
 def test_there_is_no_attitude_outside_the_strip(ticks_and_instants):

@@ -203,18 +203,6 @@ def test_the_stitched_image_is_the_one_the_virtual_ccd_would_take(scene):
     assert np.sqrt(((image - truth.reshape(image.shape))[known] ** 2).mean()) < 1.0
 
 
-def test_relief_off_the_mean_plane_shifts_the_seam_unless_the_terrain_is_known(scene):
-    # Stagger 2 mm / 10 m = 2e-4: 600 m off the plane is 0.12 m, 0.24 px; with the right height nothing is
-    # left.
-    model, _, raw = scene
-    for height, expected in ((HEIGHT_M, 0.0), (HEIGHT_M + 600.0, 0.24)):
-        strip = VirtualStrip(model, ConstantHeight(height))
-        (left, _, seam), (right, _, _) = strip.seams(1200.0)[:2]
-        window = (int(seam) - 20, int(seam) + 20)
-        both = [strip.resampled(k, reader(raw), LINES, (1000, 1200), window) for k in (left, right)]
-        assert np.abs(shift_between(*both)[0]) == pytest.approx(expected, abs=0.05)
-
-
 def test_a_terrain_takes_the_place_of_the_plane(scene):
     model, _, raw = scene
     lat, lon, _ = np.degrees(

@@ -8,7 +8,7 @@ from boresight.features.heads.alignment import align_heads
 
 
 def test_alignment_and_its_covariance_hold() -> None:
-    nees, runs = 0.0, 60
+    nees, runs = 0.0, 30
     for seed in range(runs):
         found = align_heads(
             *tracks(np.random.default_rng(100 + seed)), (NOISE[0], NOISE[1]), {"hour": T / 3600}, 10.0

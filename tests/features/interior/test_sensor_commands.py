@@ -60,17 +60,8 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
     calibrated = open_calibrated(result, dump)
     model = strip_model(calibrated, calibrated.dump.strips[0].strip_id)
     out = tmp_path / "strip.tif"
-    asked = [
-        "virtual-ccd",
-        str(result),
-        "--strip",
-        model.strip.strip_id,
-        "--out",
-        str(out),
-        "--dump",
-        str(dump),
-    ]
-    told = runner.invoke(app, asked)
+    asked = ["virtual-ccd", str(result), "--strip", model.strip.strip_id, "--dump", str(dump)]
+    told = runner.invoke(app, [*asked, "--out", str(out)])
     assert told.exit_code == 0, told.output
     with rasterio.open(out) as image:
         stitched, (places, crs) = image.read(1), image.gcps

@@ -33,7 +33,7 @@ def pairs(count, step=0.0):
 
 
 def test_p_values_of_consistent_results_of_one_camera_are_uniform():
-    found = list(pairs(300))
+    found = list(pairs(120))
     assert kstest([one.p_value for one in found], "uniform").pvalue > 0.01
     # taken as independent, both results' distortion would be counted twice
     one = found[0]
@@ -41,10 +41,10 @@ def test_p_values_of_consistent_results_of_one_camera_are_uniform():
 
 
 def test_a_difference_is_found_as_often_as_its_covariance_predicts():
-    found = list(pairs(200, step=2.0))
+    found = list(pairs(100, step=2.0))
     size = np.array([2.0 * ARCSEC, 0.0, 0.0])
     power = ncx2(3, size @ np.linalg.solve(found[0].covariance_c, size)).sf(chi2(3).isf(0.01))
-    low, high = binom(200, power).ppf([0.0005, 0.9995])
+    low, high = binom(100, power).ppf([0.0005, 0.9995])
     assert low <= sum(one.differs for one in found) <= high and 0.1 < power < 0.999
 
 
@@ -59,7 +59,7 @@ def test_a_strip_in_both_results_is_not_counted_as_two(monkeypatch):
     """The second result is the strip of the first and another: Hausman's difference of variances."""
     errors, like = [], bare_result(PAIR)
     monkeypatch.setattr(comparison, "read_mounting", lambda folder, name, scale, camera: PAIR)
-    for seed in range(200):
+    for seed in range(80):
         mission = DrawnMission(PAIR, np.random.default_rng(seed))
         first = mission.result(like, "a", 0.0, np.zeros(3))
         more = mission.result(like, "x", DAY_S, np.zeros(3))

@@ -42,23 +42,17 @@ def drawn(course, rng, t_s=MONTHS, **conditions):
 
 def test_alarms_at_rest_come_no_more_often_than_is_asked_for():
     rng, found = np.random.default_rng(1), []
-    for _ in range(400):
+    for _ in range(150):
         found.append(against_rest(drawn(np.zeros((12, 3)), rng)))
     alarms = sum(one.moved(0.05) for one in found)
-    # The bound of 5 % is never passed in 400 runs but by chance: 99.9 % of the binomial.
-    assert alarms <= binom(400, 0.05).ppf(0.999)
-    # And the chi2 behind it is one: p-values are uniform (their mean 0.5, 1 sigma 0.0144).
-    assert np.mean([one.p_value for one in found]) == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_constant_mounting_gives_no_alarm_in_95_of_100_runs():
-    rng = np.random.default_rng(2)
-    short = [against_rest(drawn(np.zeros((6, 3)), rng, MONTHS[:6])) for _ in range(100)]
-    assert sum(one.moved(0.01) for one in short) <= 5
+    # The bound of 5 % is never passed in 150 runs but by chance: 99.9 % of the binomial.
+    assert alarms <= binom(150, 0.05).ppf(0.999)
+    # And the chi2 behind it is one: p-values are uniform (their mean 0.5, 1 sigma 0.0236).
+    assert np.mean([one.p_value for one in found]) == pytest.approx(0.5, abs=0.08)
 
 
 def test_a_step_is_found_with_its_date_and_the_interval_covers_it():
-    rng, runs = np.random.default_rng(3), 100
+    rng, runs = np.random.default_rng(3), 40
     found = dated = covered = 0
     # 3" along x, where a result of any orientation has some weight: ten times its best direction's 1 sigma
     size = np.array([3.0, 0.0, 0.0]) * ARCSEC
@@ -76,7 +70,7 @@ def test_a_step_is_found_with_its_date_and_the_interval_covers_it():
 
 
 def test_the_step_itself_and_its_covariance_are_honest():
-    rng, step, nees, runs = np.random.default_rng(4), np.array([4.0, -9.0, 12.0]) * ARCSEC, 0.0, 150
+    rng, step, nees, runs = np.random.default_rng(4), np.array([4.0, -9.0, 12.0]) * ARCSEC, 0.0, 60
     for _ in range(runs):  # large, so that no draw misses its gap
         one = against_rest(drawn(np.where(np.arange(12)[:, None] > 4, step, 0.0), rng)).step
         assert one.row == 5
@@ -87,14 +81,14 @@ def test_the_step_itself_and_its_covariance_are_honest():
 
 
 def test_an_orbit_term_is_not_accepted_beside_a_step_that_it_could_follow():
-    """No term is there, but a step of 12 arcsec; three terms of 1 % together are asked, 60 runs."""
+    """No term is there, but a step of 12 arcsec; three terms of 1 % together are asked, 25 runs."""
     rng, accepted = np.random.default_rng(12), 0
     course = np.where(np.arange(12)[:, None] > 6, [12 * ARCSEC, 0.0, 0.0], 0.0)
-    for _ in range(60):
+    for _ in range(25):
         u = rng.uniform(0.0, 2.0 * np.pi, 12)
         found = estimate_course(drawn(course, rng, cos_sin=np.column_stack([np.cos(u), np.sin(u)])))
         accepted += "orbit phase" in found.terms
-    assert accepted <= binom(60, 0.01).ppf(0.999)
+    assert accepted <= binom(25, 0.01).ppf(0.999)
 
 
 def joint_information(series):
@@ -126,14 +120,6 @@ def test_the_course_with_a_walk_is_the_dense_gaussian_posterior():
     for k in range(12):
         block = dense[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         assert_allclose(own[k], block, atol=1e-4 * ARCSEC**2)
-
-
-def test_a_walk_of_density_nothing_is_the_merged_matrix():
-    series = drawn(np.zeros((12, 3)), np.random.default_rng(7))
-    merged = fit_columns(series, np.ones((12, 1)))
-    near = fit_columns(series, np.ones((12, 1)), 1e-10 * ARCSEC**2 / DAY_S)
-    assert_allclose(near.coefficients[0], merged.coefficients[0], atol=1e-4 * ARCSEC)
-    assert_allclose(near.covariance[:3, :3], merged.covariance, rtol=1e-4)
 
 
 def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
@@ -224,14 +210,6 @@ def test_months_merge_to_the_calibration_of_all_their_strips(strips):
     assert_allclose(merged.covariance, whole.cov_theta, rtol=0, atol=2e-3 * np.diag(whole.cov_theta).min())
 
 
-def test_averaging_months_as_independent_makes_the_covariance_too_small(strips):
-    shared = against_rest(series_of(in_months(strips))[0]).rest.covariance
-    averaged = against_rest(series_taken_as_independent(in_months(strips))).rest.covariance
-    assert np.linalg.eigvalsh(shared - averaged)[0] > -1e-3 * np.linalg.eigvalsh(averaged)[0]
-    # The rotation about Z depends on the distortion: 24 strips are near its floor; months do not lower it.
-    assert shared[2, 2] > 2.0 * averaged[2, 2]
-
-
 def remounted(strips, R_before, R_after):
     """Strips as seen by a star camera with the mounting `R_after` instead of `R_before`."""
     turn = R_after.inv() * R_before
@@ -257,13 +235,8 @@ def test_what_is_shared_hides_no_step(strips):
     assert found.step.p_value < 0.01 * alone.step.p_value
 
 
-def test_the_merged_matrix_and_its_covariance_are_honest_and_the_same_in_any_order():
-    rng, nees, runs = np.random.default_rng(10), 0.0, 200
-    for _ in range(runs):
-        merged = fit_columns(drawn(np.zeros((5, 3)), rng, MONTHS[:5]), np.ones((5, 1)))
-        nees += merged.coefficients[0] @ np.linalg.solve(merged.covariance, merged.coefficients[0])
-    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
-    assert low < nees < high
+def test_the_merged_matrix_is_the_same_in_any_order():
+    rng = np.random.default_rng(10)
     series = drawn(rng.normal(size=(4, 3)) * ARCSEC, rng, MONTHS[:4])
     expected = fit_columns(series, np.ones((4, 1))).coefficients[0]
     for order in itertools.permutations(range(4)):

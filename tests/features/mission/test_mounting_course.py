@@ -46,7 +46,7 @@ def test_terms_and_steps_of_three_years_are_recovered_and_the_prediction_is_hone
 
 @pytest.mark.parametrize("seasons", [0.0, 3.0])
 def test_a_mounting_without_steps_has_none(seasons):
-    false, runs = 0, 15
+    false, runs = 0, 8
     for seed in range(runs):
         rng = np.random.default_rng(100 + seed)
         truth = Truth(rng, results=60, annual=seasons, orbit=0.0, steps=(0.0, 0.0))

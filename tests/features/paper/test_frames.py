@@ -59,7 +59,7 @@ def test_ragged_frames_give_what_each_gives_alone():
 
 def test_errors_are_at_the_bound_and_unbiased():
     exact = draw_frames(60, 30, 10, 0.06, 0.3, CAMERAS, np.random.default_rng(4), noise=False)
-    rng, runs = np.random.default_rng(5), 150
+    rng, runs = np.random.default_rng(5), 60
     found = [calibrate_frames(noisy_frames(exact, rng), R_CS0) for _ in range(runs)]
     off = np.array([theta_between(f.R_cs, BOLD) for f in found])
     covariance = found[0].solution.covariance
@@ -75,9 +75,3 @@ def test_a_matrix_far_away_is_reached_and_a_hopeless_one_refused():
     assert np.linalg.norm(theta_between(calibrate_frames(frames, far).R_cs, BOLD)) < 5 * ARCSEC
     with pytest.raises(ValueError, match="from the identity after 1 iterations"):
         calibrate_frames(frames, far, most_iterations=1)
-
-
-def test_shapes_are_checked_at_birth():
-    frames = drawn(2, 1)
-    with pytest.raises(ValueError, match="v_targets must have shape"):
-        replace(frames, w_c=frames.w_c[:-1])

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.features.paper.ten_steps import calibrate_literally, frame_information_literally
+from boresight.features.paper.ten_steps import frame_information_literally
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.simulator.campaign import CameraPair, draw_frames
@@ -17,18 +17,6 @@ BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 def frames_of(n_frames, stars, targets, seed=1, R_cs=BOLD, sigma_c_px=0.3):
     cameras = CameraPair(R_cs)
     return draw_frames(n_frames, stars, targets, 0.06, sigma_c_px, cameras, np.random.default_rng(seed))
-
-
-def test_ten_steps_find_the_papers_own_deviation_from_a_bold_mounting():
-    frames = frames_of(6, 20, 8)
-    R_cs0 = deviation_from_theta(MATRIX_28).inv() * BOLD
-    R_cs, covariance, iterations = calibrate_literally([frames.frame(k) for k in range(6)], R_cs0)
-    error = theta_between(R_cs, BOLD)
-    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(covariance)))  # 4 sigma of its own, seeded
-    assert np.all(
-        np.abs(theta_between(R_cs, R_cs0) - MATRIX_28) < 20 * ARCSEC
-    )  # bold: the weak turn is 5 arcsec
-    assert iterations <= 5  # quadratic from 3.7 mrad to 1e-12 rad
 
 
 def test_the_printed_sign_of_H_would_double_the_error():

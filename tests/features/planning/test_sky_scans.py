@@ -31,22 +31,15 @@ DUMP = open_dump(MINI)
 CAMERAS = ScanCameras(line=DUMP.line_camera, star=DUMP.star_camera, R_cs=DUMP.R_cs0, orbit=DUMP.orbit)
 
 
-def chosen(**asked):
+def chosen(*progress, **asked):
     settings = ScanSettings(**({"candidates": 40, "count": 2} | asked))
-    return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings)
+    return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings, *progress)
 
 
 @pytest.mark.parametrize("days", [-4.5, 3.2, 731.0])
 def test_an_orbit_is_not_continued_further_than_stated(days):
     with pytest.raises(ValueError, match=r"the orbit covers 2024-11-20T03:39 .* continued by 3 days at most"):
         choose_scans(CAMERAS, all_hipparcos(), days * 86400.0, CalibrationSettings(), ScanSettings())
-
-
-def test_candidates_are_told_as_they_are_looked_at():
-    told = []
-    asked = ScanSettings(candidates=40, count=2)
-    choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), asked, lambda *one: told.append(one))
-    assert told == [(n, 40) for n in range(1, 41)]
 
 
 def test_angles_to_sun_moon_and_limb_are_those_of_astropy():
@@ -92,7 +85,9 @@ def least_angles_deg(scan) -> np.ndarray:
 
 
 def test_scans_keep_both_cameras_away_and_beat_chance():
-    found = chosen(sun_deg=70.0, moon_deg=30.0, earth_deg=12.0)
+    told = []
+    found = chosen(lambda *one: told.append(one), sun_deg=70.0, moon_deg=30.0, earth_deg=12.0)
+    assert told == [(n, 40) for n in range(1, 41)]
     for scan in found.scans:
         assert np.all(scan.away_deg >= [70.0, 30.0, 12.0])
         assert np.allclose(scan.away_deg, least_angles_deg(scan), atol=0.02)  # light time, series of the Moon

@@ -16,19 +16,6 @@ from typer.testing import CliRunner
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 
 
-def test_match_places_the_targets_of_one_strip(tmp_path: Path):
-    out = tmp_path / "places.csv"
-    arguments = ["match", str(MINI), "--strip", "s01", "--out", str(out)]
-    outcome = CliRunner().invoke(app, [*arguments, "--workers", "1"])
-    assert outcome.exit_code == 0, outcome.output
-    with out.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    placed = [row for row in rows if row["outcome"] == "placed"]
-    assert {row["strip_id"] for row in rows} == {"s01"}
-    assert len(placed) >= 10
-    assert all(float(row["sigma_sample_px"]) < 0.1 for row in placed)
-
-
 def test_the_page_of_candidates_shows_each_with_its_pictures_and_reason(tmp_path: Path):
     dump = shutil.copytree(MINI, tmp_path / "dump")
     for name, spoil in (("s01-t01", lambda a: a // 40 + 100), ("s01-t02", lambda a: a[::-1])):
