@@ -112,9 +112,9 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
             raise meta.error("OBJECT_ID", other, f"{first}, as in the first segment", file)
     names = [f"{file} (segment {n} of {len(read)})" for n in range(1, len(read) + 1)]
     parts = [_ephemeris(*one, name) for one, name in zip(read, names if len(read) > 1 else [file])]
-    first = parts[0].epoch
-    later_s = [float(one.epoch.tai_s - first.tai_s) for one in parts]
-    return tuple(replace(one, epoch=first, t_s=one.t_s + later) for one, later in zip(parts, later_s))
+    epoch = parts[0].epoch
+    later_s = [float(one.epoch.tai_s - epoch.tai_s) for one in parts]
+    return tuple(replace(one, epoch=epoch, t_s=one.t_s + later) for one, later in zip(parts, later_s))
 
 
 def covered_by(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> list[int]:
@@ -257,8 +257,8 @@ def _of_xml(text: str, file: str) -> list[Part]:
     _keywords([("", "CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
     (body,) = elements_of(root, "body", file, 1, 1)
     segments = elements_of(body, "segment", file, 1, MAX_SEGMENTS)
-    inside = [f"segment {n}, " for n in range(1, len(segments) + 1)] if len(segments) > 1 else [""]
-    return [_of_segment(one, file, where) for one, where in zip(segments, inside)]
+    places = [f"segment {n}, " for n in range(1, len(segments) + 1)] if len(segments) > 1 else [""]
+    return [_of_segment(one, file, place) for one, place in zip(segments, places)]
 
 
 def _of_segment(segment: Element, file: str, inside: str) -> Part:

@@ -52,8 +52,8 @@ class SkySide:
 
     def only(self, rows: Sequence[int]) -> SkySide:
         """Some of the strips, without what was left out of them."""
-        tasks, found = (tuple(part[n] for n in rows) for part in (self.tasks, self.found))
-        return replace(self, tasks=tasks, found=found, omissions=(), computed=())
+        tasks, found = [self.tasks[n] for n in rows], [self.found[n] for n in rows]
+        return replace(self, tasks=tuple(tasks), found=tuple(found), omissions=(), computed=())
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
         """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head
