@@ -183,11 +183,8 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
         raise ValueError("information that is not a finite number cannot be added")
     if len(F) == 1:
         return InformationTotal(F[0] + 0.0, F_theta[0] + 0.0)
-    rows, columns = np.triu_indices(n)
-    sums = _rounded_once(np.column_stack([F[:, rows, columns], F_theta]))
-    total = np.empty((n, n))
-    total[rows, columns] = total[columns, rows] = sums[:-n]
-    return InformationTotal(total, sums[-n:])
+    sums = _rounded_once(np.concatenate([F.reshape(len(F), -1), F_theta], axis=1))
+    return InformationTotal(sums[:-n].reshape(n, n), sums[-n:])
 
 
 def _rounded_once(numbers: Array) -> Array:
