@@ -105,7 +105,7 @@ def conditions() -> Iterator[Condition]:
     yield Condition(
         "8 strips of the ground, no nuisances", lambda rng: ground(StripPlan(), rng), NO_NUISANCES
     )
-    yield Condition("8 strips, Table 1", lambda rng: ground(TABLE_1, rng), table_1)
+    yield Condition("8 strips, Table 1, distortion of the camera", lambda rng: ground(TABLE_1, rng), table_1)
     for strips, stars, rates, label in (
         (2, 12, IMAGING, "imaging rate"),
         (2, 12, QUARTER, "quarter rate"),

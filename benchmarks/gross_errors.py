@@ -92,9 +92,8 @@ def main() -> int:
     assert isinstance(plain, InstallationEstimate)
     test, design = plain.rejection, Design.of(strips, plain, found.settings)
     smallest, largest = (edge(plain.targets.detectable_rad) / pixel_rad for edge in (np.min, np.max))
-    alarms = f"{test.probability_each:g} a target, {test.probability_any:.3f} of any"
-    print(f"limit {test.limit:.2f}; false alarms: {alarms}")
-    print(f"detectable with power {test.power:g}: {smallest:.2f} to {largest:.2f} px, along the worst axis")
+    print(f"limit {test.limit:.2f}; false alarms: {found.settings.probability_false_alarm:g} a target")
+    print(f"detectable: {smallest:.2f} to {largest:.2f} px, along the worst axis")
     rng, rows, J = np.random.default_rng(0), np.arange(draws), len(design.blocks)
     most = 1.0 - (1.0 - chdtrc(2, test.limit)) ** J + MORE
     information = np.swapaxes(design.whitener, 1, 2) @ design.blocks @ design.whitener

@@ -176,7 +176,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     of_heads = [carried(strip) for strip in strips]
     prepared = prepare_strips(of_heads, settings, start.cameras)
     problem = Problem.of(prepared, settings, start.interior, start.cameras, start.prior)
-    test = rejection_test(settings.probability_false_alarm, int(problem.inside.sum()))
+    test = rejection_test(settings.probability_false_alarm)
     if not problem.groups:
         none = np.zeros((0, 3))
         return NotObservable(

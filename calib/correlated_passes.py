@@ -11,6 +11,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import block_diag
 
 from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.settings import CalibrationSettings
@@ -106,13 +107,9 @@ def _with_lasting(
 
 
 def _blocks(parts: Sequence[Floats]) -> Floats:
-    """Columns (J, A, m) of passes by themselves as columns (sum J, A, sum m) of all."""
-    out = np.zeros((sum(len(one) for one in parts), parts[0].shape[1], sum(one.shape[2] for one in parts)))
-    row = column = 0
-    for one in parts:
-        out[row : row + len(one), :, column : column + one.shape[2]] = one
-        row, column = row + len(one), column + one.shape[2]
-    return out
+    """Columns (J, 3, m) of passes by themselves as columns (sum J, 3, sum m) of all."""
+    joined = block_diag(*(one.reshape(3 * len(one), one.shape[2]) for one in parts))
+    return np.asarray(joined.reshape(len(joined) // 3, 3, joined.shape[1]))
 
 
 def _ties(passes: Sequence[PreparedStrip]) -> tuple[HeadTie, ...]:

@@ -86,19 +86,19 @@ def places_on_curves(ccd: Index, sample: Array, u_c: Array, pixel_rad: float) ->
     return np.zeros_like(ccd), np.arctan2(u_c[:, 1], u_c[:, 2]) / pixel_rad
 
 
-def knots_touched(curve: Index, place: Array, length_px: float = 1.0) -> tuple[Knot, ...]:
+def knots_touched(curve: Index, place: Array) -> tuple[Knot, ...]:
     """The knots between which targets at places (J,) on curves (J,) lie, in order."""
-    left = np.floor(place / (0.5 * length_px)).astype(np.int64)
+    left = np.floor(place / 0.5).astype(np.int64)
     both = {(int(c), int(k) + side) for c, k in zip(curve, left) for side in (0, 1)}
     return tuple(sorted(both))
 
 
-def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...], length_px: float = 1.0) -> Array:
+def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...]) -> Array:
     """Weights (J, K) of the knots in the curve's value at each target. Raises `KeyError` for a knot not
     in `knots`.
     """
     column = {knot: n for n, knot in enumerate(knots)}
-    step = place / (0.5 * length_px)
+    step = place / 0.5
     left = np.floor(step).astype(np.int64)
     weights = np.zeros((len(curve), len(knots)))
     for j, (c, k) in enumerate(zip(curve.tolist(), left.tolist())):

@@ -100,8 +100,8 @@ class SharedUnknowns:
 
     def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
         """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
-        none = np.zeros((len(strip.ccd), 3, 0))
-        in_c, in_s = [none], [none]
+        in_c: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
+        in_s: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
         for error in self.errors:
             zero = np.zeros((len(strip.ccd), 3, len(error.names)))
             in_c.append(error.columns_c(strip) if error.columns_c else zero)
@@ -181,7 +181,7 @@ def find_shared(
             SharedError(head_names(heads), lambda one: of_heads(one.heads, one.by_alignments_s, heads)),
         ),
         targets=kept,
-        prior_targets=_in_blocks([np.linalg.inv(covariance[name]) for name in kept]),
+        prior_targets=_in_blocks([np.asarray(np.linalg.inv(covariance[name]), float) for name in kept]),
         references=fields,
         heads=heads,
     )

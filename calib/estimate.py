@@ -60,7 +60,7 @@ class TargetResiduals:
     detectable_rad: Floats = array(
         "J",
         "minimal detectable bias: smallest error of the direction, along its least controlled axis, that the "
-        "test finds with the power of `RejectionTest`; inf where nothing controls it",
+        "test finds with its power; inf where nothing controls it",
     )
     detectable_m: Floats = array("J", "`detectable_rad` times the distance to the target, m; NaN for stars")
     rivals: dict[int, Ints] = scalar(
@@ -90,10 +90,7 @@ class RejectionTest:
     """Test by which targets are rejected (data snooping, Baarda 1968), one per sighting."""
 
     limit: float = scalar("rejected above this statistic, chi-square of 2 degrees of freedom")
-    probability_each: float = scalar("probability that one good sighting is rejected")
-    probability_any: float = scalar("probability that any of all good sightings is rejected, at most")
-    power: float = scalar("probability with which a bias of the stated minimal size is found")
-    noncentrality: float = scalar("of the chi-square distribution that has this power")
+    noncentrality: float = scalar("of the chi-square of a bias that is found with the power of the test, 0.8")
 
 
 @record(kw_only=True)

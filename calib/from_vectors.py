@@ -8,8 +8,6 @@ Frames of one instant, or with the same stars, have one attitude, whose error co
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -127,8 +125,4 @@ def _star_camera(u_s: Floats) -> StarCamera | None:
         return None
     corner = float(np.max(np.linalg.norm(u_s[:, :2] / u_s[:, 2:], axis=1))) / ARCSEC
     side = max(int(np.ceil(np.sqrt(2.0) * corner)), 2)
-    return replace(_NOMINAL, width_px=side, height_px=side)
-
-
-# Camera of one arc-second a pixel that stands for the unknown one of given vectors; its size is replaced.
-_NOMINAL = StarCamera(focal_m=1.0, pixel_m=ARCSEC, width_px=2, height_px=2, principal_px=(0.0, 0.0))
+    return StarCamera(focal_m=1.0, pixel_m=ARCSEC, width_px=side, height_px=side, principal_px=(0.0, 0.0))

@@ -65,11 +65,10 @@ FEW_REJECTED = 10  # that are searched for whatever their share
 SMALLEST_GAIN = 1e-6  # of the limit: (1) must fall by more than rounding
 
 
-def rejection_test(probability_false_alarm: float, n_tests: int) -> RejectionTest:
-    """Limit, family-wise false-alarm rate of `n_tests` tests, and noncentrality of the stated power."""
+def rejection_test(probability_false_alarm: float) -> RejectionTest:
+    """Limit, and noncentrality of a bias that is found with the stated power."""
     limit = float(chdtri(2, probability_false_alarm))
-    of_any = -float(np.expm1(n_tests * np.log1p(-probability_false_alarm)))
-    return RejectionTest(limit, probability_false_alarm, of_any, POWER, noncentrality_of(limit, 2, POWER))
+    return RejectionTest(limit, noncentrality_of(limit, 2, POWER))
 
 
 def noncentrality_of(limit: float, dof: int, power: float) -> float:

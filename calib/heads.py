@@ -30,7 +30,6 @@ from boresight.geometry.sightings import (
 __all__ = [
     "HeadTie",
     "aligned",
-    "alignment_columns",
     "carried",
     "head_names",
     "largest_turn",
@@ -125,11 +124,6 @@ def carried(strip: StripSightings) -> StripSightings:
     first = max(by_name, key=spanned)
     rest = tuple(one for one in by_name if one is not first)
     return replace(without_head(replace(strip, others=(first,)), ""), others=rest, carrier=first.head)
-
-
-def alignment_columns(tie: HeadTie, heads: Sequence[str]) -> Floats:
-    """Change (M, 3 heads) of what rows tell by all alignments."""
-    return of_heads(tie.heads, tie.by_alpha, heads)
 
 
 def of_heads(own: Sequence[str], columns: Floats, heads: Sequence[str]) -> Floats:

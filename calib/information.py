@@ -183,15 +183,32 @@ def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
         raise ValueError("information that is not a finite number cannot be added")
     if len(F) == 1:
         return InformationTotal(F[0] + 0.0, F_theta[0] + 0.0)
-    rows, columns = np.triu_indices(n)
-    numbers = np.column_stack([F[:, rows, columns], F_theta])
-    sums = numbers.sum(axis=0) + 0.0  # no negative zero
-    # a sum of two numbers is rounded once
-    more = np.flatnonzero((np.count_nonzero(numbers, axis=0) > 2) | ~np.isfinite(sums))
-    sums[more] = [math.fsum(column) for column in numbers[:, more].T.tolist()]
-    total = np.empty((n, n))
-    total[rows, columns] = total[columns, rows] = sums[:-n]
-    return InformationTotal(total, sums[-n:])
+    sums = _rounded_once(np.concatenate([F.reshape(len(F), -1), F_theta], axis=1))
+    return InformationTotal(sums[:-n].reshape(n, n), sums[-n:])
+
+
+def _rounded_once(numbers: Array) -> Array:
+    """Sums (M,) over the first axis of `numbers` (K, M), as `math.fsum` gives them; by it where the errors of
+    the additions, added up in doubles themselves, do not tell which way a sum is rounded.
+    """
+    high, low, rest = np.zeros((3, numbers.shape[1]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for row in numbers:
+            high, error = _two_sum(high, row)
+            low, error = _two_sum(low, error)
+            rest += np.abs(error)
+        unsure = np.where(rest == 0.0, 0.0, 2.0 * rest + 4.0 * np.finfo(float).eps * np.abs(low))
+        sums = high + (low - unsure)
+        left = np.flatnonzero(~(sums == high + (low + unsure)))
+    sums[left] = [math.fsum(column) for column in numbers[:, left].T.tolist()]
+    return np.asarray(sums + 0.0)  # no negative zero
+
+
+def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """Sums (M,) and the errors of their rounding (Knuth)."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

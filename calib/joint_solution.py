@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.correlated_passes import correlated_passes
 from boresight.calib.error_table import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
 from boresight.calib.estimate import HeadAgreement, Iteration
-from boresight.calib.heads import alignment_columns
+from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.own_unknowns import condensed
@@ -104,7 +104,7 @@ def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadA
     ties = [tie for strip in strips for tie in strip.ties]
     parts = np.zeros((len(ties), 3 * len(heads) + 1, 3 * len(heads) + 1))
     for s, tie in enumerate(ties):
-        Y = np.column_stack([alignment_columns(tie, heads), tie.r])
+        Y = np.column_stack([of_heads(tie.heads, tie.by_alpha, heads), tie.r])
         G = tie.by_phi.T @ Y
         parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + tie.by_phi.T @ tie.by_phi, G)
     total = parts.sum(axis=0)

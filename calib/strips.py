@@ -33,7 +33,7 @@ from boresight.calib.error_table import (
     earth_axes,
     of_pass,
 )
-from boresight.calib.heads import HeadTie, alignment_columns
+from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
@@ -399,8 +399,8 @@ def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[Gr
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
     """Rows (h, n_phi + 3 heads + 1) of the other heads in a strip."""
     none = np.zeros((0, n_phi + 3 * len(shared.heads) + 1))
-    rows = [np.column_stack([tie.by_phi, alignment_columns(tie, shared.heads), tie.r]) for tie in strip.ties]
-    return np.concatenate([none, *rows])
+    told = [(tie, of_heads(tie.heads, tie.by_alpha, shared.heads)) for tie in strip.ties]
+    return np.concatenate([none, *(np.column_stack([tie.by_phi, by_alpha, tie.r]) for tie, by_alpha in told)])
 
 
 def _ground_axes(references: GroundReferences, R_oi: Rotation) -> Floats:

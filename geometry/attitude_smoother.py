@@ -190,9 +190,9 @@ def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
 
 
 # Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
-_POWER = np.array([[3, 2], [2, 1]])
-COVARIANCE = 1.0 / _POWER
-INVERSE = np.linalg.inv(COVARIANCE)
+_POWER: Ints = np.array([[3, 2], [2, 1]])
+COVARIANCE: Floats = np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])
+INVERSE: Floats = np.asarray(np.linalg.inv(COVARIANCE), dtype=np.float64)
 
 
 def _step(dt: Floats) -> Floats:

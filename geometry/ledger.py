@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from boresight.geometry.record import array, record, scalar
 
@@ -332,18 +332,9 @@ class Ledger:
         """Of strips that must show nothing."""
         import numpy as np
 
-        whole, number, text = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=str)
-        return cls(
-            kind=kind,
-            strips=strips,
-            strip=whole,
-            ccd=whole,
-            id=text,
-            part=number,
-            along=number,
-            magnitude=number,
-            reason=whole,
-        )
+        columns: dict[str, Any] = dict.fromkeys(("strip", "ccd", "reason"), np.zeros(0, dtype=np.int64))
+        columns |= dict.fromkeys(("part", "along", "magnitude"), np.zeros(0))
+        return cls(kind=kind, strips=strips, id=np.zeros(0, dtype=str), **columns)
 
     @property
     def found(self) -> Bools:

@@ -25,8 +25,8 @@ CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))
 def test_knots_hold_straight_lines_exactly_and_only_within_a_ccd():
     ccd = np.array([0, 0, 1, 1])
     sample = np.array([10.0, 900.0, 10.0, 6000.0])
-    knots = knots_touched(ccd, sample, 1000.0)
-    weights = knot_weights(ccd, sample, knots, 1000.0)
+    knots = knots_touched(ccd, sample / 1000.0)
+    weights = knot_weights(ccd, sample / 1000.0, knots)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     value = np.array([500.0 * k for _, k in knots])
     np.testing.assert_allclose(weights @ value, sample)
@@ -85,8 +85,8 @@ def test_one_curve_over_all_ccds_shifts_the_whole_field_as_much_as_a_lens_does()
 
     def sigma_of_mean(pixel_rad):
         curve, place = places_on_curves(ccd, sample, u_c, pixel_rad)
-        knots = knots_touched(curve, place, length)
-        mean = knot_weights(curve, place, knots, length).mean(axis=0)
+        knots = knots_touched(curve, place / length)
+        mean = knot_weights(curve, place / length, knots).mean(axis=0)
         return np.sqrt(mean @ correlation(knots) @ mean)
 
     no_own = {"ccd_shift_px": 0.0, "ccd_slope_px": 0.0, "ccd_bend_px": 0.0}
@@ -116,7 +116,8 @@ def test_two_ccds_that_see_the_same_direction_share_the_curve_there():
     curve, place = places_on_curves(np.array([0, 1]), np.array([6100.0, other[0]]), pair, camera.pixel_rad)
     assert curve.tolist() == [0, 0]
     np.testing.assert_allclose(place[0], place[1], atol=0.5)  # px: the CCDs are rotated by some 20 µrad
-    weights = knot_weights(curve, place, knots := knots_touched(curve, place, 1500.0), 1500.0)
+    knots = knots_touched(curve, place / 1500.0)
+    weights = knot_weights(curve, place / 1500.0, knots)
     np.testing.assert_allclose(weights[0], weights[1], atol=1e-3)
     assert len(knots) == 2
 
