@@ -6,7 +6,7 @@ import spiceypy
 from leap_seconds import leap_second_kernel
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports import spice_kernels as made
+from boresight.features.exports import spice_export as made
 from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
 from boresight.geometry.ephemeris_time import ephemeris_time
 from boresight.geometry.epoch import Epoch
