@@ -126,7 +126,8 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
         )
         if checked:
             cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
-        made = dataclasses.dataclass(frozen=True, slots=True, eq=by_value, kw_only=kw_only)(cls)
+        shown = cls.__repr__ is object.__repr__ or dataclasses.is_dataclass(cls)  # else a base has its own
+        made = dataclasses.dataclass(frozen=True, slots=True, eq=by_value, repr=shown, kw_only=kw_only)(cls)
         made.__doc__ = _documented(made)
         return made
 

@@ -2,7 +2,6 @@
 
 Marks what a program can see: no docstring, a first sentence that does not stand alone, an array argument or
 result without a shape, an exception that is raised and not mentioned. `--all` lists the marked ones of all.
-`--constants` draws constants of modules with their comments instead, and marks those without one.
 """
 
 from __future__ import annotations
@@ -88,42 +87,12 @@ def marks(function: Function) -> list[str]:
     return wanting
 
 
-def constants() -> list[tuple[str, str]]:
-    """Constants of modules in the order of files: place, and source with the comment above or beside it."""
-    found = []
-    for room in ROOMS:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            text = path.read_text(encoding="utf-8")
-            lines = text.splitlines()
-            for node in ast.parse(text).body:
-                target = next(iter(getattr(node, "targets", [getattr(node, "target", None)])), None)
-                first = target.elts[0] if isinstance(target, ast.Tuple) else target
-                if not (isinstance(first, ast.Name) and re.fullmatch(r"_?[A-Z][A-Z0-9_]+", first.id)):
-                    continue
-                above = node.lineno - 1
-                while above and lines[above - 1].startswith("#"):
-                    above -= 1
-                place = f"{path.relative_to(ROOT)}:{node.lineno}"
-                found.append((place, "\n".join(lines[above : node.end_lineno])))
-    return found
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--all", action="store_true", help="only the marked ones, of all")
-    parser.add_argument("--constants", action="store_true", help="constants of modules instead")
     options = parser.parse_args()
-    if options.constants:
-        every = constants()
-        chosen = every if options.all else random.Random(options.seed).sample(every, options.count)
-        bare = [place for place, source in chosen if "#" not in source]
-        for place, source in chosen:
-            if place in bare or not options.all:
-                print(f"{place}\n    {source}\n" + ("    !! no comment\n" if place in bare else ""))
-        print(f"{len(bare)} of {len(chosen)} marked; {len(every)} constants in all")
-        return int(bool(bare))
     everything = functions()
     drawn = everything if options.all else random.Random(options.seed).sample(everything, options.count)
     wanting = 0

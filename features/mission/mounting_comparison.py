@@ -69,9 +69,6 @@ class Comparison(Result):
     false_alarm: float = scalar("p-value below which the matrices differ")
     differing: tuple[Differing, ...] = scalar("what is not the same: inputs, settings, versions", repr=False)
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     @property
     def p_value(self) -> float:
         """Probability of a difference as large, if the mounting is the same; 1 where nothing is random."""

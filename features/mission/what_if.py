@@ -37,9 +37,6 @@ class WhatIf(Result):
     covariance_now: Floats = array("3, 3", "of theta as it is, rad²")
     strips: tuple[str, ...] = scalar("strips that are in it")
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     def summary(self) -> str:
         """Shift, 1-sigma errors now and with the change."""
         lines = [f"from {len(self.strips)} strips{'':13s}{'X':>14s}{'Y':>14s}{'Z':>14s}"]

@@ -156,9 +156,6 @@ class Stars(Result):
         given = {"sigma_px": sigma_px, "cov_px": cov_px, "flux_dn": flux_dn}
         return cls(star_list=star_list_of(xy_px, size_px, **given), size_px=size_px, masked=0)
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     def __len__(self) -> int:
         return len(self.xy_px)
 
@@ -249,9 +246,6 @@ class StarSolution(SuccessfulResult):
     mirrored: ClassVar[inner[bool]] = inner(
         "field.mirrored", "whether the image is a mirror image: all is stated for its columns reversed"
     )
-
-    def __repr__(self) -> str:
-        return self.summary()
 
     @property
     def ra_deg(self) -> float:
@@ -424,9 +418,6 @@ class CameraSolution(SuccessfulResult):
     images_rejected: ClassVar[inner[tuple[tuple[str, str], ...]]] = inner(
         "fit.frames_refused", "the others, (name, reason)"
     )
-
-    def __repr__(self) -> str:
-        return self.summary()
 
     @property
     def sigma_focal_px(self) -> float:

@@ -70,9 +70,6 @@ class StarTrack(Result):
     reason: tuple[str, ...] = array("N", "why a frame is lost; else empty")
     camera: StarCamera = scalar("the camera as given")
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     def __len__(self) -> int:
         return len(self.t_s)
 

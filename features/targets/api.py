@@ -28,9 +28,6 @@ class TargetMatches(Result):
 
     measured: pd.DataFrame = scalar("one row a measurement or rejection, as `boresight match` writes them")
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     def __len__(self) -> int:
         return int((self.measured["outcome"] == "placed").sum())
 
