@@ -17,6 +17,7 @@ from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_csv
+from boresight.pipeline.run.unit_store import UnitStore
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import builtin_scenario
 
@@ -49,7 +50,7 @@ class Flight:
         return open_dump(self.root)
 
 
-def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(tmp_path: Path) -> None:
+def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(demo: Path, tmp_path: Path) -> None:
     mission, root = fly(builtin_scenario("mini"), 1), tmp_path / "mini"
     shutil.copytree(FIXTURES / "mini", root)
     write_gyro(root, mission)
@@ -57,7 +58,8 @@ def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(tmp_path: 
     few = [row for k, row in enumerate(rows) if k % (len(rows) // 3) in (2, 11)]
     (root / "exposures.csv").write_text("\n".join([head, *few]) + "\n")
     flight = Flight(root, mission.truth.R_cs)
-    without, found = calibrate_dump(flight.with_gyro(None)), calibrate_dump(flight.with_gyro(R_GS.inv()))
+    store = UnitStore(shutil.copytree(demo / "demo-result" / "work", tmp_path / "work"))
+    without, found = (calibrate_dump(flight.with_gyro(axes), store=store) for axes in (None, R_GS.inv()))
     assert [one.cause for one in without.verdict.findings] == ["motion between exposures"]
     assert not found.verdict.findings and len(found.stars) == 6
     assert np.all(sigma(found) < 0.95 * sigma(without))
