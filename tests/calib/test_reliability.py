@@ -134,6 +134,14 @@ def test_the_detectable_error_is_found_in_nine_of_ten():
     assert low <= found <= high
 
 
+def test_a_tolerated_factor_of_the_stated_sigma_makes_as_much_undetectable():
+    strips, estimate, reliability = clean(0)
+    tolerant = ReliabilitySettings(sigma_understated=1.5)
+    after = examine(estimate, strips, SETTINGS, pixel_rad=CAMERAS.pixel_rad, limits=tolerant)
+    detectable = [test.detectable for test in reliability.tests]
+    assert [test.detectable for test in after.tests] == pytest.approx(np.multiply(1.5, detectable))
+
+
 def test_what_all_strips_share_is_unseen_and_told_first():
     spots = blind_spots(clean(0)[2].tests)
     unseen = {spot.cause for spot in spots if spot.is_unseen}
