@@ -1,7 +1,8 @@
 """How far from its expected value chance takes what is measured, in standard deviations: one scale of three
 marks for everything that finds, fits and names stars; and how many stars it takes to judge by.
 
-Which mark holds depends on how many values are judged and on what a wrong judgement costs.
+Which mark holds depends on how many values are judged and on what a wrong judgement costs. The light of a
+Gaussian star has the same distribution: the marks are radii of windows, too, in widths of the PSF.
 """
 
 from __future__ import annotations

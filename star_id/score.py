@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.psf import Psf, psf_images
-from boresight.star_id.finding.star_list import StarList
+from boresight.star_id.finding.star_list import BRIGHT_SNR, StarList
 
 __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 
@@ -27,8 +27,6 @@ _ISOLATED_SIGMA = 10.0
 _RELEVANT_FLUX = 0.002
 # Distance of a detection from a true star, PSF widths, up to which it is this star's.
 _MATCH_SIGMA = 2.5
-# Least SNR of the stars for the bias by part of the pixel: errors of fainter ones hide it.
-_BRIGHT_SNR = 15.0
 
 
 @record(kw_only=True)
@@ -120,7 +118,7 @@ def score_centroids(
     inside = (cell >= 0) & (cell < bins)
     square, square_error = mean_and_error(0.5 * (error**2).sum(axis=1))
     chi2, chi2_error = mean_and_error(0.5 * (error**2 / variance).sum(axis=1))
-    bias, bias_error = _by_phase(error, variance, phase, snr[found] > _BRIGHT_SNR)
+    bias, bias_error = _by_phase(error, variance, phase, snr[found] > BRIGHT_SNR)
     return CentroidScore(
         snr_edges=edges,
         stars=np.bincount(cell[inside], minlength=bins),
