@@ -1,12 +1,21 @@
 """How far from its expected value chance takes what is measured, in standard deviations: one scale of three
 marks for everything that finds, fits and names stars; and how many stars it takes to judge by.
 
-Which mark holds depends on how many values are judged and on what a wrong judgement costs.
+Which mark holds depends on how many values are judged and on what a wrong judgement costs. The light of a
+Gaussian star has the same distribution: the marks are radii of windows, too, in widths of the PSF.
 """
 
 from __future__ import annotations
 
-__all__ = ["CLIP_SIGMA", "FEW_STARS", "LOST_BY_CHANCE", "MAD_SIGMA", "NEVER_SIGMA", "SELDOM_SIGMA"]
+__all__ = [
+    "CLIP_SIGMA",
+    "FEW_STARS",
+    "LOST_BY_CHANCE",
+    "MAD_SIGMA",
+    "NEVER_SIGMA",
+    "NOISIER",
+    "SELDOM_SIGMA",
+]
 
 # Of good values one in 370 is farther off: left out of a mean, they change it by nothing.
 CLIP_SIGMA = 3.0
@@ -16,6 +25,8 @@ SELDOM_SIGMA = 4.0
 NEVER_SIGMA = 5.0
 # Standard deviation of a normal distribution over its median absolute deviation.
 MAD_SIGMA = 1.4826
+# Noise of a part of an image over the usual one, from which it is unlike the rest (set by hand).
+NOISIER = 1.5
 # Probability of rejecting a good star by its place.
 LOST_BY_CHANCE = 1e-4
 # Fewest stars whose median and scatter judge a PSF or a camera: both are then known to a third (set by hand).

@@ -49,6 +49,7 @@ from boresight.star_id.identification.identify import (
 )
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.lens_misfit import PER_PARAMETER
 from boresight.star_id.lens_model import CLEARLY_MORE
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
@@ -90,7 +91,7 @@ _LEAST_RELIABLE = 4
 # Stages of three passes over all fields of view, each a tuple of stages: the few
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
-_PASSES = (
+_FIRST, *_LATER = _PASSES = (
     stages_of(USUAL, 6, 9),
     (*stages_of(USUAL, 13, begin=9), *stages_of(WIDER, 9)),
     stages_of(DENSER, 8, 12),
@@ -99,15 +100,12 @@ _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
 # camera the first pass, the first pass mirrored, then the others.
 _ATTEMPTS: tuple[_Attempt, ...] = (
-    (False, _PASSES[:1], "tangent"),
-    (True, _PASSES[:1], "tangent"),
-    (False, _PASSES[1:], "tangent"),
+    (False, (_FIRST,), "tangent"),
+    (True, (_FIRST,), "tangent"),
+    (False, tuple(_LATER), "tangent"),
 )
 # The same of a camera that is known.
 _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))
-# Chi-square by which another lens must be better than the first: lenses that explain the stars alike have
-# chi-squares that rounding orders (Akaike 1974: two for a parameter).
-_BEYOND_CHANCE = 2.0
 # Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
 # fisheye's image (set by hand).
 _EXTENDED_PX = 0.5
@@ -349,9 +347,10 @@ def _likeliest(every: Sequence[FieldSolution], stars: StarList) -> FieldSolution
     def misfit(lens: FieldSolution) -> float:
         residual = best.xy_px - lens.camera.pixels_from_directions(lens.R_si.apply(best.u_i))
         square = np.einsum("mi,mij,mj->m", residual, W, residual)
-        return float(np.fmin(np.nan_to_num(square, nan=np.inf), -2.0 * np.log(LOST_BY_CHANCE)).sum())
+        return float(np.fmin(0.5 * np.nan_to_num(square, nan=np.inf), -np.log(LOST_BY_CHANCE)).sum())
 
-    return min(lenses, key=lambda lens: misfit(lens) - (_BEYOND_CHANCE if lens is lenses[0] else 0.0))
+    # lenses that explain the stars alike have misfits that rounding orders
+    return min(lenses, key=lambda lens: misfit(lens) - (PER_PARAMETER if lens is lenses[0] else 0.0))
 
 
 def _of_fisheye(stars: StarList, known: _Known, fov_x_rad: float) -> FieldSolution | NotIdentified:

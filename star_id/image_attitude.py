@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.star_id.beyond_chance import NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
 __all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
@@ -32,7 +33,7 @@ _SMALLEST_EIGENVALUE = 1e-10
 NEXT, PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
-_ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, 5.0, 4.0)
+_ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, NEVER_SIGMA, SELDOM_SIGMA)
 # Most steps of Gauss-Newton of one fit, and rounds of rejection.
 _STEPS, _ROUNDS = 5, 12
 

@@ -41,6 +41,7 @@ from boresight.star_id.camera_fit import (
 )
 
 __all__ = [
+    "PER_PARAMETER",
     "SMALL_CHANGE",
     "STRETCH_SIZES_PX",
     "LensEquations",
@@ -67,7 +68,7 @@ _TRIED_WARP = 2.0
 STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
 # Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
 # one parameter (Akaike 1974).
-_PER_PARAMETER = 1.0
+PER_PARAMETER = 1.0
 # Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
 _LARGEST_VARIANCE = 1e12
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
@@ -225,8 +226,9 @@ class LensEquations:
 
     def stretched(self, size_px: float) -> LensEquations:
         """With a stretch of that size as two more unknowns."""
-        sigma = np.append(self.sigma, [size_px, size_px])
-        return replace(self._with(_stretch_slopes(self.camera), size_px), sigma=sigma)
+        points = _slope_points(self.camera)
+        more = self._with(points, _stretch_derivatives(self.camera, points), size_px)
+        return replace(more, sigma=np.append(self.sigma, [size_px, size_px]))
 
     def displaced_px(self, xy_px: Floats, common_px2: float) -> Floats:
         """Displacements (N, 2) of pixels (N, 2) by the stretch of `stretched`; a variance, px^2, is added to
@@ -235,10 +237,12 @@ class LensEquations:
 
     def distorted(self) -> LensEquations:
         """With the coefficients of a smooth distortion, of a size not stated, as the last unknowns."""
-        return self._with(_bending_slopes(self.camera), self.stretch_px)
+        points = _slope_points(self.camera)
+        return self._with(points, smooth_derivatives(self.camera, points, _DEGREE), self.stretch_px)
 
-    def _with(self, more_slopes: Floats, stretch_px: float) -> LensEquations:
-        slopes = np.vstack([self.slopes, more_slopes])
+    def _with(self, points: Floats, moved: Floats, stretch_px: float) -> LensEquations:
+        """With C more unknowns, which move the images at the slopes' `points` (4, 2) by `moved` (4, 2, C)."""
+        slopes = np.vstack([self.slopes, _slopes_of(self.camera, points, moved)])
         columns = _columns(self.camera, self.u_s, self.xy_px, slopes, self.free, stretched=stretch_px > 0.0)
         return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
 
@@ -310,7 +314,7 @@ def _common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, bef
         return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
 
     gained = log_likelihood(likeliest) - log_likelihood(0.0)
-    return likeliest * share_by_evidence(gained, _PER_PARAMETER)
+    return likeliest * share_by_evidence(gained, PER_PARAMETER)
 
 
 def _zero(falling: Callable[[float], float], least: float, most: float) -> float:
@@ -402,7 +406,7 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
     best = min(max(int(gained(STRETCH_SIZES_PX).argmax()), 1), len(STRETCH_SIZES_PX) - 2)
     size = _zero(slope, *STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
     likeliest = gained(np.array([size], dtype=np.float64))
-    return size * share_by_evidence(float(likeliest[0]), _PER_PARAMETER) ** 0.5
+    return size * share_by_evidence(float(likeliest[0]), PER_PARAMETER) ** 0.5
 
 
 def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
@@ -537,18 +541,6 @@ def _camera_slopes(camera: StarCamera, free: tuple[str, ...] = PARAMETERS) -> Fl
     moved = pixel_derivatives(camera, camera.directions_from_pixels(points), free)
     largest = np.abs(moved).max(axis=(0, 1))
     return np.vstack([np.zeros((3, 4)), _slopes_of(camera, points, moved / largest) * largest[:, None]])
-
-
-def _bending_slopes(camera: StarCamera) -> Floats:
-    """(C, 4) slopes of the coefficients of a smooth distortion."""
-    points = _slope_points(camera)
-    return _slopes_of(camera, points, smooth_derivatives(camera, points, _DEGREE))
-
-
-def _stretch_slopes(camera: StarCamera) -> Floats:
-    """(2, 4) slopes of a stretch."""
-    points = _slope_points(camera)
-    return _slopes_of(camera, points, _stretch_derivatives(camera, points))
 
 
 def _stretch_derivatives(camera: StarCamera, xy_px: Floats) -> Floats:

@@ -43,7 +43,7 @@ from boresight.star_id.camera_fit import (
     smooth_derivatives,
 )
 
-__all__ = ["LensModel", "choose_lens", "unmodelled_px"]
+__all__ = ["CLEARLY_MORE", "TANGENT_RAD", "LensModel", "choose_lens", "unmodelled_px"]
 
 # Degree of the polynomials of a smooth distortion of a lens, from many images.
 _DEGREE = 10
@@ -59,7 +59,7 @@ _SEEN = 4.0
 _STEREOGRAPHIC_RAD = np.radians(45.0)
 # Angle of a star from the axis, rad, beyond which a lens has no tangent projection: lenses with one image
 # 110 deg at most, their corners 65 deg from the axis.
-_TANGENT_RAD = np.radians(70.0)
+TANGENT_RAD = np.radians(70.0)
 # Ratio of stars without gross errors from which they are those of another projection: Brown's loses the
 # edges of fisheyes (set by hand).
 CLEARLY_MORE = 1.1
@@ -71,10 +71,9 @@ _LEAST_PX = 0.01
 # Prior displacement of the corner by q3, as a share of its radius: larger ones do not occur in lenses that
 # q1 and q2 describe (set by hand).
 _Q3_CORNER = 0.002
-# Distances, as shares of the detector's width, within which stars may see the same distortion.
+# Distances, as shares of the detector's width, within which stars may see the same distortion; the middle one
+# between columns, or between rows, too, for steps of a detector.
 _NEAR = (0.01, 0.02, 0.05)
-# The same between columns, or between rows: for steps of a detector.
-_LINE = 0.02
 # Most pairs that are formed: 16 MB; of more stars narrower lines are compared.
 _MOST_PAIRS = 1_000_000
 
@@ -138,7 +137,7 @@ def _projections(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation
     stereographic = replace(equidistant, projection="stereographic")
     along_axis = np.einsum("nj,nj->n", rotations.as_matrix()[stars.frame, 2], stars.u_i)
     widest = np.arccos(np.clip(along_axis.min(), -1.0, 1.0))
-    if widest > _TANGENT_RAD:
+    if widest > TANGENT_RAD:
         return equidistant, stereographic
     return (brown, equidistant, stereographic) if widest > _STEREOGRAPHIC_RAD else (brown, equidistant)
 
@@ -194,7 +193,7 @@ def _covariance(camera: StarCamera, trials: list[_Trial]) -> Floats:
 def unmodelled_px(xy_px: Floats, residual_px: Floats, sigma_px: Floats, frame: Ints, width_px: int) -> float:
     """Root mean square, along one axis, of what the lens model leaves of the pixel map, px; 0 if not
     significant. Residuals (N, 2) of stars at (N, 2), errors (N,) along one axis, in images `frame` (N,)."""
-    found, line = [0.0], min(_LINE, _MOST_PAIRS / len(xy_px) ** 2)
+    found, line = [0.0], min(_NEAR[1], _MOST_PAIRS / len(xy_px) ** 2)
     alike = [(xy_px, near) for near in _NEAR] + [(xy_px[:, [axis]], line) for axis in (0, 1)]
     for places, near in alike:
         pairs = cKDTree(places).query_pairs(near * width_px, output_type="ndarray")

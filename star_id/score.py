@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.psf import Psf, psf_images
-from boresight.star_id.finding.star_list import StarList
+from boresight.star_id.finding.star_list import BRIGHT_SNR, StarList
 
 __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 
@@ -27,8 +27,6 @@ _ISOLATED_SIGMA = 10.0
 _RELEVANT_FLUX = 0.002
 # Distance of a detection from a true star, PSF widths, up to which it is this star's.
 _MATCH_SIGMA = 2.5
-# Least SNR of the stars for the bias by part of the pixel: errors of fainter ones hide it.
-_BRIGHT_SNR = 15.0
 
 
 @record(kw_only=True)
@@ -104,29 +102,28 @@ def score_centroids(
     edges = np.array(SNR_EDGES)
     cell = np.digitize(snr, edges) - 1
     bins = len(edges) - 1
-    seen = cell[found]
+    inside = (cell >= 0) & (cell < bins)
+    seen = cell[inside & found]
+    count = np.bincount(seen, minlength=bins)
 
-    def mean(values: Floats, cells: Floats) -> Floats:
-        count = np.bincount(cells[(cells >= 0) & (cells < bins)], minlength=bins)
-        total = np.bincount(cells[(cells >= 0) & (cells < bins)], values[(cells >= 0) & (cells < bins)], bins)
+    def mean(values: Floats) -> Floats:
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(total / count)
+            return np.asarray(np.bincount(seen, values[inside[found]], bins) / count)
 
     def mean_and_error(values: Floats) -> tuple[Floats, Floats]:
-        average = mean(values, seen)
-        count = np.maximum(np.bincount(seen[(seen >= 0) & (seen < bins)], minlength=bins), 1)
-        return average, np.sqrt(np.maximum(mean(values**2, seen) - average**2, 0.0) / count)
+        average = mean(values)
+        spread = np.maximum(mean(values**2) - average**2, 0.0)
+        return average, np.sqrt(spread / np.maximum(count, 1))
 
-    inside = (cell >= 0) & (cell < bins)
     square, square_error = mean_and_error(0.5 * (error**2).sum(axis=1))
     chi2, chi2_error = mean_and_error(0.5 * (error**2 / variance).sum(axis=1))
-    bias, bias_error = _by_phase(error, variance, phase, snr[found] > _BRIGHT_SNR)
+    bias, bias_error = _by_phase(error, variance, phase, snr[found] > BRIGHT_SNR)
     return CentroidScore(
         snr_edges=edges,
         stars=np.bincount(cell[inside], minlength=bins),
-        found=np.bincount(cell[inside & found], minlength=bins),
+        found=count,
         rms_px=np.sqrt(square),
-        bound_px=np.sqrt(mean(bound[found] ** 2, seen)),
+        bound_px=np.sqrt(mean(bound[found] ** 2)),
         rms_error_px=0.5 * square_error / np.sqrt(square),
         chi2=chi2,
         chi2_error=chi2_error,

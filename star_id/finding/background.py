@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.beyond_chance import CLIP_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, NOISIER
 from boresight.star_id.finding.cut_sky import UNCUT, clipped_variance, cut_moments, limit_after_cut
 
 __all__ = [
@@ -35,9 +35,6 @@ __all__ = [
 _SAMPLES_ACROSS_BLOCK = 64
 # Side of the small blocks, px, where the sky is uneven within larger ones: nebulae, clouds (set by hand).
 _SMALL_BLOCK_PX = 40.0
-# Scatter within a block over the noise between neighbouring pixels from which the sky counts as uneven
-# there (set by hand).
-_UNEVEN = 1.5
 # Share of neighbouring pixels of one value from which an image has few grey levels, and quartiles of
 # differences give no noise (a normal distribution of 2 levels a sigma has 0.14).
 _ALIKE = 0.15
@@ -149,7 +146,7 @@ def estimate_backgrounds(images: Sequence[NDArray[Any]]) -> list[Background]:
     coarse = [_by_blocks(image, side) for image in images]
     between = [_noise_between_neighbours(image) for image in images]
     if all(
-        np.sort(sky.noise_dn, axis=None)[int(0.75 * sky.noise_dn.size)] < _UNEVEN * noise
+        np.sort(sky.noise_dn, axis=None)[int(0.75 * sky.noise_dn.size)] < NOISIER * noise
         for sky, noise in zip(coarse, between)
     ):
         return coarse
@@ -159,7 +156,7 @@ def estimate_backgrounds(images: Sequence[NDArray[Any]]) -> list[Background]:
 def _in_small_blocks(image: NDArray[Any], between: float) -> Background:
     """Background where the sky is uneven; `between` is the noise between neighbouring pixels, DN."""
     fine = _by_blocks(image, _SMALL_BLOCK_PX)
-    most = np.maximum(_UNEVEN * between, _noise_in_blocks(image, fine.level_dn.shape))
+    most = np.maximum(NOISIER * between, _noise_in_blocks(image, fine.level_dn.shape))
     return replace(fine, noise_dn=np.minimum(fine.noise_dn, most))
 
 

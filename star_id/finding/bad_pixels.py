@@ -13,16 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.star_id.beyond_chance import NEVER_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA
 from boresight.star_id.finding.background import Background, background_image
+from boresight.star_id.finding.lines import SPARSE
 
 __all__ = ["has_many_dead_pixels", "without_bad_pixels"]
 
-# Height over that of a star with the same neighbours, sigmas of a pixel: one good pixel in 4000 is higher
-# by chance, and lower hot ones are no detections.
-_HEIGHT_SIGMA = 3.5
-# Every so many rows and columns are looked at for dead pixels.
-_SPARSE = 16
 # Factor on the height that a star in the middle of a pixel has beside its neighbours: pixels differ in
 # response (set by hand).
 _UNEVEN = 1.4
@@ -31,7 +27,7 @@ _UNEVEN = 1.4
 def has_many_dead_pixels(image: NDArray[Any], background: Background, share: float) -> bool:
     """Whether more than a `share` of the pixels of an image (H, W) are far below the darkest sky."""
     darkest = background.level_dn.min() - NEVER_SIGMA * background.noise_dn.max()
-    sample = image[::_SPARSE, ::_SPARSE]
+    sample = image[::SPARSE, ::SPARSE]
     return bool(np.count_nonzero(sample < darkest) > share * sample.size)
 
 
@@ -49,7 +45,7 @@ def without_bad_pixels(
     steepest = _UNEVEN * float(np.exp(0.5 / (sigma_px**2 + 1.0 / 12.0)))  # with the pixel's own width
     above = np.zeros(image.shape, dtype=np.float32)  # what a star beside such neighbours leaves
     above[1:-1, 1:-1] = height[1:-1, 1:-1] - steepest * np.maximum(middle, 0.0)
-    hot = above > _HEIGHT_SIGMA * noise
+    hot = above > CLIP_SIGMA * noise  # as are by chance one good pixel in 700
     bad = hot | (height < -NEVER_SIGMA * noise)
     clean = image.copy()
     clean[1:-1, 1:-1][bad[1:-1, 1:-1]] = (middle + level[1:-1, 1:-1])[bad[1:-1, 1:-1]]

@@ -32,8 +32,6 @@ __all__ = [
     "find_trail",
 ]
 
-# Width of the stars in the corners over that in the middle from which coma is looked for (set by hand).
-_GROWTH = 1.05
 # Squared length of a comatic fan over half the trace of its second moments: turns the growth of widths into
 # the length to start from.
 _LENGTH2 = 27.0
@@ -48,8 +46,6 @@ _UNSURE = 0.1
 _STEP = 0.02
 # Fewest bright stars that a coma or trail is fitted to (set by hand; four a parameter).
 _FEWEST = 12
-# Longest fan that is fitted, px (set by hand).
-_LONGEST_PX = 24.0
 # Share of a pixel's light by which real stars differ from a fan of Gaussians; added to the noise of fits of
 # coma (set by hand).
 _UNLIKE = 0.1
@@ -73,11 +69,9 @@ def find_coma(
     """PSF with coma, and the gain, e-/DN, that the residuals about it show; None where it explains the images
     of the stars at `xy_px` (N, 2) no better than `psf`."""
     growth2 = psf.sigma_corner_px**2 - psf.sigma_px**2
-    if psf.sigma_corner_px < _GROWTH * psf.sigma_px or len(xy_px) < _FEWEST:
+    if growth2 <= 0.0 or len(xy_px) < _FEWEST:
         return None
     length = float(np.sqrt(_LENGTH2 * growth2))
-    if length > _LONGEST_PX:
-        return None
     radius = int(np.ceil(3.0 * psf.sigma_px + 0.5 * length)) + 1
     windows = star_windows(image, np.rint(xy_px).astype(np.int64), background, radius, saturation_dn)
     start = windows.offsets(xy_px)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Floats, Ints
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, extended
+from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
 
 __all__ = ["MAX_CANDIDATES", "find_candidates"]
 
@@ -29,9 +30,6 @@ _THRESHOLD_SIGMA = 3.7
 # Grey levels of the 8-bit image for the noise of a pixel, half as many for the mean of four: rounding adds
 # 0.5 % to the variance.
 _LEVELS_PER_SIGMA = 4.0
-# Fewest such levels; with fewer, rounding to 8 bits costs sensitivity, and the uneven sky is subtracted
-# first.
-_LEAST_LEVELS_PER_SIGMA = 1.5
 # Range of a sum of four, sigmas of a pixel, that has to fit into 255 levels beside the sky's own: 16 below
 # it, 12 above.
 _RANGE_SIGMA = 28.0
@@ -115,7 +113,7 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     gain = min(_LEVELS_PER_SIGMA / noise, 255.0 / (4.0 * (high - low) + _RANGE_SIGMA * noise))
     if whole and halvings == 1:
         gain = min(gain, 1.0)  # steps finer than whole DN add nothing
-    uneven = image.dtype == np.float32 or gain * noise < _LEAST_LEVELS_PER_SIGMA
+    uneven = image.dtype == np.float32 or gain * noise < LEAST_LEVELS_PER_SIGMA
     if uneven:
         gain, low, converted_after = _LEVELS_PER_SIGMA / noise, 0.0, halvings
     offset = gain * (SELDOM_SIGMA * noise - low)

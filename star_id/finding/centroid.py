@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at
 from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, newton_step, start_state
@@ -39,9 +40,6 @@ _SETTLED = 0.3
 _UNSATURATED = 0.75
 # Radius of that window, widths of the PSF (set by hand).
 _SATURATED_WINDOW_SIGMA = 9.0
-# Radius of other windows, widths of the PSF, at least 3 px: holds 99 % of the information on the place even
-# of a star whose photons are all the noise.
-_WINDOW_SIGMA = 3.0
 # Share of a star's light that is missing in a dead pixel, at least (set by hand: a fit 1 px off misses less).
 _DEAD = 0.8
 # Excess of chi-square, in its standard deviations, from which a covariance is scaled by chi2 / dof: 1 good
@@ -102,7 +100,8 @@ def fit_stars(
     if len(pixels) == 0:
         return _no_fits()
     sigma, gain = psf.sigma_at(pixels.astype(float)), counts.gain_e_per_dn
-    radius = psf.shape_radius_px or max(3, int(np.ceil(_WINDOW_SIGMA * sigma.mean() + psf.reach_px)))
+    # holds 99 % of the information on the place even of a star whose photons are all the noise
+    radius = psf.shape_radius_px or max(3, int(np.ceil(CLIP_SIGMA * sigma.mean() + psf.reach_px)))
     windows = star_windows(image, pixels, background, radius, counts.saturation_dn)
     full = windows.saturated
     if full.any():

@@ -4,9 +4,8 @@ Means of pixels, as in a matched filter, then scatter more than the scatter of s
 the factor 1.3 in a JPEG image of quality 90, by 10 at quality 40, where most blocks of 8 x 8 pixels are flat.
 Where adjacent pixels are more alike than pixels some distance apart, this scatter is measured in the filtered
 image itself: how far it reaches below the sky, which no star does. The noise that the image is then treated
-with is that of independent pixels which would disturb a star as much. A block that was rounded until it is
-flat holds no star; its level, rounded as well, would look like one where it is a step above the others. The
-blocks with stars were rounded as coarsely, which adds to the noise of their pixels alone.
+with is that of independent pixels which would disturb a star as much. Where many blocks were rounded until
+they are flat, those with stars were rounded as coarsely, which adds to the noise of their pixels alone.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
 from boresight.star_id.finding.cut_sky import UNCUT
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX
 
-__all__ = ["as_independent_noise", "without_block_levels"]
+__all__ = ["as_independent_noise", "rounding_of_blocks"]
 
 # Rows, in which neighbouring pixels are compared (set by hand: the ratio is then known to 1 %).
 _LINES = 16
@@ -40,37 +39,30 @@ _ABOVE_SIGMA = 2.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
-# Side of the blocks of JPEG, px (ITU-T T.81), share of them that is flat in an image of few other blocks, and
-# blocks along each side whose median is the level of the sky (set by hand).
-_BLOCK_PX, _MANY_FLAT, _AROUND = 8, 0.3, 5
+# Side of the blocks of JPEG, px (ITU-T T.81), and share of them that is flat in an image of few other blocks
+# (set by hand).
+_BLOCK_PX, _MANY_FLAT = 8, 0.3
 # Factor from which it is applied: beyond what its own error makes of 1 (0.05).
 _LEAST_FACTOR = 1.15
 
 
-def without_block_levels(image: NDArray[Any]) -> tuple[NDArray[Any], float]:
-    """The image (H, W) with flat blocks of JPEG at the level of those around them, and the standard
-    deviation, DN, that rounding adds to a pixel of the other blocks; itself and 0 if few are flat.
+def rounding_of_blocks(image: NDArray[Any]) -> float:
+    """Standard deviation, DN, that the rounding of JPEG adds to a pixel of blocks that are not flat, in an
+    image (H, W) of many flat ones; 0 if few are.
 
     The mean of a block is its first cosine coefficient over 8. Coefficients that hold a star's light are
     rounded by about the same step, and an error of all 64 has the same variance in pixels.
     """
     rows, columns = (side // _BLOCK_PX for side in image.shape)
-    whole = (slice(rows * _BLOCK_PX), slice(columns * _BLOCK_PX))
-    blocks = image[whole].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
+    blocks = image[: rows * _BLOCK_PX, : columns * _BLOCK_PX].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
     corner, beside, across = blocks[:, 0, :, 0], blocks[:, 0, :, -1], blocks[:, -1, :, -1]
     if np.mean((corner == beside) & (corner == across)) < _MANY_FLAT:  # of flat ones they are equal
-        return image, 0.0
+        return 0.0
     least = blocks.min(axis=(1, 3))
     flat = least == blocks.max(axis=(1, 3))
     if np.mean(flat) < _MANY_FLAT:
-        return image, 0.0
-    step_dn = _step_of_means(least, flat, blocks.mean(axis=(1, 3))[~flat])
-    level = cv2.medianBlur(least.astype(np.float32), _AROUND).astype(image.dtype)
-    clean = image.copy()
-    clean[whole] = np.where(flat[:, None, :, None], level[:, None, :, None], blocks).reshape(
-        clean[whole].shape
-    )
-    return clean, _BLOCK_PX * step_dn / 12.0**0.5
+        return 0.0
+    return _BLOCK_PX * _step_of_means(least, flat, blocks.mean(axis=(1, 3))[~flat]) / 12.0**0.5
 
 
 def _step_of_means(level_dn: NDArray[Any], flat: Bools, mean_dn: Floats) -> float:

@@ -17,14 +17,22 @@ from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s t
 from boresight.geometry.record import Floats
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 
-__all__ = ["UNCUT", "after_cut", "clipped_variance", "cut_moments", "limit_after_cut"]
+__all__ = [
+    "LEAST_LEVELS_PER_SIGMA",
+    "UNCUT",
+    "after_cut",
+    "clipped_variance",
+    "cut_moments",
+    "limit_after_cut",
+]
 
 # Height of the sky above the cut, sigmas, from where on nothing of it is cut off: 3e-7 of the pixels.
 UNCUT = NEVER_SIGMA
 # Lowest such height that is used, sigmas: 2 % of the pixels are above the cut there.
 _DARKEST = -2.0
-# Fewest grey levels a sigma: with coarser steps the quantiles of what is left give no noise (set by hand).
-_LEAST_NOISE = 1.5
+# Fewest grey levels for the noise of a pixel: coarser steps show neither its size nor faint stars (set by
+# hand).
+LEAST_LEVELS_PER_SIGMA = 1.5
 # Largest share of a block's pixels at the cut for which quantiles of the rest are taken.
 _MOST_CUT = 0.95
 # Distance, sigmas, of the two quantiles whose difference gives the noise (set by hand).
@@ -49,7 +57,7 @@ def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> 
     quantiles = [np.interp([ndtr(at), ndtr(at + _APART)], row, value) for at, row in zip(z, share)]
     lower, upper = np.array(quantiles).T
     sigma, seen = (upper - lower) / _APART, least < _MOST_CUT
-    cut = (sigma > _LEAST_NOISE * step) & seen
+    cut = (sigma > LEAST_LEVELS_PER_SIGMA * step) & seen
     if cut.any():
         sigma[~seen] = np.median(sigma[cut])
         cut |= ~seen

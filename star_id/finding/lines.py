@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 
-__all__ = ["without_lines"]
+__all__ = ["SPARSE", "without_lines"]
 
 # Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
 _PART_PX = 32
@@ -51,8 +51,8 @@ _NOISIER = 1.4
 _QUIETER = 0.5
 # Share of the pixels of most lines above the least value from which a sky is not cut off (set by hand).
 _WHOLE = 0.99
-# Every so many rows and columns are looked at for that.
-_SPARSE = 4
+# Every so many rows and columns are looked at for shares of pixels (set by hand).
+SPARSE = 4
 # Parts of a line that must all be noisy, or quiet: a bloom or a roof fills some of them.
 _QUARTERS = 4
 # Most adjacent lines that are replaced: a wider band is no fault of single lines.
@@ -72,7 +72,7 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[An
         return image, None
     clean = image.astype(np.float32)
     floor = float(image.min())
-    above = image[::_SPARSE, ::_SPARSE] > image.min()  # of dead lines all pixels are at the least value
+    above = image[::SPARSE, ::SPARSE] > image.min()  # of dead lines all pixels are at the least value
     whole = max(float(np.median(above.mean(axis=axis))) for axis in (0, 1)) > _WHOLE
     useless = []
     for axis in lines:

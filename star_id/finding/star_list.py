@@ -19,7 +19,7 @@ from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_b
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
-from boresight.star_id.finding.correlated_noise import as_independent_noise, without_block_levels
+from boresight.star_id.finding.correlated_noise import as_independent_noise, rounding_of_blocks
 from boresight.star_id.finding.detect import Detections, detect, detection_threshold
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
@@ -35,12 +35,12 @@ from boresight.star_id.finding.star_shape import (
 )
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["StarList", "list_stars"]
+__all__ = ["BRIGHT_SNR", "StarList", "list_stars"]
 
 # Fewest stars that give a width; with fewer the assumed one stays.
 _LEAST_STARS = 3
-# Most stars that coma and trails are fitted to, and their least SNR: below it their images show no shape.
-_STARS_FOR_BLUR, _BRIGHT_SNR = 80, 15.0
+# Most stars that coma and trails are fitted to, and their least SNR: below it noise hides shapes and bias.
+_STARS_FOR_BLUR, BRIGHT_SNR = 80, 15.0
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
 _SIGMA_AT_RESOLUTION = (0.65, 1.8)
 # Relative change of the width that ends the rounds: a filter that far off still has 98 % of the
@@ -216,11 +216,10 @@ def _stars_of_counts(
 ) -> StarList:
     """Stars of an image (H, W) of counts, its dark frame subtracted."""
     if not has_mosaic(image):
-        image, rounding_dn = without_block_levels(image)
-        image, no_stars = without_lines(image, saturation)
-        background = estimate_background(image).without(no_stars).without(unusable)
-        background = replace(background, rounding_dn=rounding_dn)
-        return _list_stars(_Frame(image, background, settings, saturation))
+        clean, no_stars = without_lines(image, saturation)
+        background = estimate_background(clean).without(no_stars).without(unusable)
+        background = replace(background, rounding_dn=rounding_of_blocks(image))
+        return _list_stars(_Frame(clean, background, settings, saturation))
     bright = _bright_stars(merged_cells(image, saturation), settings, saturation)
     response = cell_response(image, np.asarray(2.0 * bright + 0.5, dtype=float))
     even, background, even_saturation = even_image(image, response, saturation)
@@ -317,7 +316,7 @@ def _with_blur(
     find_blur: Callable[..., tuple[Psf, float] | None], frame: _Frame, found: _Found, stars: StarList
 ) -> StarList | None:
     """The stars measured again with the PSF and gain that `find_blur` finds from the bright ones, if any."""
-    bright = ~stars.saturated & ~stars.blended & (stars.snr > _BRIGHT_SNR)
+    bright = ~stars.saturated & ~stars.blended & (stars.snr > BRIGHT_SNR)
     xy, top = stars.xy_px[bright][:_STARS_FOR_BLUR], frame.saturation_dn
     answer = find_blur(frame.image, xy, frame.background, stars.psf, saturation_dn=top)
     if answer is None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, array, record
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import NOISIER, SELDOM_SIGMA
 
 __all__ = ["Columns", "candidates", "column_levels"]
 
@@ -22,8 +22,6 @@ __all__ = ["Columns", "candidates", "column_levels"]
 _AROUND = np.ones((5, 5), np.uint8)
 # Least noise of a column, DN: that of rounding to whole counts, 1 / sqrt(12).
 _LEAST_NOISE_DN = 0.3
-# Noise of a column over the median of all from which it is not used for detection (set by hand).
-_NOISY = 1.5
 
 
 @record
@@ -49,7 +47,7 @@ def column_levels(block: NDArray[Any]) -> Columns:
     variance = np.einsum("ij,ij->j", away, away) / count - mean**2
     noise = _unclipped(np.sqrt(np.maximum(variance, 0.0)), SELDOM_SIGMA * spread + 0.5)  # whole counts
     usual = float(np.median(noise[noise > 0.0])) if noise.any() else 0.0  # some columns may hold nothing
-    return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= _NOISY * usual)
+    return Columns(middle + mean, np.maximum(noise, _LEAST_NOISE_DN), noise <= NOISIER * usual)
 
 
 def _unclipped(deviation: Floats, limit: Floats) -> Floats:

@@ -22,6 +22,7 @@ from scipy.linalg import eigh_tridiagonal
 from scipy.special import ndtr
 
 from boresight.geometry.record import Floats, array, record, scalar
+from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA
 from boresight.star_id.finding.psf import PsfImages
 
 __all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
@@ -29,13 +30,9 @@ __all__ = ["Motion", "trace_curvatures", "trace_images", "trace_radius"]
 # Gauss-Legendre nodes within a row's exposure: exact to 1e-4 of the peak for a pixel a row and optics of
 # 0.4 px.
 _NODES_IN_ROW = 5
-# Radius of a star's image, widths of the optics, that is computed: 99 % of its light.
-_REACH_SIGMA = 3.0
 # Nodes that stand for the stages where their images lie at one place, and with one more for each width of the
 # optics between those images: exact to 1e-4 of the peak.
 _STAGE_NODES = 3
-# Widths of the optics from a row within which its light counts: the rest is 1e-6.
-_LIT_SIGMA = 5.0
 # Terms of the series of columns for each width of the optics that the drift moves the light to either side:
 # to 5e-5 of the peak.
 _TERMS_A_SIGMA = 4.0
@@ -61,9 +58,9 @@ class Motion:
 
 def trace_radius(motion: Motion, sigma_px: float) -> int:
     """Pixels from the middle of a window to its edge that hold 99 % of the information of every star."""
-    rows = (_REACH_SIGMA * sigma_px + 0.5) / np.abs(motion.rate) + 0.5 + 0.5 * motion.smear_rows
+    rows = (CLIP_SIGMA * sigma_px + 0.5) / np.abs(motion.rate) + 0.5 + 0.5 * motion.smear_rows
     side = 0.5 * (motion.stages + np.abs(1.0 / motion.rate)) * np.abs(motion.drift)
-    return int(np.ceil(max(float(rows.max()), _REACH_SIGMA * sigma_px + 0.5 + float(side.max()))))
+    return int(np.ceil(max(float(rows.max()), CLIP_SIGMA * sigma_px + 0.5 + float(side.max()))))
 
 
 def trace_images(offset: Floats, motion: Motion, sigma_px: float, radius: int) -> PsfImages:
@@ -111,7 +108,7 @@ def _profiles(
         high - low
         for low, high in zip(*(_integrals(along / sigma_px + side, order) for side in (-half, half)))
     ]
-    lit = (0.5 * motion.stages + _LIT_SIGMA * sigma_px + 0.5) / float(np.abs(motion.rate).min(initial=1.0))
+    lit = (0.5 * motion.stages + NEVER_SIGMA * sigma_px + 0.5) / float(np.abs(motion.rate).min(initial=1.0))
     terms = _terms(lit * float(np.abs(motion.drift).max(initial=0.0)) / sigma_px)
     series = chebvander(np.clip((t + stage) / lit, -1.0, 1.0), terms - 1)  # (N, K, J, T)
     series *= (np.abs(rate) * weight)[..., None]
