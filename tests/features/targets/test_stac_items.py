@@ -269,3 +269,4 @@ def test_years_of_real_aerial_images_give_ten_targets(tmp_path: Path) -> None:
     catalogue = catalogue_of(tmp_path / "c", files)
     rows, _ = suggested(tmp_path / "t", "--stac", catalogue, "--size-px", 96)
     assert len(rows) >= 10
+    assert len({row["id"] for row in rows}) == len(rows)

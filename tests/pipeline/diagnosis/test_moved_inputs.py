@@ -53,7 +53,7 @@ def test_attitudes_turn_with_their_line_of_sight_as_erfa_says(removed):
     dump = SimpleNamespace(epoch=epoch, orbit=SimpleNamespace(states_i=lambda _: (None, v_i)))
     attitudes = SimpleNamespace(R_si=R_si.as_matrix())
     exposures = [SimpleNamespace(t_s=t) for t in t_s]
-    strip = SimpleNamespace(strip_id="s01", exposures=exposures, attitudes=attitudes)
+    strip = SimpleNamespace(strip_id="s01", exposures=exposures, times_s=t_s, fitted=attitudes)
 
     def seen(u):
         return with_all_aberration(R_si, removed, epoch, t_s, v_i, line_of_sight_s=u)
@@ -89,7 +89,7 @@ def test_a_clock_of_the_exposures_that_runs_fast_does_the_opposite_of_a_row_peri
     (strip,) = with_attitudes(
         draw_sky_strips(plan, CAMERAS, np.random.default_rng(3), rates_rad_s=(-0.0143,)), SETTINGS.attitudes
     )
-    head = SimpleNamespace(source=None, subject=None)
+    head = SimpleNamespace(source=None, subject=None, times_in=("exposures.csv", "utc_mid"))
     inputs = list(_clock_of_exposures(head, [strip]))
     table = hypotheses(
         HypothesisInputs([prepare_strip(strip, SETTINGS)], BOLD, CAMERAS.pixel_rad, inputs=inputs)
