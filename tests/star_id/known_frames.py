@@ -34,7 +34,6 @@ REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "star_images"
 SIDE = 640
 FIELDS_DEG = (9.0, 14.0, 22.0, 35.0)  # of the four skies of a condition
 SENSOR = Sensor(bits=16, read_noise_dn=2.5, e_per_dn=4.0, background_dn=30.0, flux_at_v7_dn=150.0)
-SERIES = "spel-uchile_Star_Tracker/"  # fifty frames of one camera; benchmarks/star_fields.py solves all
 BRIGHTEST = 10  # names that a record holds
 
 
@@ -128,13 +127,6 @@ def real_rows():
     file = REAL / "manifest.csv"
     rows = csv.DictReader(file.open()) if file.exists() else []
     return [row for row in rows if open_image(REAL / row["file"], row["file"]).format]
-
-
-def sampled_rows():
-    """Rows of the real frames that each run of the tests solves: every third of the one long series."""
-    rows = real_rows()
-    series = [row["file"] for row in rows if row["file"].startswith(SERIES)]
-    return [row for row in rows if row["file"] not in series or row["file"] in series[::3]]
 
 
 def answer(name, found, index):

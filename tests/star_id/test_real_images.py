@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import pytest
-from known_frames import REAL, real, sampled_rows
+from known_frames import REAL, real, real_rows
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_orientation import bundled_earth_orientation
@@ -19,7 +19,7 @@ from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 
-ROWS = sampled_rows()
+ROWS = real_rows()
 pytestmark = pytest.mark.skipif(not ROWS, reason=f"real star images are not at ../shared/data ({REAL})")
 
 
