@@ -19,6 +19,7 @@ from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import equivalent_fov
+from boresight.star_id.lens_model import TANGENT_RAD
 
 __all__ = [
     "FISHEYE_RAD",
@@ -45,8 +46,6 @@ _MIDDLE_RAD = math.radians(20.0)
 # Relative error of the middle's field of view: of one width, equisolid and stereographic lenses of 175 deg
 # have focal lengths of 1.11 and 0.79 times that of an equidistant one.
 MIDDLE_TOLERANCE = 0.3
-# Nominal field of view, rad, below which a lens may be a tangent one: they image 110 deg at most.
-_TANGENT_RAD = math.radians(125.0)
 
 
 @record
@@ -108,4 +107,4 @@ def wide_lenses(nominal: StarCamera) -> tuple[StarCamera, ...]:
     )
     stereographic, tangent = (replace(equidistant, projection=kind) for kind in ("stereographic", "tangent"))
     fisheyes = equidistant, equisolid, stereographic
-    return (*fisheyes, tangent) if equidistant.fov_x_rad < _TANGENT_RAD else fisheyes
+    return (*fisheyes, tangent) if equidistant.fov_x_rad < 2.0 * TANGENT_RAD else fisheyes

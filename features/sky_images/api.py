@@ -306,7 +306,7 @@ class StarSolution(SuccessfulResult):
             raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
         if not (np.isfinite(xy).all() and (np.abs(xy) < LARGEST_PX).all()):
             raise wrong("xy_px", "values that are not finite or beyond a million", "pixels")
-        is_single, xy = xy.ndim == 1, self._turned(np.atleast_2d(xy))
+        is_single, xy = xy.ndim == 1, self._as_mirrored(np.atleast_2d(xy))
         u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
         ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
         place: SkyCoord = _world().SkyCoord(
@@ -369,16 +369,15 @@ class StarSolution(SuccessfulResult):
         and dec_deg.
         """
 
-        sky = self.pixel_to_sky(self._turned(self.xy_px))
+        sky = self.pixel_to_sky(self._as_mirrored(self.xy_px))
         columns = {"hip": self.hip, "x_px": self.xy_px[:, 0], "y_px": self.xy_px[:, 1]}
         columns |= {"residual_x_px": self.residual_px[:, 0], "residual_y_px": self.residual_px[:, 1]}
         return pd.DataFrame(columns | {"ra_deg": sky.ra.deg, "dec_deg": sky.dec.deg})
 
-    def _turned(self, xy_px: Floats) -> Floats:
-        """Pixels (N, 2) with their columns reversed, of a mirror image; of others as they are."""
-        if not self.mirrored:
-            return xy_px
-        return np.column_stack([self.stars.size_px[0] - 1.0 - xy_px[:, 0], xy_px[:, 1]])
+    def _as_mirrored(self, xy_px: Floats) -> Floats:
+        """Pixels (N, 2), of a mirror image with its columns reversed: from the image as given to that which
+        all is stated for, and back."""
+        return xy_px * [-1.0, 1.0] + [self.stars.size_px[0] - 1.0, 0.0] if self.mirrored else xy_px
 
     def plot(self, ax: Axes | None = None, *, image: ImageLike | None = None) -> Axes:
         """The image as `boresight identify --overlay` draws it, with what is in it named, lines of right
@@ -399,7 +398,7 @@ class StarSolution(SuccessfulResult):
         picture = named_sky(seen, self.field, planets, no_stars)
 
         def sky_of(xy_px: Floats) -> Floats:
-            place = self.pixel_to_sky(self._turned(xy_px))
+            place = self.pixel_to_sky(self._as_mirrored(xy_px))
             return np.column_stack([place.ra.deg, place.dec.deg])
 
         return draw_sky(axes_or_new(ax), picture, self.stars.size_px, sky_of)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -223,24 +224,19 @@ def track(
 _Row = tuple[str, Floats, Floats, Floats, float, float, float, int, float, str]
 
 
+@dataclass(slots=True, eq=False)
 class _Tracker:
     """What is known after each frame."""
 
-    def __init__(
-        self,
-        camera: StarCamera,
-        index: StarIndex,
-        settings: StarSettings,
-        exposure_s: float | None,
-        push: float,
-        focal_error: float,
-        focal_drift: float,
-    ) -> None:
-        self.camera, self.index, self.settings = camera, index, settings
-        self.exposure_s, self.push = exposure_s, push
-        self.focal_error, self.focal_drift = focal_error, focal_drift
-        self.motion: CameraMotion | None = None
-        self.seen: StarList | None = None  # of the last frame that was searched as a whole
+    camera: StarCamera
+    index: StarIndex
+    settings: StarSettings
+    exposure_s: float | None
+    push: float  # 1-sigma acceleration about each axis, rad/s²
+    focal_error: float
+    focal_drift: float
+    motion: CameraMotion | None = None
+    seen: StarList | None = None  # of the last frame that was searched as a whole
 
     def next(self, frame: ImageLike | Stars | pd.DataFrame, t_s: float) -> _Row:
         """The row of the next frame."""
@@ -249,8 +245,7 @@ class _Tracker:
         size = given.size_px if isinstance(given, Stars) else given.shape[::-1]
         if size != (self.camera.width_px, self.camera.height_px):
             raise wrong("frames", f"{size[0]} x {size[1]} px", "images of the camera's size")
-        started_s, fix, state, reason = time.process_time(), None, TRACKED, ""
-        now = None
+        started_s, fix, now, state, reason = time.process_time(), None, None, TRACKED, ""
         if self.motion is not None:
             now = predicted_motion(self.motion, t_s, self.push, self.focal_drift)
         if now is not None and self.seen is not None and not isinstance(given, Stars):
