@@ -90,7 +90,7 @@ def test_a_clock_of_the_exposures_that_runs_fast_does_the_opposite_of_a_row_peri
     (strip,) = with_attitudes(
         draw_sky_strips(plan, CAMERAS, np.random.default_rng(3), rates_rad_s=(-0.0143,)), SETTINGS.attitudes
     )
-    head = SimpleNamespace(source=None, subject=None)
+    head = SimpleNamespace(source=None, subject=None, times_in=("exposures.csv", "utc_mid"))
     inputs = list(_clock_of_exposures(head, [strip]))
     table = hypotheses(
         HypothesisInputs([prepare_strip(strip, SETTINGS)], BOLD, CAMERAS.pixel_rad, inputs=inputs)
