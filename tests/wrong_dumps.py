@@ -31,7 +31,7 @@ WRONG: list[tuple[str, str, str, str, str]] = [
     (S, "-9.30e-7", "-9.30", "distortion", "not invertible.*1/mm"),
     (R, "= 10.0", "= 0", "focal_length_m", "found 0.* at least 0.001"),
     (R, "= -0.64", "= 9e15", "ccds.0.y_first_mm", r"focal plane, mm\)"),
-    (I, "0.5, -0.5", "0.6, -0.5", "file", "quaternion_cs must have length 1.* possible together"),
+    (I, "[0.5, -0.5, 0.5, 0.5]", "[1, 0, 0, 0.5]", "file", "must have length 1.* 1.118.* possible together"),
     (I, "[0.5, -0.5, 0.5, 0.5]", "[1, 0, 0]", "quaternion_cs", r"4 values, not 3 \(R_cs .*, scalar last\)"),
     (I, "0.003,", "10,", "sigma_rad.0", "found 10.* at most 3.15 .*1-sigma rotation about .*at most 180°"),
     (X, "exposures/1.png", "/etc/passwd", "line 3, file", "found /etc/passwd.* inside the dump"),
