@@ -98,7 +98,7 @@ def residuals_of_vectors(folder: Path) -> tuple[Any, Any]:
     starts = {"target_start": np.array([0, 2, 3]), "star_start": np.array([0, 10, 20, 40])}
     given = Of(w_c=u_i, target_id=np.array(["1.5/-2.5/30", "4/5/6", "-7/8/9.5"]), **starts)
     attitudes = Of(R_si=R_CS.as_matrix()[None], usable=[True], kept=found.kept, squared_mahalanobis=SQUARES)
-    strip = Of(strip_id="7", attitudes=attitudes, exposures=[stars])
+    strip = Of(strip_id="7", fitted=attitudes, exposures=[stars])
     made = {
         "targets": vector_result._target_table(given, Of(estimate=Of(targets=found))),
         "stars": vector_result._star_table(given, Of(strips=[strip])),
