@@ -42,7 +42,7 @@ def test_every_runtime_dependency_declares_a_minimum_that_can_be_installed() -> 
 
 def test_stated_python_versions_begin_with_the_required_one() -> None:
     stated = [c.split(" :: ")[-1] for c in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", c)]
-    assert stated == ["3.11", "3.12", "3.13"]
+    assert stated == ["3.11", "3.12", "3.13", "3.14"]
     assert PROJECT["requires-python"] == f">={stated[0]}"
 
 

@@ -52,8 +52,7 @@ def test_attitudes_turn_with_their_line_of_sight_as_erfa_says(removed):
     head = SimpleNamespace(name="STR1", line_of_sight_s=u_s)
     dump = SimpleNamespace(epoch=epoch, orbit=SimpleNamespace(states_i=lambda _: (None, v_i)))
     attitudes = SimpleNamespace(R_si=R_si.as_matrix())
-    exposures = [SimpleNamespace(t_s=t) for t in t_s]
-    strip = SimpleNamespace(strip_id="s01", exposures=exposures, times_s=t_s, fitted=attitudes)
+    strip = SimpleNamespace(strip_id="s01", exposures=[None] * 3, times_s=t_s, fitted=attitudes)
 
     def seen(u):
         return with_all_aberration(R_si, removed, epoch, t_s, v_i, line_of_sight_s=u)
