@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
-import cv2
-
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
@@ -25,17 +23,9 @@ from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
+from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 
-__all__ = ["UNFORESEEN", "Progress", "StageRunner", "Task", "Unit", "internal_error", "log_unit"]
-
-# Errors of computations that end one item with a reason, and not the run.
-UNFORESEEN = (ValueError, ArithmeticError, LookupError, cv2.error)
-
-
-def internal_error(error: Exception, where: str) -> str:
-    """The reason of an item whose computation raised `error`."""
-    return f"internal error in {where}: {type(error).__name__}: {str(error)[:300]}; please report"
-
+__all__ = ["Progress", "StageRunner", "Task", "Unit", "log_unit"]
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
 
