@@ -20,10 +20,11 @@ __all__ = ["SkyCoord", "image_wcs", "write_wcs"]
 def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
     """Write world coordinates of an image as a FITS header, and its identified stars as a table.
 
-    Row 0 of the image is FITS row 1, so that viewers that draw row 1 at the bottom flip the image.
+    Row 0 of the image is FITS row 1, so that viewers that draw row 1 at the bottom flip the image. All pixels
+    are those of the image as it is, of a mirror image, too.
     `RawDataError` for a fisheye whose corners lie behind the camera.
     """
-    wcs = tan_sip(found.camera, found.R_si)
+    wcs = tan_sip(found.camera, found.R_si, mirrored=found.mirrored)
     if not np.isfinite(wcs.largest_misfit_px):
         lens = "a fisheye whose corners lie behind the camera"
         raise RawDataError(image, "world coordinates", lens, "without --fits: it has no tangent plane")
@@ -32,11 +33,14 @@ def write_wcs(path: Path, image: str, found: FieldSolution) -> None:
     header["IMAGEW"], header["IMAGEH"] = found.camera.width_px, found.camera.height_px
     header["SIPERR"] = (wcs.largest_misfit_px, "largest misfit of the polynomials, px")
     header["HISTORY"] = f"stars of {_ascii(Path(image).name)} identified by boresight"
+    x, dx = found.xy_px[:, 0], found.residual_px[:, 0]
+    if found.mirrored:
+        x, dx = found.camera.width_px - 1.0 - x, -dx
     columns = [
         fits.Column("HIP", "J", array=found.hip),
-        fits.Column("X_PX", "D", unit="pixel", array=found.xy_px[:, 0]),
+        fits.Column("X_PX", "D", unit="pixel", array=x),
         fits.Column("Y_PX", "D", unit="pixel", array=found.xy_px[:, 1]),
-        fits.Column("DX_PX", "D", unit="pixel", array=found.residual_px[:, 0]),
+        fits.Column("DX_PX", "D", unit="pixel", array=dx),
         fits.Column("DY_PX", "D", unit="pixel", array=found.residual_px[:, 1]),
     ]
     units = fits.HDUList(

@@ -97,6 +97,24 @@ def test_identify_draws_and_writes_world_coordinates(folder, tmp_path, monkeypat
     assert middle.separation(stated).arcsec < 30.0  # aberration of images without a time; a pixel is 52
 
 
+def test_world_coordinates_of_a_mirror_image_hold_for_its_own_pixels(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("turned.png", cv2.imread(str(folder / "sky1.png"), cv2.IMREAD_UNCHANGED)[:, ::-1])
+    done = run("identify", "--fits", "--fov", 18.6, folder / "sky1.png", "turned.png")
+    assert done.exit_code == 0 and "MIRROR IMAGE" in done.stdout
+    seen = {}
+    for name in ("sky1", "turned"):
+        with fits.open(f"{name}.wcs.fits") as hdus:
+            table = np.sort(hdus["STARS"].data, order="HIP")
+            seen[name] = table, WCS(hdus[0].header).pixel_to_world(table["X_PX"], table["Y_PX"])
+    (table, at), (turned, turned_at) = seen["sky1"], seen["turned"]
+    same, here, there = np.intersect1d(table["HIP"], turned["HIP"], return_indices=True)
+    assert len(same) > 15
+    assert np.abs(table["X_PX"][here] + turned["X_PX"][there] - 1279.0).max() < 0.5  # of 1280 columns
+    assert np.abs(table["DX_PX"][here] + turned["DX_PX"][there]).max() < 0.5
+    assert at[here].separation(turned_at[there]).arcsec.max() < 30.0  # half a pixel
+
+
 def test_nothing_identified_ends_with_status_1(folder):
     assert run("identify", "--fov", 18.6, folder / "dark.png").exit_code == 1
 
