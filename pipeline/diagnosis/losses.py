@@ -287,7 +287,7 @@ def lost_targets(
         yield _dead_ccd(ccd, strips, left.subjects(~left.found & left.within(cells)))
     counts, lost = _by_ccd(left), lost_ccds(left)
     silent = [ccd for ccd, (kept, n) in counts.items() if not kept and n >= FEWEST and ccd not in dead]
-    no_majority = bool(set(lost) & set(silent)) and 2 * len(silent) >= len(counts)
+    no_majority = bool(set(lost) & set(silent)) and _may_be_right(silent, counts, dead)
     displaced = silent if no_majority else [ccd for ccd in lost if ccd not in dead]
     if displaced:
         yield displaced_ccds(displaced, left, OF_TARGETS.what, refutes=no_majority)
@@ -338,8 +338,16 @@ def lost_stars(
         yield _dead_ccd(ccd, strips)
     displaced = [ccd for ccd in lost_ccds(left, OF_STARS) if ccd not in dark]
     if displaced:
-        no_majority = 2 * len(displaced) >= len(_by_ccd(left))
+        no_majority = _may_be_right(displaced, _by_ccd(left), dark)
         yield displaced_ccds(displaced, left, "bright stars", refutes=no_majority)
+
+
+def _may_be_right(displaced: Sequence[int], shown: Iterable[int], dead: Iterable[int]) -> bool:
+    """Whether the CCDs that lack their targets may be the ones that look where they should: no less than a
+    third of those `shown` that are not `dead`. CCDs of one row of the focal plane err together, so that two
+    do not outvote one.
+    """
+    return 3 * len(displaced) >= len(set(shown) - set(dead))
 
 
 def displaced_ccds(ccds: Sequence[int], ledger: Ledger, what: str, *, refutes: bool) -> Finding:

@@ -351,7 +351,8 @@ def _largest_sigma(moved: Floats) -> float:
 def _spread(seen: Directions, scatter_rad: float) -> Floats:
     """Mean covariance (2, 2) of what the attitudes' errors and the stated scatter displace, rad²."""
     moved = seen.by_attitude
-    return np.asarray((moved @ np.swapaxes(moved, 1, 2)).mean(axis=0) + scatter_rad**2 * np.eye(2))
+    total = (moved @ np.swapaxes(moved, 1, 2)).sum(axis=0)
+    return np.asarray(total / max(len(moved), 1) + scatter_rad**2 * np.eye(2))
 
 
 def _field(
