@@ -259,7 +259,7 @@ def test_a_strip_without_exposures_is_of_the_pass_that_covers_it_or_is_carried()
     assert len(passes_of([ends, blind.later(600.0)])) == 2
 
 
-@settings(max_examples=10, derandomize=True, deadline=None, database=None)
+@settings(max_examples=20, derandomize=True, deadline=None, database=None)
 @given(st.lists(st.integers(1, 3), min_size=5, max_size=5), st.integers(0, 999))
 def test_frames_with_the_same_stars_are_one_frame(parts: list[int], seed: int) -> None:
     whole = draw_frames(5, 12, 9, 0.06, 0.3, CAMERAS, np.random.default_rng(55))
@@ -288,7 +288,7 @@ def vector_sets(frames: Sequence[tuple[Floats, ...]]) -> VectorSets:
 def test_the_estimate_is_that_of_the_whole_however_it_is_cut_into_strips(
     kind: str, model: CalibrationSettings
 ) -> None:
-    @settings(max_examples=10, derandomize=True, deadline=None, database=None)
+    @settings(max_examples=20, derandomize=True, deadline=None, database=None)
     @given(st.lists(CUTS, min_size=6, max_size=6), st.integers(0, 999))
     def law(cuts: list[Cut], seed: int) -> None:
         rng = np.random.default_rng(seed)
