@@ -297,11 +297,20 @@ def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]], told: Progre
         at = f"targets, row {n}"
         pixels = pixels_of(cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)")
         if pixels.dtype not in (np.uint8, np.uint16):
-            pixels = pixels.astype(np.float32)
+            pixels = _single(pixels, f"{at}, chip")
         affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
         write_image(folder / file, pixels, **_georeference(affine, crs, at))
     lines = zip(*values_by_column(rows, ("id", *PLACE), "targets"), files)
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], list(lines))
+
+
+def _single(values: np.ndarray, name: str) -> np.ndarray:
+    """Values in single precision, as files hold them."""
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+    if (np.isinf(single) & np.isfinite(values)).any():
+        raise wrong(name, f"values to {np.nanmax(np.abs(values)):.3g}", "at most 3e38")
+    return single
 
 
 def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
@@ -325,7 +334,9 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
     if heights.ndim != 2 or not heights.size:
         raise wrong("terrain, heights", heights, "shape (rows, columns)")
     place = _georeference(terrain[1], terrain[2], "terrain")
-    write_image(folder / "terrain" / "dem.tif", heights.astype(np.float32), nodata=float("nan"), **place)
+    write_image(
+        folder / "terrain" / "dem.tif", _single(heights, "terrain, heights"), nodata=float("nan"), **place
+    )
     return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 

@@ -141,6 +141,10 @@ def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None
         ),
         ({"remote_camera": 5}, "remote_camera: found 5, expected a LineCamera or a LookAngleCamera"),
         (
+            {"terrain": (np.full((4, 4), -1e300), (1e-4, 0, 103, 0, -1e-4, 36), "EPSG:4326")},
+            r"terrain, heights: found values to 1e\+300, expected at most 3e38",
+        ),
+        (
             {"exposures": [{"time": "2024-11-20T03:40:00", "exposure_s": 0.1, "stars": [{"x_px": 1.0}]}]},
             "exposures, row 0, stars: found columns x_px, expected also y_px",
         ),
