@@ -70,7 +70,7 @@ def uncertainty_budget(
 
 
 def _noisier(noise: AttitudeNoise) -> AttitudeNoise:
-    return _larger(noise, ("white_rad", "correlated_rad", "constant_rad"))
+    return _larger(noise, ("white_rad", "correlated_rad", "constant_rad", "periodic_rad"))
 
 
 def _larger(noise: Noise, names: Sequence[str]) -> Noise:

@@ -38,9 +38,11 @@ from boresight.calib.gross_errors import (
 from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import (
     aligned,
+    alignment_names,
     carried,
     largest_turn,
     measured_alignment,
+    periodic_errors,
     unknown_heads,
     without_head,
 )
@@ -382,19 +384,29 @@ def _with_heads(
     estimate: InstallationEstimate, strips: Sequence[StripSightings], problem: Problem, solution: Solution
 ) -> InstallationEstimate:
     """The estimate with the matrices of the other heads, R_ch = R_cs exp(alpha) R_sh, and all covariances; of
-    several cameras those of the first.
+    several cameras those of the first. And with the periodic errors of all heads.
     """
-    names, R_cs = problem.shared.heads, estimate.heads[0].R_cs
+    of_heads, R_cs = problem.shared.of_heads, estimate.heads[0].R_cs
+    names = tuple(dict.fromkeys(name.split("/")[1] for name in of_heads if name.startswith("head/")))
     C = R_cs.as_matrix()
-    first = solution.covariance_all.shape[0] - 3 * len(names)
+    first = solution.covariance_all.shape[0] - len(of_heads)
     # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
     lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))
     lift[:3, :3] = np.eye(3)
     heads = [estimate.heads[0]]
     for n, name in enumerate(names):
-        rows, columns = slice(3 + 3 * n, 6 + 3 * n), slice(first + 3 * n, first + 3 * n + 3)
+        rows = slice(3 + 3 * n, 6 + 3 * n)
+        columns = [first + of_heads.index(one) for one in alignment_names(name)]
         lift[rows, :3], lift[rows, columns] = np.eye(3), -C
         alpha = np.concatenate([solution.theta, solution.shared])[columns]
         R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
         heads.append(HeadInstallation(name=name, R_cs=R_cs * Rotation.from_rotvec(alpha) * R_sh))
-    return replace(estimate, heads=tuple(heads), cov_heads=lift @ solution.covariance_all @ lift.T)
+    noise = {one.head: one.noise for strip in strips for one in strip.others}
+    noise |= {strip.carrier: strip.noise for strip in strips if strip.exposures}
+    sigma = np.sqrt(np.diag(solution.covariance_all)[len(solution.theta) :])
+    return replace(
+        estimate,
+        heads=tuple(heads),
+        cov_heads=lift @ solution.covariance_all @ lift.T,
+        periodic=periodic_errors(dict(sorted(noise.items())), problem.shared.names, solution.shared, sigma),
+    )

@@ -59,13 +59,13 @@ def _together(passes: list[PreparedStrip]) -> PreparedStrip:
     joined = {
         name: np.concatenate([getattr(one, name) for one in passes])
         for name in columns
-        if name not in ("number", "weights", "attitude_s", "by_alignments_s")
+        if name not in ("number", "weights", "attitude_s", "by_heads_s")
     }
     phi, ties = _with_lasting(
         passes, _blocks([one.attitude_s[:, :, : one.n_phi] for one in passes]), _ties(passes)
     )
     motion = _blocks([one.attitude_s[:, :, one.n_phi :] for one in passes])
-    heads = tuple(sorted({head for one in passes for head in one.heads}))
+    names = tuple(sorted({name for one in passes for name in one.of_heads}))
     return replace(
         passes[0],
         **joined,
@@ -76,8 +76,8 @@ def _together(passes: list[PreparedStrip]) -> PreparedStrip:
         attitude_s=np.concatenate([phi, motion], axis=2),
         ties=ties,
         lasting=(),
-        heads=heads,
-        by_alignments_s=np.concatenate([of_heads(p.heads, p.by_alignments_s, heads) for p in passes]),
+        of_heads=names,
+        by_heads_s=np.concatenate([of_heads(one.of_heads, one.by_heads_s, names) for one in passes]),
         n_phi=phi.shape[2],
     )
 

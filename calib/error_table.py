@@ -8,6 +8,7 @@
     date              rotation of the Earth where it is predicted              1-sigma of the prediction
     ground reference  offset of a mosaic or a survey                           1-sigma stated for it
     head              alignment to the reference head                          radians
+    head              error that comes back with a period: Fourier series      1-sigma each
 
 All but those of a pass are named unknowns of the whole calibration, which do not average over strips.
 Coordinates are in axes that rotate with the Earth about the pole of GCRS, which agree with ITRS closely
@@ -38,7 +39,7 @@ from boresight.calib.distortion import (
     unknown_names,
 )
 from boresight.calib.ground_references import ReferenceField, fields_of
-from boresight.calib.heads import head_names, of_heads
+from boresight.calib.heads import of_heads
 from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MICRORADIAN",
-    "SIGMA_ALIGNMENT_RAD",
     "SharedError",
     "SharedUnknowns",
     "by_kind",
@@ -83,11 +83,11 @@ class SharedUnknowns:
     """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
 
     knots: tuple[Knot, ...] = scalar("of the cameras' distortion", default=())
-    errors: tuple[SharedError, ...] = scalar("rows of the table; alignments of heads are last", default=())
+    errors: tuple[SharedError, ...] = scalar("rows of the table; those of heads are last", default=())
     targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
     prior_targets: Array = scalar("(3 T, 3 T) information on these", default_factory=lambda: np.zeros((0, 0)))
     references: tuple[ReferenceField, ...] = scalar("offsets of ground references", default=())
-    heads: tuple[str, ...] = scalar("heads beside the reference head, three unknowns each", default=())
+    of_heads: tuple[str, ...] = scalar("names of the unknowns of heads", default=())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -145,8 +145,8 @@ def find_shared(
     heads: tuple[str, ...] = (),
     interior: InteriorModel | None = None,
 ) -> SharedUnknowns:
-    """The unknowns that these strips share, the alignments of `heads` among them; biases of orbit and clock
-    where there are stars and targets on the ground.
+    """The unknowns that these strips share, those of `heads` among them; biases of orbit and clock where
+    there are stars and targets on the ground.
 
     Of targets in several strips, those seen most often come first.
     """
@@ -178,12 +178,12 @@ def find_shared(
             *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
             _earth(earth),
             *(SharedError(one.names, one.columns) for one in fields),
-            SharedError(head_names(heads), lambda one: of_heads(one.heads, one.by_alignments_s, heads)),
+            SharedError(heads, lambda one: of_heads(one.of_heads, one.by_heads_s, heads)),
         ),
         targets=kept,
         prior_targets=_in_blocks([np.asarray(np.linalg.inv(covariance[name]), float) for name in kept]),
         references=fields,
-        heads=heads,
+        of_heads=heads,
     )
 
 
@@ -223,6 +223,7 @@ PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
     "earth": prior_of_predictions,
     "reference": _of_unit,
     "head": lambda names: np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2,
+    "periodic": _of_unit,
     "camera": _of_unit,
 }
 

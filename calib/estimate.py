@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
 from boresight.calib.ground_references import ReferenceOffset
+from boresight.calib.heads import PeriodicError
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
 from boresight.geometry.installation import theta_between
@@ -175,6 +176,7 @@ class InstallationEstimate:
     agreement: HeadAgreement = scalar("of the heads with one another")
     bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
     references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")
+    periodic: tuple[PeriodicError, ...] = scalar("errors of heads that come back", default=())
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
     prior: InformationPairs | None = scalar("on theta, about `R_cs0`; None: none", default=None)
@@ -186,6 +188,7 @@ class InstallationEstimate:
             self,
             heads=(replace(self.heads[0], name=name), *self.heads[1:]),
             agreement=replace(self.agreement, without=without),
+            periodic=tuple(replace(one, head=one.head or name) for one in self.periodic),
         )
 
     @property

@@ -2,9 +2,10 @@
 
 The attitudes of the reference head carry a strip (`strips`). Every other head measures the same attitude with
 errors of its own and in its own frame h; its alignment R_sh to the reference head is known but for a small
-right-handed rotation alpha about the axes of s, three unknowns that all strips share. A smoother takes the
-rows of all heads together (`pass_attitude`): the attitude at a target changes with the alignments, and the
-rows tell of these by themselves, without any target.
+right-handed rotation alpha about the axes of s, three unknowns that all strips share. So are the
+coefficients of errors that come back with a period, of every head (`AttitudeNoise`). A smoother takes the
+rows of all heads together (`pass_attitude`): the attitude at a target changes with these unknowns, and the
+rows tell of them by themselves, without any target.
 
 Where the reference head has no attitude around a strip (blinded by the Sun, say), another head carries the
 strip: its attitudes, turned to frame s by the assumed alignment, have the error alpha.
@@ -12,13 +13,14 @@ strip: its attitudes, turned to frame s by the assumed alignment, have the error
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import linear_weights
+from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import (
     HeadAttitudes,
@@ -29,33 +31,92 @@ from boresight.geometry.sightings import (
 
 __all__ = [
     "HeadTie",
+    "PeriodicError",
     "aligned",
+    "alignment_names",
     "carried",
-    "head_names",
     "largest_turn",
+    "lasting_of_head",
     "measured_alignment",
     "of_heads",
+    "periodic_errors",
     "unknown_heads",
+    "unknowns_of_head",
     "without_head",
 ]
 
 
 @record(kw_only=True)
 class HeadTie:
-    """What the rows of all heads tell of their alignments in one pass: M whitened rows
+    """What the rows of all heads tell of their A unknowns in one pass: M whitened rows
     r = by_phi q + by_alpha alpha + noise of unit variance.
     """
 
-    heads: tuple[str, ...] = scalar("A / 3 heads with an alignment")
+    unknowns: tuple[str, ...] = scalar("names of the A unknowns")
     r: Floats = array("M", "residuals")
     by_phi: Floats = array("M, P", "change by the strip's attitude unknowns, units of their prior sigma")
-    by_alpha: Floats = array("M, A", "change by the errors of the alignments, 1/rad")
+    by_alpha: Floats = array("M, A", "change by these, 1/rad; of periodic errors, units of their prior sigma")
     dof: int = scalar("degrees of freedom of the last row: root of the squares that any alignments leave")
 
 
-def head_names(heads: Sequence[str]) -> tuple[str, ...]:
-    """Names of the unknown alignments of heads, three each."""
-    return tuple(f"head/{head}/{axis}" for head in heads for axis in "xyz")
+@record(kw_only=True)
+class PeriodicError:
+    """An error of one head that comes back with a period: H terms of a Fourier series about its axes, rad."""
+
+    head: str = scalar("name of the head; empty: the reference head")
+    period_s: float = scalar("the period")
+    stated_rad: Floats = array("3", "1-sigma stated for it about each axis")
+    cosine_rad: Floats = array("H, 3", "coefficients of cos(2 pi h t / P), t since the epoch")
+    sine_rad: Floats = array("H, 3", "coefficients of sin(2 pi h t / P)")
+    sigma_cosine_rad: Floats = array("H, 3", "1-sigma of these")
+    sigma_sine_rad: Floats = array("H, 3", "1-sigma of these")
+
+
+def alignment_names(head: str) -> tuple[str, ...]:
+    """Names of the three unknowns of a head's alignment."""
+    return tuple(f"head/{head}/{axis}" for axis in "xyz")
+
+
+def unknowns_of_head(head: str, noise: AttitudeNoise) -> tuple[str, ...]:
+    """Names of all unknowns of a head: its alignment unless it is the reference head (""), and the
+    coefficients of its periodic error.
+    """
+    terms = range(1, noise.harmonics + 1) if noise.periodic_rad.any() else ()
+    waves = (f"periodic/{head}/{wave}{h}/{axis}" for h in terms for wave in ("cos", "sin") for axis in "xyz")
+    return (*(alignment_names(head) if head else ()), *waves)
+
+
+def lasting_of_head(head: str, noise: AttitudeNoise, t_s: Floats) -> Floats:
+    """Error (J, 3, A) of a head about the axes of s, at instants (J,), by its `unknowns_of_head`."""
+    alignment = np.tile(-np.eye(3), (len(t_s), 1, 1))[:, :, : 3 if head else 0]
+    return np.concatenate([alignment, noise.waves_s(t_s)], axis=2)
+
+
+def periodic_errors(
+    noise: Mapping[str, AttitudeNoise], names: Sequence[str], values: Floats, sigmas: Floats
+) -> tuple[PeriodicError, ...]:
+    """The periodic errors of heads by the values and 1-sigma of the unknowns with these names."""
+    found = []
+    for head, of_head in noise.items():
+        own = [name for name in unknowns_of_head(head, of_head) if name.startswith("periodic/")]
+        if not set(own) or not set(own) <= set(names):
+            continue
+        rows = [names.index(name) for name in own]
+        unit = of_head.periodic_rad / np.sqrt(of_head.harmonics)
+        (cosine, sine), (sigma_cosine, sigma_sine) = (
+            np.moveaxis(part[rows].reshape(of_head.harmonics, 2, 3) * unit, 1, 0) for part in (values, sigmas)
+        )
+        one = PeriodicError(
+            head=head,
+            period_s=of_head.period_s,
+            stated_rad=of_head.periodic_rad,
+            cosine_rad=cosine,
+            sine_rad=sine,
+            sigma_cosine_rad=sigma_cosine,
+            sigma_sine_rad=sigma_sine,
+        )
+        found.append(one)
+    return tuple(found)
 
 
 def unknown_heads(strips: Sequence[StripSightings]) -> tuple[str, ...]:
@@ -126,12 +187,10 @@ def carried(strip: StripSightings) -> StripSightings:
     return replace(without_head(replace(strip, others=(first,)), ""), others=rest, carrier=first.head)
 
 
-def of_heads(own: Sequence[str], columns: Floats, heads: Sequence[str]) -> Floats:
-    """Columns (..., 3 own) by the alignments of some heads as columns (..., 3 heads) by those of all."""
-    every = np.zeros((*columns.shape[:-1], 3 * len(heads)))
-    for n, head in enumerate(own):
-        first = 3 * heads.index(head)
-        every[..., first : first + 3] = columns[..., 3 * n : 3 * n + 3]
+def of_heads(own: Sequence[str], columns: Floats, names: Sequence[str]) -> Floats:
+    """Columns (..., A) by some unknowns of heads as columns (..., N) by all of these names."""
+    every = np.zeros((*columns.shape[:-1], len(names)))
+    every[..., [names.index(name) for name in own]] = columns
     return every
 
 

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
-from boresight.calib.error_table import SIGMA_ALIGNMENT_RAD, SharedUnknowns, find_shared
+from boresight.calib.error_table import SharedUnknowns, find_shared, prior_of
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
@@ -71,7 +71,8 @@ class Problem:
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
         carrying = [strip for strip in prepared if strip.inside.any()]
-        heads = tuple(sorted({head for strip in carrying for head in strip.heads}))
+        of_any = {name for strip in carrying for name in strip.of_heads}
+        heads = tuple(sorted(of_any, key=lambda name: name.split("/")))
         seen = [one for one in passes if one.inside.any()]
         shared = find_shared(seen, settings, heads, interior)
         groups = [condensed(group) for group in group_strips(passes, shared, settings)]
@@ -99,17 +100,19 @@ class Problem:
         )
 
 
-def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadAgreement:
-    """The heads' own weighted sum of squares, all attitude errors and one alignment a head estimated."""
+def _agreement(strips: Sequence[PreparedStrip], names: tuple[str, ...]) -> HeadAgreement:
+    """The heads' own weighted sum of squares, all attitude errors and the unknowns `names` estimated."""
     ties = [tie for strip in strips for tie in strip.ties]
-    parts = np.zeros((len(ties), 3 * len(heads) + 1, 3 * len(heads) + 1))
+    parts = np.zeros((len(ties), len(names) + 1, len(names) + 1))
     for s, tie in enumerate(ties):
-        Y = np.column_stack([of_heads(tie.heads, tie.by_alpha, heads), tie.r])
+        Y = np.column_stack([of_heads(tie.unknowns, tie.by_alpha, names), tie.r])
         G = tie.by_phi.T @ Y
         parts[s] = Y.T @ Y - G.T @ np.linalg.solve(np.eye(len(G)) + tie.by_phi.T @ tie.by_phi, G)
-    total = parts.sum(axis=0)
-    together, apart = _left_by_alignments(total), sum(_left_by_alignments(part) for part in parts)
-    rows = sum(len(tie.r) - 1 for tie in ties) - (int(np.linalg.matrix_rank(total[:-1, :-1])) if ties else 0)
+    prior, total = prior_of(names, np.zeros((0, 0))), parts.sum(axis=0)
+    together, apart = _left(total, prior), sum(_left(part, prior) for part in parts)
+    alignments = [n for n, name in enumerate(names) if name.startswith("head/")]  # others have a stated size
+    known = int(np.linalg.matrix_rank(total[np.ix_(alignments, alignments)])) if ties else 0
+    rows = sum(len(tie.r) - 1 for tie in ties) - known
     return HeadAgreement(
         chi2=max(together, 0.0),
         dof=rows + sum(tie.dof for tie in ties),
@@ -118,9 +121,8 @@ def _agreement(strips: Sequence[PreparedStrip], heads: tuple[str, ...]) -> HeadA
     )
 
 
-def _left_by_alignments(N: Floats) -> float:
-    """The sum of squares that the best alignments leave; `N` (3 heads + 1, the same), the residual last."""
-    prior = np.eye(len(N) - 1) / SIGMA_ALIGNMENT_RAD**2
+def _left(N: Floats, prior: Floats) -> float:
+    """The sum of squares that the best unknowns of heads leave; `N` (A + 1, A + 1), the residual last."""
     return float(N[-1, -1] - N[:-1, -1] @ np.linalg.solve(N[:-1, :-1] + prior, N[:-1, -1]))
 
 

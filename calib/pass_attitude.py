@@ -5,7 +5,8 @@ Of a single head whose attitudes come from stars, the attitude relative to the n
 between the exposures, by Lagrange polynomials; their errors phi_k stay unknowns, and so does the motion that
 the interpolation misses. Of heads that solve attitudes, of several, and with a gyro, the rows of all are
 smoothed (`geometry.attitude_smoother`). There the unknowns are the independent parts of what is left unknown,
-and the constant errors of the heads; the rows tell something of these and of the alignments.
+and the constant errors of the heads; the rows tell something of these and of the alignments. An error that
+comes back with a period is a constant of the pass to the rows, and to a target what it is at its instant.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.heads import HeadTie
+from boresight.calib.heads import HeadTie, lasting_of_head, unknowns_of_head
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import SlowMotion, missed_covariance
 from boresight.geometry.attitude import (
@@ -50,9 +51,9 @@ class PassAttitude:
     n_phi: int = scalar("how many of them, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
     weights: Floats = array("J, U", "by which a rotation of the exposures rotates it; dense or sparse")
-    heads: tuple[str, ...] = scalar("heads whose alignments change it")
-    by_alignments: Floats = array("J, 3, A", "rotation about the axes of s by these, three each")
-    ties: tuple[HeadTie, ...] = scalar("what the rows tell of alignments and unknowns")
+    of_heads: tuple[str, ...] = scalar("unknowns of the heads that change it")
+    by_heads: Floats = array("J, 3, A", "rotation about the axes of s by these")
+    ties: tuple[HeadTie, ...] = scalar("what the rows tell of these and of the first unknowns")
 
 
 def is_smoothed(strip: StripSightings) -> bool:
@@ -109,8 +110,8 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
         n_phi=3 * K + len(lasting),
         lasting=lasting,
         weights=weights @ nodes.share,
-        heads=(),
-        by_alignments=np.zeros((len(t_s), 3, 0)),
+        of_heads=unknowns_of_head("", strip.noise),
+        by_heads=inside[:, None, None] * lasting_of_head("", strip.noise, t_s),
         ties=(),
     )
 
@@ -139,12 +140,19 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     r, T = told[:, 0], told[:, 1:]
     constant = block_diag(*(columns for _, columns, _ in parts))
     lasting = tuple(one for *_, errors in parts for one in errors)
-    is_known = np.repeat([bool(head) for head in heads], 3)  # the reference head has no alignment
+    noises = [head.noise for head in rows]
+    middle = np.full(1, 0.5 * sum(_ends(times)))
+
+    def by_unknowns(of_constants: Floats, t: Floats) -> Floats:
+        own = enumerate(zip(heads, noises))
+        parts = [of_constants[..., 3 * n : 3 * n + 3] @ lasting_of_head(*one, t) for n, one in own]
+        return np.concatenate(parts, axis=-1)
+
     tie = HeadTie(
-        heads=tuple(filter(None, heads)),
+        unknowns=tuple(name for one in zip(heads, noises) for name in unknowns_of_head(*one)),
         r=r,
         by_phi=np.column_stack([np.zeros((len(r), root.shape[2])), T @ constant]),
-        by_alpha=-T[:, is_known],
+        by_alpha=by_unknowns(T[None], middle)[0],
         dof=dof,
     )
     return PassAttitude(
@@ -155,8 +163,8 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
         n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
         weights=linear_weights(times, t_s, inside),
-        heads=tie.heads,
-        by_alignments=-by_constants[:, :, is_known],
+        of_heads=tie.unknowns,
+        by_heads=by_unknowns(by_constants, t_s),
         ties=(tie,) if others and inside.any() else (),
     )
 

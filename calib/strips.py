@@ -95,9 +95,9 @@ class PreparedStrip:
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
     move_i: Floats = array("J, 3, 3", "change of v_s by the satellite's true position, GCRS axes, 1/m")
     move_s: Floats = array("J, 3, 3", "the same by its true position along the track, to the right, down")
-    ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their alignments")
-    heads: tuple[str, ...] = scalar("heads whose alignments change the attitude at the targets")
-    by_alignments_s: Floats = array("J, 3, A", "change of v_s by these alignments, three each")
+    ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their unknowns")
+    of_heads: tuple[str, ...] = scalar("unknowns of heads that change the attitude at the targets")
+    by_heads_s: Floats = array("J, 3, A", "change of v_s by these")
     is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("how many of these, the first, the rows of heads tell of")
@@ -122,8 +122,10 @@ class StripGroup:
     shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
-    ties: Floats = array("S, H, V", "rows of other heads: by phi, by their alignments, residual; whitened")
-    by_ties: Floats = array("S, N, A", "own unknowns by such rows: by alignments, residual (`own_unknowns`)")
+    ties: Floats = array("S, H, V", "rows of other heads: by phi, by unknowns of heads, residual; whitened")
+    by_ties: Floats = array(
+        "S, N, A", "own unknowns by such rows: by those of heads, residual (`own_unknowns`)"
+    )
     n_phi: int = scalar("attitude unknowns, the first of the strip's own")
     n_common: int = scalar("unknowns of the calibration beside theta")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
@@ -198,7 +200,7 @@ class LinearStrips:
 
 # What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.
 OF_GROUND = ("target_id", "ccd", "t_s", "u_c", "cov_c", "is_star")
-OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "heads", "n_phi", "lasting")
+OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "of_heads", "n_phi", "lasting")
 
 
 def prepare_strips(
@@ -273,7 +275,7 @@ def prepare_strip(
         late_s=late[:, :, 0],
         move_i=move_i,
         move_s=move_i @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
-        by_alignments_s=by_rotation @ attitude.by_alignments,
+        by_heads_s=by_rotation @ attitude.by_heads,
         carrier=strip.carrier,
         **{name: getattr(ground, name) for name in OF_GROUND},
         **{name: getattr(attitude, name) for name in OF_ATTITUDE},
@@ -326,7 +328,7 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
             columns=np.concatenate([3 * part.camera + np.arange(3), n_theta + part.columns]),
             X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
         )
-        if n_heads := group.by_ties.shape[2] - 1:  # the alignments of heads are the last common unknowns
+        if n_heads := group.by_ties.shape[2] - 1:  # those of heads are the last common unknowns
             block.X[:, :, -n_heads:] -= block.of(told[:, :, :-1])
         common.append(block)
     by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
@@ -373,16 +375,16 @@ def _group(
         white_s=white,
         missed=np.stack([shared.missed(strip) for strip in members]),
         ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
-        by_ties=np.zeros((len(places), shared_s.shape[3], 3 * len(shared.heads) + 1)),
+        by_ties=np.zeros((len(places), shared_s.shape[3], len(shared.of_heads) + 1)),
         n_phi=n_phi,
         n_common=in_c.shape[3],
-        parts=tuple(_parts(which[0], in_c, in_s, 3 * len(shared.heads))),
+        parts=tuple(_parts(which[0], in_c, in_s, len(shared.of_heads))),
         **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
 def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[GroupPart]:
-    """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; alignments
+    """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; unknowns
     of heads, the last, are always among them.
     """
     cameras, n = np.unique(which).tolist(), in_c.shape[3]
@@ -397,9 +399,9 @@ def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[Gr
 
 
 def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
-    """Rows (h, n_phi + 3 heads + 1) of the other heads in a strip."""
-    none = np.zeros((0, n_phi + 3 * len(shared.heads) + 1))
-    told = [(tie, of_heads(tie.heads, tie.by_alpha, shared.heads)) for tie in strip.ties]
+    """Rows (h, n_phi + unknowns of heads + 1) of the other heads in a strip."""
+    none = np.zeros((0, n_phi + len(shared.of_heads) + 1))
+    told = [(tie, of_heads(tie.unknowns, tie.by_alpha, shared.of_heads)) for tie in strip.ties]
     return np.concatenate([none, *(np.column_stack([tie.by_phi, by_alpha, tie.r]) for tie, by_alpha in told)])
 
 

@@ -1,13 +1,14 @@
-"""Errors of a star camera's attitudes as they are: white + correlated + constant, each axis by itself.
+"""Errors of a star camera's attitudes as they are: white + correlated + constant + periodic, each axis alone.
 
 Of attitudes at instants t_k, a small right-handed rotation about each axis of the head has the covariance
 
-    w² δ_kl + a² exp(-|t_k - t_l| / τ) + c²,
+    w² δ_kl + a² exp(-|t_k - t_l| / τ) + c² + p² / H Σ cos(2π h (t_k - t_l) / P), h = 1 ... H,
 
 white noise from row to row, a first-order autoregressive process AR(1) (seconds: stars that cross pixels, the
-filter of the head), and a constant over the record or strip (errors that pass over many minutes), which may
-be correlated with that of other passes over a time T. A process that outlasts a pass is split: what of it is
-the same at both ends of the pass is one more constant. Angles in radians, times in seconds.
+filter of the head), a constant over the record or strip (errors that pass over many minutes), which may
+be correlated with that of other passes over a time T, and an error that comes back with a period P (of the
+orbit: what the Sun warms), a Fourier series of H terms. A process that outlasts a pass is split: what of it
+is the same at both ends of the pass is one more constant. Angles in radians, times in seconds.
 """
 
 from __future__ import annotations
@@ -53,10 +54,15 @@ class AttitudeNoise:
         "in which its correlation from pass to pass falls to 1/e; 0: independent",
         default_factory=lambda: np.zeros(3),
     )
+    periodic_rad: Floats = array(
+        "3", "1-sigma of what comes back with a period", default_factory=lambda: np.zeros(3)
+    )
+    period_s: float = scalar("this period", default=1.0)
+    harmonics: int = scalar("terms of its Fourier series, of equal size", default=1)
     R_sn: Rotation = scalar("axes of the head to frame s", default=Rotation.identity())
 
     def __post_init__(self) -> None:
-        for name in ("white_rad", "correlated_rad", "constant_rad"):
+        for name in ("white_rad", "correlated_rad", "constant_rad", "periodic_rad"):
             if not np.all(getattr(self, name) >= 0.0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         if not np.all(self.correlation_time_s > 0.0):
@@ -68,11 +74,28 @@ class AttitudeNoise:
         R = self.R_sn.as_matrix()
         return np.asarray((R * self.white_rad**2) @ R.T)
 
+    @property
+    def lasting_covariance_s(self) -> Floats:
+        """(3, 3) covariance of what is constant over a pass or comes back with a period, rad², frame s."""
+        R = self.R_sn.as_matrix()
+        return np.asarray((R * (self.constant_rad**2 + self.periodic_rad**2)) @ R.T)
+
+    def waves_s(self, t_s: Floats) -> Floats:
+        """(J, 3, 6 H) rotations about the axes of s, rad, at instants (J,), by the coefficients of the
+        Fourier series, of unit variance: of each term those of cosine and sine about the head's axes.
+        """
+        if not self.periodic_rad.any():
+            return np.zeros((len(t_s), 3, 0))
+        phase = 2.0 * np.pi / self.period_s * np.outer(t_s, np.arange(1, self.harmonics + 1))
+        waves = np.stack([np.cos(phase), np.sin(phase)], axis=2) / np.sqrt(self.harmonics)
+        about = self.R_sn.as_matrix() * self.periodic_rad
+        return np.asarray(np.einsum("jhp,sa->jshpa", waves, about).reshape(len(t_s), 3, -1))
+
     def within(
         self, first_s: float, last_s: float, head: str
     ) -> tuple[AttitudeNoise, Floats, tuple[LastingError, ...]]:
-        """The noise of one pass without what is constant in it, and these constants: rotations (3, m) about
-        the axes of s, 1-sigma each, rad, and what they are.
+        """The noise of one pass without what is constant in it, and these constants, but for the periodic
+        error: rotations (3, m) about the axes of s, 1-sigma each, rad, and what they are.
         """
         span, tau = last_s - first_s, self.correlation_time_s
         kept = np.exp(-span / tau)
@@ -82,6 +105,7 @@ class AttitudeNoise:
             correlated_rad=self.correlated_rad * np.sqrt(1.0 - kept),
             correlation_time_s=np.where(kept < 1.0, tau * (1.0 - kept) * (1.0 - FASTER * np.sqrt(kept)), tau),
             constant_rad=np.zeros(3),
+            periodic_rad=np.zeros(3),
         )
         middle, R = 0.5 * (first_s + last_s), self.R_sn.as_matrix()
         columns, errors = [], []
@@ -99,8 +123,9 @@ class AttitudeNoise:
         apart = np.abs(t_s[:, None] - t_s[None, :])
         decay = np.exp(-apart[:, :, None] / self.correlation_time_s)
         of_axes = self.correlated_rad**2 * decay + self.constant_rad**2  # (K, K, 3)
-        R = self.R_sn.as_matrix()
-        return np.einsum("ka,lma,ba->lkmb", R, of_axes, R, optimize=True)
+        R, waves = self.R_sn.as_matrix(), self.waves_s(t_s)
+        periodic = np.einsum("lkn,mbn->lkmb", waves, waves, optimize=True)
+        return np.einsum("ka,lma,ba->lkmb", R, of_axes, R, optimize=True) + periodic
 
 
 # Attitudes without any noise: white, correlated or constant.

@@ -456,8 +456,7 @@ def smoothed_track(
     """
     found = SmoothedAttitude.of(heads, most_likely_motion([heads], [gyro]), gyro)
     t_s = heads[0].t_s if t_s is None else t_s
-    of_heads = [(head.noise.R_sn.as_matrix() * head.noise.constant_rad**2) for head in heads]
-    known = block_diag(*(V @ head.noise.R_sn.as_matrix().T for V, head in zip(of_heads, heads)))
+    known = block_diag(*(head.noise.lasting_covariance_s for head in heads))
     known[3:, 3:] += sigma_alignment_rad**2 * np.eye(len(known) - 3)
     r, T = found.constants[:, 0], found.constants[:, 1:]
     gain = np.linalg.solve(T @ known @ T.T + np.eye(len(r)), T @ known).T

@@ -1,4 +1,5 @@
-"""Attitudes that star cameras (heads) solve themselves, with errors as real ones: white, AR(1), constant.
+"""Attitudes that star cameras (heads) solve themselves, with errors as real ones: white, AR(1), constant,
+periodic.
 
 Drawn for the strips of a campaign (`simulator.campaign`), whose motion is known at any instant. The AR(1)
 process is drawn step by step from its own recursion.
@@ -38,6 +39,7 @@ class HeadPlan:
     step_s: float = 0.1
     shift_s: float = 0.0  # of its instants
     margin_s: float = 0.4  # before and after a strip
+    waves: Array | None = None  # coefficients of its periodic error, of unit variance; None: drawn
     wrong_rad: float = 0.0  # 1-sigma per axis of a rotation of each strip that is not stated
 
 
@@ -101,10 +103,14 @@ def _attitudes(
         sigma, time_s = noise.constant_rad[axis : axis + 1], noise.constant_time_s[axis : axis + 1]
         begins = np.array([motion.begin_s for motion in motions])
         constant[:, axis] = correlated_noise(sigma, time_s, begins, rng)[:, 0]
+    waves = head.waves if noise.periodic_rad.any() else np.zeros(0)
+    if waves is None:
+        waves = rng.standard_normal(6 * noise.harmonics)
     slow = correlated_noise(noise.correlated_rad, noise.correlation_time_s, np.concatenate(times), rng)
     found = []
     for n, (motion, t_s) in enumerate(zip(motions, times)):
         error = noise.white_rad * rng.standard_normal((len(t_s), 3)) + constant[n]
+        error += noise.waves_s(t_s) @ waves
         error += slow[n * len(since) : (n + 1) * len(since)] + head.wrong_rad * rng.standard_normal(3)
         found.append((t_s, Rotation.from_rotvec(error) * head.R_ch.inv() * motion.R_ci(t_s)))
     return found

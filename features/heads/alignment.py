@@ -11,6 +11,7 @@ other by rate times offset, which differs from a constant only as far as the sat
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -205,6 +206,8 @@ def _covariance(
         each = np.einsum("xa,ba,ya->bxy", A, white, A)
         C[np.arange(B), :, np.arange(B), :] += each
         C += np.einsum("bc,xy->bxcy", same, (A * one.constant_rad**2) @ A.T)
+        waves = replace(one, R_sn=R).waves_s(when)
+        C += np.einsum("bxn,cyn->bxcy", waves, waves)
     return C.reshape(3 * B, 3 * B) + 1e-24 * np.eye(3 * B)
 
 

@@ -226,13 +226,16 @@ OfAxesTimes = Annotated[list[OfTime], numbers(3, "about x, y, z of frame s, seco
 
 
 class NoiseFile(_Strict):
-    """Errors of a head's attitudes: white from row to row, correlated over a time, constant over a strip"""
+    """Errors of a head's attitudes: white, correlated over a time, constant over a strip, periodic"""
 
     white_arcsec: OfAxes | None = None
     correlated_arcsec: OfAxes | None = None
     correlation_time_s: OfAxesTimes | None = None
     constant_arcsec: OfAxes | None = None
     constant_time_s: OfAxesTimes | None = None
+    periodic_arcsec: OfAxes | None = None
+    period_s: Annotated[float, Field(ge=60.0, le=1e6, description="of a periodic error, s")] | None = None
+    harmonics: Annotated[int, Field(ge=1, le=4, description="terms of its Fourier series")] = 1
     origin: Literal["stated", "estimated", "assumed"] = "stated"
 
     @model_validator(mode="after")
@@ -241,6 +244,8 @@ class NoiseFile(_Strict):
             raise ValueError("correlated_arcsec and correlation_time_s come together or not at all")
         if self.constant_time_s is not None and self.constant_arcsec is None:
             raise ValueError("constant_time_s comes with constant_arcsec")
+        if (self.periodic_arcsec is None) != (self.period_s is None):
+            raise ValueError("periodic_arcsec and period_s come together or not at all")
         return self
 
 

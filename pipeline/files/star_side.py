@@ -330,6 +330,9 @@ def _noise(stated: schema.NoiseFile) -> AttitudeNoise:
         correlation_time_s=of(stated.correlation_time_s, 1.0, otherwise=1.0),
         constant_rad=of(stated.constant_arcsec, ARCSEC),
         constant_time_s=of(stated.constant_time_s, 1.0),
+        periodic_rad=of(stated.periodic_arcsec, ARCSEC),
+        period_s=stated.period_s or 1.0,
+        harmonics=stated.harmonics,
     )
 
 

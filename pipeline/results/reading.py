@@ -39,7 +39,12 @@ __all__ = [
 ]
 
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns: mounting of a further head
-OTHERS = ("earth/", "reference/", "camera/")  # beginnings of names of further unknowns that are eliminated
+OTHERS = (
+    "earth/",
+    "reference/",
+    "periodic/",
+    "camera/",
+)  # beginnings of names of further unknowns that are eliminated
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
@@ -266,8 +271,8 @@ def read_mounting(
     result: Path, name: str, scale: Mapping[str, float] | None = None, camera: str = ""
 ) -> InformationPairs:
     """Normal equations of a finished result as one: its strips added, coordinates of targets that several of
-    them see, biases of orbit and clock, rotations of the Earth, alignments of further heads and matrices of
-    other cameras than `camera` eliminated.
+    them see, biases of orbit and clock, rotations of the Earth, alignments and periodic errors of heads, and
+    matrices of other cameras than `camera` eliminated.
     The camera's distortion stays, since other results share it. `scale`: of each strip's information by the
     strip's name, instead of 1; 0 leaves it out. `RawDataError` if not readable.
     """

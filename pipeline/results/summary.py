@@ -197,6 +197,17 @@ def _estimate_lines(
         axes = zip(("east", "north", "up"), one.value_m, one.sigma_m)
         text = ", ".join(f"{axis} {value:+.2f} ± {sigma:.2f} m" for axis, value, sigma in axes)
         lines.append(f"{f'reference {one.name}'[:25]:26s}{text}, stated less true")
+    for wave in estimate.periodic:
+        lines.append(
+            f"{f'head {wave.head}'[:25]:26s}error that comes back every {wave.period_s:.6g} s, arcsec"
+        )
+        for h in range(len(wave.cosine_rad)):
+            lines += [
+                _row(f"  cosine {h + 1}", wave.cosine_rad[h] / ARCSEC, "+.3f"),
+                _row("    1 sigma", wave.sigma_cosine_rad[h] / ARCSEC, ".3f"),
+                _row(f"  sine {h + 1}", wave.sine_rad[h] / ARCSEC, "+.3f"),
+                _row("    1 sigma", wave.sigma_sine_rad[h] / ARCSEC, ".3f"),
+            ]
     if not estimate.converged:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines

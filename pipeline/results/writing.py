@@ -224,6 +224,8 @@ def installation_facts(
     earth = _predicted_earth(estimate)
     if estimate.references:
         earth = earth | {"ground_references": [plain(one) for one in estimate.references]}
+    if estimate.periodic:
+        earth = earth | {"periodic_errors": [plain(one) for one in estimate.periodic]}
     matrices = [field for field in values if field in OF_CAMERAS]
     first, last = FIELDS.index("R_cs"), FIELDS.index("frames")
     fields = (*FIELDS[:first], *matrices, *FIELDS[last:]) if matrices else FIELDS

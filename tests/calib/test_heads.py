@@ -86,12 +86,15 @@ SLOW = {  # errors that go on from one strip to the next, which begin 62 s apart
     "correlated over 100 s": {"correlated_rad": [3.0, 3.0, 8.0], "correlation_time_s": [100.0] * 3},
     "correlated over 20 minutes": {"correlated_rad": [3.0, 2.0, 8.0], "correlation_time_s": [1200.0] * 3},
     "constant over a strip": {"constant_rad": [3.0, 2.0, 8.0], "constant_time_s": [400.0, 100.0, 1e5]},
+    "comes back with every orbit": {"periodic_rad": [6.0, 4.0, 12.0], "period_s": 350.0, "harmonics": 2},
 }
 
 
-@pytest.mark.parametrize(("slow", "heads"), [*((slow, 2) for slow in SLOW), ("constant over a strip", 1)])
+@pytest.mark.parametrize(
+    ("slow", "heads"), [*((slow, 2) for slow in SLOW), *((slow, 1) for slow in list(SLOW)[2:])]
+)
 def test_covariance_holds_with_errors_of_heads_that_outlast_a_strip(slow: str, heads: int) -> None:
-    stated = {key: np.array(v) * (ARCSEC if key.endswith("rad") else 1.0) for key, v in SLOW[slow].items()}
+    stated = {key: np.multiply(v, ARCSEC if key.endswith("rad") else 1) for key, v in SLOW[slow].items()}
     plans = [
         HeadPlan(name, R, replace(of_head, **stated), shift_s=shift)
         for name, R, of_head, shift in (("A", R_A, NOISE_A, 0.0), ("B", R_B, NOISE_B, 0.033))
@@ -108,6 +111,35 @@ def test_covariance_holds_with_errors_of_heads_that_outlast_a_strip(slow: str, h
     # Of one head, motion that is assumed as well as found makes the stated sigma larger: 2.5 a run.
     low, high = chi2(df=3 * heads * RUNS).ppf([1e-6 if heads == 1 else 0.0005, 0.9995])
     assert low < nees < high
+
+
+@pytest.mark.parametrize(("strips", "largest_share"), [(3, 0.75), (14, 0.4)])
+def test_errors_that_come_back_are_recovered_as_far_as_strips_lie_around_the_orbit(
+    strips: int, largest_share: float
+) -> None:
+    sizes, runs, squares, shares = np.array([6.0, 4.0, 12.0]) * ARCSEC, 10, 0.0, []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        waves = rng.standard_normal((2, 6))
+        plans = [
+            HeadPlan(name, R, replace(of_head, periodic_rad=sizes, period_s=350.0), waves=own)
+            for name, R, of_head, own in (("A", R_A, NOISE_A, waves[0]), ("B", R_B, NOISE_B, waves[1]))
+        ]
+        drawn, truth = draw_strips(replace(PLAN, strips=strips), CameraPair(R_A), rng)  # begin 62 s apart
+        alignment = [SHAKEN * R_A.inv() * R_B]
+        estimate = estimated(with_heads(drawn, truth, plans, alignment, PLAN.duration_s, rng))
+        assert [(one.head, one.period_s) for one in estimate.periodic] == [("", 350.0), ("B", 350.0)]
+        for one, own in zip(estimate.periodic, waves):
+            found = np.concatenate([one.cosine_rad, one.sine_rad])
+            sigma = np.concatenate([one.sigma_cosine_rad, one.sigma_sine_rad])
+            squares += float(np.sum(((found - own.reshape(2, 3) * sizes) / sigma) ** 2))
+            shares.append(sigma / one.stated_rad)
+    low, high = chi2(df=12 * runs).ppf([0.0005, 0.9995])
+    assert low < squares < high
+    # Three strips span a third of a period, 14 two and a half periods: 0.63 and 0.34 of the stated error are
+    # left about the axis of the smallest.
+    share = np.mean(shares, axis=0)
+    assert share.max() < largest_share and (strips == 14 or share.min() > 0.3)
 
 
 def blinded(

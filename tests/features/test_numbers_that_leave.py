@@ -26,6 +26,7 @@ from boresight import array_stars, missions
 from boresight.calib.estimate import HeadInstallation, InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.ground_references import ReferenceOffset
+from boresight.calib.heads import PeriodicError
 from boresight.calib.information import InformationPairs
 from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.reliability import HypothesisTest
@@ -343,6 +344,12 @@ def lopsided_covariance(n: int, scale: float) -> Any:
     return scale**2 * root @ root.T
 
 
+WAVES = {"stated_rad": np.array([1e-5, 2e-5, 4e-5])} | {
+    f"{what}_rad": np.arange(6.0).reshape(2, 3) * 1e-6 + n * 1e-5
+    for n, what in enumerate(("cosine", "sine", "sigma_cosine", "sigma_sine"), 1)
+}
+
+
 def lopsided_estimate(cameras: int) -> Any:
     R_cs, n = Rotation.from_rotvec(-OFF) * R_CS0, 3 * cameras
     shared = ("reference/a/0/east", "earth/1/x", "bias/along", "earth/1/y")
@@ -367,6 +374,7 @@ def lopsided_estimate(cameras: int) -> Any:
             stated=np.array([2.0, 1e-4]),
         ),
         references=(ReferenceOffset(name="tile 7", stated_m=np.array([3.0, 4.0, 5.0]), **offset),),
+        periodic=(PeriodicError(head="zenith", period_s=5920.5, **WAVES),),
         heads=tuple(HeadInstallation(name=name, R_cs=R) for name, R in heads),
         cov_heads=lopsided_covariance(9, 2e-6),
     )
@@ -485,6 +493,9 @@ def installations(folder: Path) -> tuple[Any, Any]:
             "common_bias": bias | {"covariance": [[0.25, 0.01], [0.01, 4e-6]]},
             "predicted_earth": of_earth,
             "ground_references": [reference | {"stated_m": [3.0, 4.0, 5.0]}],
+            "periodic_errors": [
+                {"head": "zenith", "period_s": 5920.5} | {name: wave.tolist() for name, wave in WAVES.items()}
+            ],
             "doubtful_targets": [["s1/t3", "s1/t9"]],
         }
 

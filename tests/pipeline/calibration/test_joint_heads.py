@@ -24,6 +24,7 @@ from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
+from boresight.pipeline.results.reading import read_mounting
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
@@ -154,6 +155,24 @@ def test_both_matrices_come_out_of_all_dumps_together(found):
         off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
         # noiseless: what is left is second order in the 100 arc-seconds, and the priors' pull
         assert np.all(np.abs(off) < 0.1 * sigma(joint, n)), (one["name"], off)
+
+
+def test_errors_of_heads_that_come_back_with_the_orbit_are_told(found, tmp_path):
+    result, _ = found
+    shutil.copytree(result.parent / "early", tmp_path / "dump")
+    head = tmp_path / "dump" / "dump.toml"
+    stated = "[star_cameras.noise]\nperiodic_arcsec = [6.0, 4.0, 9.0]\nperiod_s = 5920.0\nharmonics = 2"
+    head.write_text(head.read_text().replace("[star_cameras.noise]", stated))
+    said = ran("calibrate", tmp_path / "dump", "--out", tmp_path / "result", "--no-report", status=5)
+    told = json.loads((tmp_path / "result" / "installation.json").read_text())["periodic_errors"]
+    assert [(one["head"], one["period_s"]) for one in told] == [("STR1", 5920.0), ("STR2", 5920.0)]
+    assert all(f"head {name}" in said.output for name in ("STR1", "STR2"))
+    for one in told:
+        sigma = np.array([one["sigma_cosine_rad"], one["sigma_sine_rad"]])
+        prior = np.array(one["stated_rad"]) / np.sqrt(2.0)
+        # half a minute of one orbit tells of one phase of the difference of the two heads alone
+        assert sigma.shape == (2, 2, 3) and np.all(sigma < prior * (1 + 1e-9)) and np.all(sigma > 0.5 * prior)
+    read_mounting(tmp_path / "result", "alone")  # whose prior has a row for these unknowns
 
 
 def test_joint_sigmas_are_below_those_of_each_dump(found):

@@ -46,6 +46,7 @@ def calibration(**changed: Any) -> Any:
         "cameras": ("",),
         "between": lambda sigma_rad: (),
         "references": (),
+        "periodic": (),
         "targets": SimpleNamespace(doubtful=()),
     } | changed
     ranges_m = [
