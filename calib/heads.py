@@ -95,7 +95,7 @@ def lasting_of_head(head: str, noise: AttitudeNoise, t_s: Floats) -> Floats:
 def periodic_errors(
     noise: Mapping[str, AttitudeNoise], names: Sequence[str], values: Floats, sigmas: Floats
 ) -> tuple[PeriodicError, ...]:
-    """The periodic errors of heads by the values and 1-sigma of the unknowns with these names."""
+    """The periodic errors of heads by the values (N,) and 1-sigma (N,) of the unknowns with these names."""
     found = []
     for head, of_head in noise.items():
         own = [name for name in unknowns_of_head(head, of_head) if name.startswith("periodic/")]
