@@ -18,6 +18,9 @@ from boresight.pipeline.files.whole_file import write_text
 __all__ = ["noise_keys", "state_noise"]
 
 
+PERIODIC = ("periodic_arcsec", "period_s", "harmonics")  # which a record of one orbit does not show
+
+
 def noise_keys(noise: AttitudeNoise, with_white: bool) -> dict[str, list[float] | str]:
     """Keys of [star_cameras.noise], estimated; without the white part where rows or stars give it."""
 
@@ -50,7 +53,8 @@ def state_noise(root: Path, noise: Mapping[str, AttitudeNoise]) -> Path:
         found = noise[str(head["name"])]
         # Stars, or errors in the rows of a table of attitudes, are the one statement of the white part.
         before = head.get("noise", {})
-        table["noise"] = noise_keys(found, "white_arcsec" in before)  # type: ignore[index]
+        kept = {key: before[key] for key in PERIODIC if key in before}
+        table["noise"] = noise_keys(found, "white_arcsec" in before) | kept  # type: ignore[index]
     text = tomlkit.dumps(document)
     write_text(path, text)
     read_toml(path, DumpFile, "dump.toml")

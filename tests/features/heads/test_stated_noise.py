@@ -40,7 +40,9 @@ def dump(tmp_path):
 
 def test_noise_that_is_written_is_read_and_comments_stay(dump):
     path = dump / "dump.toml"
-    path.write_text(path.read_text().replace("[light]", "[light]  # as the operator's software\n# by hand"))
+    periodic = "[star_cameras.noise]\nperiodic_arcsec = [6.0, 4.0, 9.0]\nperiod_s = 5920.0"  # no record shows it
+    text = path.read_text().replace("[light]", "[light]  # as the operator's software\n# by hand")
+    path.write_text(text.replace("[star_cameras.noise]", periodic))
     before = path.read_text().splitlines()
     for _ in range(2):  # a second time it replaces what the first stated
         assert state_noise(dump, NOISE) == path
@@ -48,6 +50,8 @@ def test_noise_that_is_written_is_read_and_comments_stay(dump):
             for part in PARTS:  # four digits are written
                 stated, found = getattr(NOISE[head.name], part), getattr(head.noise, part)
                 assert np.allclose(found, stated, rtol=1e-3), part
+            assert np.allclose(head.noise.periodic_rad / ARCSEC, [6.0, 4.0, 9.0])
+            assert head.noise.period_s == 5920.0
     changed = [line for line in before if line not in path.read_text().splitlines()]
     assert 'origin = "assumed"' in changed  # `import` assumed it, now it is estimated
     assert all("arcsec" in line or "origin" in line or line.strip(" ],.0123456789") == "" for line in changed)
