@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -257,6 +258,44 @@ def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_p
         with executor(adaptive.scheduler_address, []) as on:
             assert on.map(patient, range(6), lambda n, outcome: None) == [0, 1, 4, 9, 16, 25]
     assert len(list(begun.iterdir())) == 2
+
+
+def test_the_page_followed_by_the_letter_gives_the_result_of_one_machine(finished, tmp_path):
+    dump, alone = finished
+    commands = (ROOT / "docs" / "cluster.md").read_text().split("```bash\n")[1].split("```")[0]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    here = {"10.0.0.1": "127.0.0.1", "8786": port, "/shared/dump": str(dump), "/shared/result": "result"}
+    for of_page, of_machine in (*here.items(), ("--nworkers 8", "--nworkers 2")):
+        commands = commands.replace(of_page, of_machine)
+    lines = [line.partition("#")[0].split() for line in commands.splitlines()]
+    assert [line[:2] for line in lines] == [
+        ["dask", "scheduler"],
+        ["dask", "worker"],
+        ["boresight", "calibrate"],
+    ]
+    programs = Path(sys.executable).parent
+    started = []
+    try:
+        for first, *rest in lines[:2]:
+            log = (tmp_path / f"{rest[0]}.log").open("w")
+            streams = {"stdout": log, "stderr": subprocess.STDOUT}
+            started.append(
+                subprocess.Popen(
+                    [programs / first, *rest], cwd=tmp_path, **streams, preexec_fn=end_with_parent
+                )
+            )
+        ran = subprocess.run(
+            [programs / lines[2][0], *lines[2][1:], "--no-report"], cwd=tmp_path, timeout=READY_S
+        )
+    finally:
+        for process in started:
+            process.terminate()
+            process.wait()
+    assert ran.returncode == 0
+    for name in ("installation.json", "sightings/targets.parquet", "sightings/stars.parquet"):
+        assert (tmp_path / "result" / name).read_bytes() == (alone / name).read_bytes(), name
 
 
 def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(tmp_path, monkeypatch):
