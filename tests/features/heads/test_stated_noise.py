@@ -40,7 +40,8 @@ def dump(tmp_path):
 
 def test_noise_that_is_written_is_read_and_comments_stay(dump):
     path = dump / "dump.toml"
-    periodic = "[star_cameras.noise]\nperiodic_arcsec = [6.0, 4.0, 9.0]\nperiod_s = 5920.0"  # no record shows it
+    # what no record shows
+    periodic = "[star_cameras.noise]\nperiodic_arcsec = [6.0, 4.0, 9.0]\nperiod_s = 5920.0"
     text = path.read_text().replace("[light]", "[light]  # as the operator's software\n# by hand")
     path.write_text(text.replace("[star_cameras.noise]", periodic))
     before = path.read_text().splitlines()
