@@ -91,10 +91,12 @@ def assessed(
         reliability=reliability,
         target_files=dump.target_files,
     )
+    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
+    explanations = list[Finding]()
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
-    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
-    explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
+    else:
+        explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
     if of_attitudes:  # which move all CCDs of a strip alike: what refutes by some of them stands
         explanations = [one for one in explanations if one.refutes and _is_of_ccds(one)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
