@@ -168,8 +168,10 @@ def _explanations(
         *exchanged_in_ground(last.tasks, last.matched, targets),
         *exchanged_in_sky(basis.dump, last.sky, last.named, stars, estimate.R_cs),
     ]
-    if any(finding.refutes for finding in told):  # what is off or lost under a wrong matrix accuses nothing
-        return exchanged
+    lost = {*targets.subjects(~targets.found), *stars.subjects(~stars.found)}
+    moves_all = (one for one in told if not one.subjects or one.subjects[0].kind is Kind.HEAD)
+    if any(one.refutes for one in told) or any(lost & set(one.explains) for one in moves_all):
+        return exchanged  # what is off or lost under a wrong matrix, or with a wrong input, accuses nothing
     explained += [subject for finding in exchanged for subject in finding.subjects]
     parts = [
         *lost_groups(targets.take(~targets.within(explained)), OF_TARGETS),

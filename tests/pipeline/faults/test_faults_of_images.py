@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import faults
+import numpy as np
 import pytest
 
 from boresight.calib.finding import MOST_WORDS
@@ -57,6 +58,19 @@ def two_at_once(dump: Path) -> None:
     number(REMOTE, "x_offset_mm", lambda v: 0.0)(dump)
 
 
+def every_second_early(dump: Path, keep: int = 0) -> None:
+    """Exposures dated 40 ms early in turn, of so many a strip, evenly over it; 0: of all."""
+    header, *rows = table(dump / "exposures.csv")
+    at, left = header.index("utc_mid"), rows
+    if keep:
+        t_s = np.array([row[at] for row in rows], dtype="datetime64[ns]").astype(float) / 1e9
+        strips = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(t_s) > 5.0) + 1)
+        left = [rows[own[k]] for own in strips for k in np.linspace(0, len(own) - 1, keep).round().astype(int)]
+    for row in left[1::2]:
+        row[at] = later(row[at], -0.04)
+    write(dump / "exposures.csv", [header, *left])
+
+
 def of_two_ccds(dump: Path) -> None:
     header, *rows = table(dump / "strips.csv")
     at = [[n for n, row in enumerate(rows) if row[header.index("ccd")] == ccd] for ccd in ("0", "1")]
@@ -79,6 +93,7 @@ def strips_again(dump: Path) -> None:
 
 
 REMOTE, CLOCK = "remote_camera.toml", "clock of the rows"
+IN_TURN = ("clock of the exposures, every second one", "all exposures", -40.0, "exposures.csv")
 ROWS = [
     # fixture, fault, outcome, what is reported: (cause, item, size; None: not measured, file)
     ("mini", number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0), REFUTED,
@@ -112,6 +127,9 @@ ROWS = [
         FINDINGS,
         [("place of a CCD, along the track", "CCD 2", -9.0, REMOTE)],
     ),
+    ("sky", every_second_early, REFUTED, [("times of exposures", "all exposures", 40.0, "exposures.csv")]),
+    ("sky", partial(every_second_early, keep=4), FINDINGS, [IN_TURN]),  # as four rows are no record
+    ("mini", partial(every_second_early, keep=5), REFUTED, [IN_TURN]),
     ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
 ]  # fmt: skip
 
