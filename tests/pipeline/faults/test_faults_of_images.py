@@ -65,7 +65,9 @@ def every_second_early(dump: Path, keep: int = 0) -> None:
     if keep:
         t_s = np.array([row[at] for row in rows], dtype="datetime64[ns]").astype(float) / 1e9
         strips = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(t_s) > 5.0) + 1)
-        left = [rows[own[k]] for own in strips for k in np.linspace(0, len(own) - 1, keep).round().astype(int)]
+        left = [
+            rows[own[k]] for own in strips for k in np.linspace(0, len(own) - 1, keep).round().astype(int)
+        ]
     for row in left[1::2]:
         row[at] = later(row[at], -0.04)
     write(dump / "exposures.csv", [header, *left])
