@@ -126,11 +126,11 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
         yield Reading("files of two heads", words, both, "dump.toml", field, "exchanged,", apply)
     strips, first_s = Subject(Kind.STRIP), dump.orbit.span_s[0]
     for scale, late_s in other_scales(dump.epoch, "UTC", first_s):
-        changed, apply = f"read as {scale} ({late_s:+.4g} s)", partial(_with_later_strips, late_s)
+        changed, apply = f"read as {scale} ({late_s:+.4g} s),", partial(_with_later_strips, late_s)
         cause, field = "scale of times", "utc_first_row"
         yield Reading(cause, strips.words, (strips,), "strips.csv", field, changed, apply)
     for scale, late_s in other_scales(dump.epoch, dump.orbit_time_system, first_s):
-        changed, apply = f"dated in {scale} ({late_s:+.4g} s)", partial(_with_later_orbit, late_s)
+        changed, apply = f"dated in {scale} ({late_s:+.4g} s),", partial(_with_later_orbit, late_s)
         cause, field = "time system of the orbit", "TIME_SYSTEM"
         yield Reading(cause, "all states", (), "the orbit", field, changed, apply)
     for cause, changed, field, meant in POINTS if dump.points else ():
