@@ -132,7 +132,7 @@ def _sighted(
     more = [strip for of_tasks, matched in parts for strip in matched_strips(of_tasks, matched, heads)]
     more += named_sightings(last.sky, first.named, heads)
     for named in (
-        named_alone(dump, last.sky, stars),
+        named_alone(dump, last.sky, last.named, stars),
         displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     ):
         of_named = {one.strip_id for one in named}

@@ -583,9 +583,13 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
     )
 
 
-def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
-    """Stars of CCDs with too many missing, named by those alone: all together, else each by itself."""
-    if not (lost := lost_ccds(ledger, OF_STARS)):
+def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger) -> list[NamedStars]:
+    """Stars of CCDs with too many missing, or with no sure name, named by those alone: all together, else each
+    by itself.
+    """
+    having = {ccd for one in named for ccd in one.found.ccd[one.rows].tolist()}
+    silent = {ccd for ccd, (_, n) in _by_ccd(ledger).items() if n >= FEWEST and ccd not in having}
+    if not (lost := sorted(silent.union(lost_ccds(ledger, OF_STARS)))):
         return []
     for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
         of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))
