@@ -584,8 +584,8 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
 
 
 def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger) -> list[NamedStars]:
-    """Stars of CCDs with too many missing, or with no sure name, named by those alone: all together, else each
-    by itself.
+    """Stars of CCDs with too many missing or without a sure name, named by those alone: all together, or else
+    each by itself.
     """
     having = {ccd for one in named for ccd in one.found.ccd[one.rows].tolist()}
     silent = {ccd for ccd, (_, n) in _by_ccd(ledger).items() if n >= FEWEST and ccd not in having}
