@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
@@ -304,15 +306,9 @@ def _in_order(of_head: Attitudes, order: Ints) -> Attitudes:
 
 def _cycles(order: Ints) -> list[list[int]]:
     """Rows that an order puts in one another's place, group by group."""
-    groups = {frozenset(_cycle(order, row)) for row in np.flatnonzero(order != np.arange(len(order)))}
-    return sorted(map(sorted, groups))
-
-
-def _cycle(order: Ints, row: int) -> list[int]:
-    rows = [int(row)]
-    while (following := int(order[rows[-1]])) != rows[0]:
-        rows.append(following)
-    return rows
+    each = np.arange(len(order))
+    n, group = connected_components(coo_array((np.ones(len(order)), (each, order))))
+    return [rows for k in range(n) if len(rows := np.flatnonzero(group == k).tolist()) > 1]
 
 
 def _likelihood(of_head: Attitudes, rows: Ints) -> float:
