@@ -478,7 +478,7 @@ def searched_alone(
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
-FEWEST_DISPLACED = 2  # missing stars of a CCD that are looked for elsewhere on it
+FEWEST_DISPLACED = 2  # missing stars of a strip that are looked for elsewhere on their CCDs
 FAR_PX = 100.0  # from its place, within which a missing star is looked for (set by hand)
 ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may be it
 EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
@@ -601,15 +601,16 @@ def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: 
 def displaced_stars(
     dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
 ) -> list[NamedStars]:
-    """Missing stars of single CCDs with the detections, of their brightness and farther off than a right
-    matrix allows, that may be them: the tests of inputs say whether one error of the CCD explains several.
+    """Missing stars of strips with the detections, of their brightness and farther off than a right matrix
+    allows, that may be them: the tests of inputs say whether one error explains several.
     """
-    if not any(n - found >= FEWEST_DISPLACED for found, n in ledger.cells().values()):
+    missing = ledger.strip[~ledger.found]
+    if len(missing) < FEWEST_DISPLACED:
         return []
     survey = survey_of(dump.star_catalogue)
     bright, every = as_bright_as_named(survey, named), []
-    for task, one in zip(side.tasks, named):
-        if not len(one.rows):
+    for n, (task, one) in enumerate(zip(side.tasks, named)):
+        if not len(one.rows) or np.sum(missing == n) < FEWEST_DISPLACED:
             continue
         expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
         level = float(np.median(_magnitude(one.found.flux_dn[one.rows]) - one.places.places.v_mag))
@@ -618,11 +619,9 @@ def displaced_stars(
             rows, stars = np.flatnonzero(one.found.ccd == ccd), np.flatnonzero(expected.ccd == ccd)
             off_px = np.abs(expected.xy_px[stars, None] - one.found.xy_px[rows]).max(axis=2)
             lost = stars[~(off_px < near_px).any(axis=1)]
-            if len(lost) < FEWEST_DISPLACED:
-                continue
             free = rows[~(off_px < near_px).any(axis=0)]
             pairs += _of_brightness(expected, lost, one.found, free, bright, level)
-        if pairs:
+        if len(pairs) >= FEWEST_DISPLACED:
             row, star = np.array(pairs).T
             one = replace(one, probability_wrong=np.zeros(len(row)), omissions=())
             every.append(replace(one, rows=row, places=bright.take(star)))
@@ -637,7 +636,7 @@ def _of_brightness(
     expected: Crossings, lost: Ints, found: StripStars, free: Ints, bright: SurveyedStars, level: float
 ) -> list[tuple[int, int]]:
     """Detection and star of the catalogue, for each of the crossings `lost` the nearest of the detections
-    `free` that is as bright; none of a single pair.
+    `free` that is as bright.
     """
     magnitude = _magnitude(found.flux_dn[free]) - level
     pairs: dict[int, int] = {}
@@ -647,7 +646,7 @@ def _of_brightness(
         alike = (np.abs(magnitude - bright.places.v_mag[star]) < ALIKE_MAG) & (off_px < FAR_PX)
         if alike.any():
             pairs.setdefault(int(free[np.argmin(np.where(alike, off_px, np.inf))]), star)
-    return list(pairs.items()) if len(pairs) >= FEWEST_DISPLACED else []
+    return list(pairs.items())
 
 
 def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:

@@ -15,8 +15,8 @@ from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 
-edited, later, table, toml_number, write = (
-    getattr(faults, name) for name in ("edited", "later", "table", "toml_number", "write")
+edited, later, repaint, table, toml_number, write = (
+    getattr(faults, name) for name in ("edited", "later", "repaint", "table", "toml_number", "write")
 )
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 CONSISTENT, FINDINGS, REFUTED = Outcome.CONSISTENT, Outcome.FINDINGS, Outcome.REFUTED
@@ -71,6 +71,16 @@ def every_second_early(dump: Path, keep: int = 0) -> None:
     for row in left[1::2]:
         row[at] = later(row[at], -0.04)
     write(dump / "exposures.csv", [header, *left])
+
+
+def lines_lost(dump: Path) -> None:
+    """Eight lines of the only scan, in all CCDs; as many at its end are dark."""
+
+    def shorter(image: np.ndarray) -> np.ndarray:
+        return np.concatenate([image[:1000], image[1008:], np.zeros_like(image[:8])])
+
+    for image in (dump / "strips").glob("sky01_*.tif"):
+        repaint(image, shorter)
 
 
 def of_two_ccds(dump: Path) -> None:
@@ -132,6 +142,7 @@ ROWS = [
     ("sky", every_second_early, REFUTED, [("times of exposures", "all exposures", 40.0, "exposures.csv")]),
     ("sky", partial(every_second_early, keep=4), FINDINGS, [IN_TURN]),  # as four rows are no record
     ("mini", partial(every_second_early, keep=5), REFUTED, [IN_TURN]),
+    ("sky", lines_lost, REFUTED, [("lines of a strip", "strip sky01 from line 1004 on", 8.0, "strips.csv")]),
     ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
 ]  # fmt: skip
 
