@@ -269,10 +269,8 @@ POINTS: tuple[tuple[str, str, str, Points], ...] = (
 
 
 def _exchanged_ccds(strip: Strip, a: int, b: int, apply: Callable[[T], T]) -> Reading[T]:
-    words, both = (
-        f"CCD {a} and CCD {b} in {strip.subject.words}",
-        (strip.ccd_subject(a), strip.ccd_subject(b)),
-    )
+    words = f"CCD {a} and CCD {b} in {strip.subject.words}"
+    both = (strip.ccd_subject(a), strip.ccd_subject(b))
     return Reading("files of two CCDs", words, both, "strips.csv", "file", "exchanged,", apply)
 
 
