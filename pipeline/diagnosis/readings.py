@@ -423,8 +423,9 @@ def strips_without_stars(
     """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
     stars agree by themselves contradicts the others, and refutes.
     """
-    source = dump.heads[0].source
-    attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
+    head = dump.heads[0]
+    solved = isinstance(head.source, SolvedAttitudes)
+    attitudes = f"; or attitudes in {head.times_in[0]}" if solved else ""
     for n, (task, of_strip) in enumerate(zip(side.tasks, named)):
         strip = task.strip
         expected = len(ledger.of_strip(strip.strip_id).ccd)
@@ -447,4 +448,5 @@ def strips_without_stars(
             file="strips.csv",
             field=field,
             refutes=alone,
+            rivals=(f"attitudes, {head.subject.words}",) if alone and solved else (),
         )
