@@ -310,7 +310,13 @@ def _lost_strips(
             continue
         flat = [is_flat(images[strip_id], ccd) for ccd in images[strip_id].ccds]
         if not shown and not all(flat):
-            yield _lost_ground(sum(map(len, lost.values())))
+            yield Finding(
+                cause="orbit, times or coordinates",
+                item="all strips of the ground",
+                text=f"none of {sum(map(len, lost.values()))} targets found: check times and frame of the "
+                "orbit, file and utc_first_row in strips.csv, targets.csv; or cloud.",
+                file="orbit, strips.csv",
+            )
             return
         yield lost_strip(subject, targets, all_flat=all(flat))
 
@@ -393,16 +399,6 @@ def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) ->
         text=f"none of its {len(targets)} targets found; {text}.",
         file="strips.csv",
         explains=tuple(targets),
-    )
-
-
-def _lost_ground(n: int) -> Finding:
-    return Finding(
-        cause="orbit, times or coordinates",
-        item="all strips of the ground",
-        text=f"none of {n} targets found: check times and frame of the orbit, file and utc_first_row "
-        "in strips.csv, targets.csv; or cloud.",
-        file="orbit, strips.csv",
     )
 
 
