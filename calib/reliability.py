@@ -646,7 +646,7 @@ def _finding(
         effect_sigma=worst,
         p_value=min(p_value, 1.0),
         rivals=tuple(other.named for other in others),
-        explains=one.subjects(one.problem.inside & ~before.kept & one.concerns(best)),
+        explains=one.subjects(one.problem.inside & ~before.kept & fit.kept & one.concerns(best)),
     )
 
 

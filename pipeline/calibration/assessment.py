@@ -91,10 +91,12 @@ def assessed(
         reliability=reliability,
         target_files=dump.target_files,
     )
+    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
+    explanations = list[Finding]()
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
-    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
-    explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
+    else:
+        explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
     if of_attitudes:  # which move all CCDs of a strip alike: what refutes by some of them stands
         explanations = [one for one in explanations if one.refutes and _is_of_ccds(one)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
@@ -130,7 +132,7 @@ def _sighted(
     more = [strip for of_tasks, matched in parts for strip in matched_strips(of_tasks, matched, heads)]
     more += named_sightings(last.sky, first.named, heads)
     for named in (
-        named_alone(dump, last.sky, stars),
+        named_alone(dump, last.sky, last.named, stars),
         displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     ):
         of_named = {one.strip_id for one in named}
@@ -166,8 +168,10 @@ def _explanations(
         *exchanged_in_ground(last.tasks, last.matched, targets),
         *exchanged_in_sky(basis.dump, last.sky, last.named, stars, estimate.R_cs),
     ]
-    if any(finding.refutes for finding in told):  # what is off or lost under a wrong matrix accuses nothing
-        return exchanged
+    lost = {*targets.subjects(~targets.found), *stars.subjects(~stars.found)}
+    moves_all = (one for one in told if not one.subjects or one.subjects[0].kind is Kind.HEAD)
+    if any(one.refutes for one in told) or any(lost & set(one.explains) for one in moves_all):
+        return exchanged  # what is off or lost under a wrong matrix, or with a wrong input, accuses nothing
     explained += [subject for finding in exchanged for subject in finding.subjects]
     parts = [
         *lost_groups(targets.take(~targets.within(explained)), OF_TARGETS),

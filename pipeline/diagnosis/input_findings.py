@@ -64,7 +64,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
         *_smeared(dump, omissions),
         *_still_stars(dump),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
-        *_heights(dump, {name: target for name, target in every.items() if name not in without}),
+        *_heights(dump, {name: target for name, target in every.items() if name not in without}, tasks),
     ]
 
 
@@ -235,16 +235,21 @@ def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettin
         )
 
 
-def _heights(dump: Dump, targets: Mapping[str, Target]) -> Iterator[Finding]:
+def _heights(dump: Dump, targets: Mapping[str, Target], tasks: Sequence[StripTask]) -> Iterator[Finding]:
     if not isinstance(dump.terrain, TerrainFiles) or len(targets) < FEWEST:
         return
     lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
     above = height - surface_of(dump.terrain).height_m(lat, lon)
-    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))))
+    strips = {task.strip.subject.words: {target.target_id for target in task.targets} for task in tasks}
+    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))), strips)
 
 
-def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[Finding]:
-    """Targets (N) that lie above or below the terrain model, all of them or single ones."""
+def heights(
+    names: Sequence[str], above_m: Floats, geoid_m: float, strips: Mapping[str, Collection[str]]
+) -> Iterator[Finding]:
+    """Targets (N) that lie above or below the terrain model: all of them, several alike, or single ones;
+    `strips` have the names of those in view.
+    """
     known = np.isfinite(above_m)
     if known.sum() < FEWEST:
         return
@@ -263,13 +268,18 @@ def heights(names: Sequence[str], above_m: Floats, geoid_m: float) -> Iterator[F
             )
         yield Finding(cause=cause, item=item, text=text, file="targets.csv", field="height_m, height_kind")
     off = np.abs(np.where(known, above_m - middle, 0.0))
-    for n in np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))[:FEWEST].tolist():
-        text = f"it lies {above_m[n] - middle:+.0f} m above the terrain, compared with the other targets"
+    odd = np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))
+    alike = len(odd) > FEWEST and np.ptp(above_m[odd]) < SINGLE_HEIGHT_M
+    for group in [odd] if alike else odd[:FEWEST, None]:
+        those = [names[n] for n in group.tolist()]
+        having = [(len(seen), strip) for strip, seen in strips.items() if set(those) <= set(seen)]
+        of_strip = f" of {min(having)[1]}" if having else ""
         yield Finding(
             cause="height",
-            item=f"target {names[n]}",
-            text=f"{text}; check its height_m.",
-            subjects=(Subject(Kind.TARGET, id=names[n]),),
+            item=f"{len(those)} targets{of_strip}" if alike else f"target {those[0]}",
+            text=f"{np.median(above_m[group]) - middle:+.0f} m above the terrain, compared with the other "
+            "targets; check height_m.",
+            subjects=tuple(Subject(Kind.TARGET, id=name) for name in those),
         )
 
 

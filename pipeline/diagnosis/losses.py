@@ -310,7 +310,13 @@ def _lost_strips(
             continue
         flat = [is_flat(images[strip_id], ccd) for ccd in images[strip_id].ccds]
         if not shown and not all(flat):
-            yield _lost_ground(sum(map(len, lost.values())))
+            yield Finding(
+                cause="orbit, times or coordinates",
+                item="all strips of the ground",
+                text=f"none of {sum(map(len, lost.values()))} targets found: check times and frame of the "
+                "orbit, file and utc_first_row in strips.csv, targets.csv; or cloud.",
+                file="orbit, strips.csv",
+            )
             return
         yield lost_strip(subject, targets, all_flat=all(flat))
 
@@ -396,16 +402,6 @@ def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) ->
     )
 
 
-def _lost_ground(n: int) -> Finding:
-    return Finding(
-        cause="orbit, times or coordinates",
-        item="all strips of the ground",
-        text=f"none of {n} targets found: check times and frame of the orbit, file and utc_first_row "
-        "in strips.csv, targets.csv; or cloud.",
-        file="orbit, strips.csv",
-    )
-
-
 def _excluded(entries: Iterable[Entry]) -> Iterator[Finding]:
     """Targets that their own chips exclude."""
     for entry in entries:
@@ -478,7 +474,7 @@ def searched_alone(
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
-FEWEST_DISPLACED = 2  # missing stars of a CCD that are looked for elsewhere on it
+FEWEST_DISPLACED = 2  # missing stars of a strip that are looked for elsewhere on their CCDs
 FAR_PX = 100.0  # from its place, within which a missing star is looked for (set by hand)
 ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may be it
 EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
@@ -583,9 +579,13 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
     )
 
 
-def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
-    """Stars of CCDs with too many missing, named by those alone: all together, else each by itself."""
-    if not (lost := lost_ccds(ledger, OF_STARS)):
+def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger) -> list[NamedStars]:
+    """Stars of CCDs with too many missing or without a sure name, named by those alone: all together, or else
+    each by itself.
+    """
+    having = {ccd for one in named for ccd in one.found.ccd[one.rows].tolist()}
+    silent = {ccd for ccd, (_, n) in _by_ccd(ledger).items() if n >= FEWEST and ccd not in having}
+    if not (lost := sorted(silent.union(lost_ccds(ledger, OF_STARS)))):
         return []
     for ccds in dict.fromkeys([tuple(lost), *((ccd,) for ccd in lost)]):
         of_ccds = replace(side, found=tuple(one.take(np.isin(one.ccd, ccds)) for one in side.found))
@@ -597,15 +597,16 @@ def named_alone(dump: Dump, side: SkySide, ledger: Ledger) -> list[NamedStars]:
 def displaced_stars(
     dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger, R_cs: Rotation
 ) -> list[NamedStars]:
-    """Missing stars of single CCDs with the detections, of their brightness and farther off than a right
-    matrix allows, that may be them: the tests of inputs say whether one error of the CCD explains several.
+    """Missing stars of strips with the detections, of their brightness and farther off than a right matrix
+    allows, that may be them: the tests of inputs say whether one error explains several.
     """
-    if not any(n - found >= FEWEST_DISPLACED for found, n in ledger.cells().values()):
+    missing = ledger.strip[~ledger.found]
+    if len(missing) < FEWEST_DISPLACED:
         return []
     survey = survey_of(dump.star_catalogue)
     bright, every = as_bright_as_named(survey, named), []
-    for task, one in zip(side.tasks, named):
-        if not len(one.rows):
+    for n, (task, one) in enumerate(zip(side.tasks, named)):
+        if not len(one.rows) or np.sum(missing == n) < FEWEST_DISPLACED:
             continue
         expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
         level = float(np.median(_magnitude(one.found.flux_dn[one.rows]) - one.places.places.v_mag))
@@ -614,11 +615,9 @@ def displaced_stars(
             rows, stars = np.flatnonzero(one.found.ccd == ccd), np.flatnonzero(expected.ccd == ccd)
             off_px = np.abs(expected.xy_px[stars, None] - one.found.xy_px[rows]).max(axis=2)
             lost = stars[~(off_px < near_px).any(axis=1)]
-            if len(lost) < FEWEST_DISPLACED:
-                continue
             free = rows[~(off_px < near_px).any(axis=0)]
             pairs += _of_brightness(expected, lost, one.found, free, bright, level)
-        if pairs:
+        if len(pairs) >= FEWEST_DISPLACED:
             row, star = np.array(pairs).T
             one = replace(one, probability_wrong=np.zeros(len(row)), omissions=())
             every.append(replace(one, rows=row, places=bright.take(star)))
@@ -633,7 +632,7 @@ def _of_brightness(
     expected: Crossings, lost: Ints, found: StripStars, free: Ints, bright: SurveyedStars, level: float
 ) -> list[tuple[int, int]]:
     """Detection and star of the catalogue, for each of the crossings `lost` the nearest of the detections
-    `free` that is as bright; none of a single pair.
+    `free` that is as bright.
     """
     magnitude = _magnitude(found.flux_dn[free]) - level
     pairs: dict[int, int] = {}
@@ -643,7 +642,7 @@ def _of_brightness(
         alike = (np.abs(magnitude - bright.places.v_mag[star]) < ALIKE_MAG) & (off_px < FAR_PX)
         if alike.any():
             pairs.setdefault(int(free[np.argmin(np.where(alike, off_px, np.inf))]), star)
-    return list(pairs.items()) if len(pairs) >= FEWEST_DISPLACED else []
+    return list(pairs.items())
 
 
 def _named(dump: Dump, side: SkySide) -> tuple[NamedStars, ...]:

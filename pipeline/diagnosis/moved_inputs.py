@@ -60,20 +60,24 @@ def moved_inputs(
 
 
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
-    """Exposures dated late, alike or ever more over a strip: attitudes of an earlier instant."""
+    """Exposures dated late, alike, ever more over a strip, or every second one of all: attitudes of an
+    earlier instant.
+    """
     solved, (file, field) = isinstance(head.source, SolvedAttitudes), head.times_in
-    by_strip: dict[str, tuple[Floats, Floats]] = {}  # instants (K,) from the first on, rate of rotation
+    every_s = np.unique([t_s for strip in strips for t_s in strip.times_s.tolist()])
+    by_strip: dict[str, tuple[Floats, Floats]] = {}  # instants (K,), rate of rotation
     for strip in strips:
         seen = strip.attitudes.usable if strip.attitudes is not None else np.zeros(0, dtype=bool)
         if seen.sum() > 1:
             motion = ConstantRate.fitted(strip.times_s[seen], Rotation.from_matrix(strip.fitted.R_si[seen]))
-            by_strip[strip.strip_id] = strip.times_s - strip.times_s[0], motion.omega_o
-    for cause, unit, usual, late in (
-        ("clock of the exposures", "ms", 10.0, lambda t_s: np.full(len(t_s), MILLI)),
-        ("clock of the exposures, rate", "%", 0.05, lambda t_s: PERCENT * t_s),
+            by_strip[strip.strip_id] = strip.times_s, motion.omega_o
+    for which, unit, usual, late in (
+        ("", "ms", 10.0, lambda t_s: np.full(len(t_s), MILLI)),
+        (", rate", "%", 0.05, lambda t_s: PERCENT * (t_s - t_s[0])),
+        (", every second one", "ms", 10.0, lambda t_s: MILLI * (np.searchsorted(every_s, t_s) % 2)),
     ):
         yield MovedInput(
-            cause=cause,
+            cause=f"clock of the exposures{which}",
             item=head.subject.words if solved else "all exposures",
             subjects=(head.subject,) if solved else (),
             unit=unit,

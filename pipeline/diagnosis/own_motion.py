@@ -17,6 +17,8 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
@@ -55,24 +57,23 @@ class Excess:
     unit: str
     si: float  # of one unit
     by_axis: Callable[[Stretch], Floats]  # (3,) 1-sigma about each axis by one SI unit, in stated ones
-    as_motion: bool = False  # a motion that is faster than the rows may look like it
 
 
+OF_TIMES = Excess(  # any other may be a motion that is faster than the rows
+    "times of {}",
+    "as they turn, their instants scatter by {:.3g} ms",
+    "ms",
+    1e-3,
+    lambda part: np.abs(part.rate) / part.own,
+)
 EXCESSES = (
-    Excess(
-        "times of {}",
-        "as they turn, their instants scatter by {:.3g} ms",
-        "ms",
-        1e-3,
-        lambda part: np.abs(part.rate) / part.own,
-    ),
+    OF_TIMES,
     Excess(
         "errors of {}",
         "attitudes jump from one to the next, by {:.3g}″, more than stated",
         "″",
         ARCSEC,
         lambda part: 1.0 / part.own,
-        as_motion=True,
     ),
     Excess(
         "errors of {}",
@@ -80,7 +81,6 @@ EXCESSES = (
         "times",
         1.0,
         lambda part: np.ones(3),
-        as_motion=True,
     ),
 )
 
@@ -304,15 +304,9 @@ def _in_order(of_head: Attitudes, order: Ints) -> Attitudes:
 
 def _cycles(order: Ints) -> list[list[int]]:
     """Rows that an order puts in one another's place, group by group."""
-    groups = {frozenset(_cycle(order, row)) for row in np.flatnonzero(order != np.arange(len(order)))}
-    return sorted(map(sorted, groups))
-
-
-def _cycle(order: Ints, row: int) -> list[int]:
-    rows = [int(row)]
-    while (following := int(order[rows[-1]])) != rows[0]:
-        rows.append(following)
-    return rows
+    each = np.arange(len(order))
+    n, group = connected_components(coo_array((np.ones(len(order)), (each, order))))
+    return [rows for k in range(n) if len(rows := np.flatnonzero(group == k).tolist()) > 1]
 
 
 def _likelihood(of_head: Attitudes, rows: Ints) -> float:
@@ -358,8 +352,8 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
         largest.append(float(max(of_part[best].max() for of_part in factors)))
     by_gyro = all(part.by_gyro for part in parts)
     if not by_gyro and np.median([len(part.rows) for part in parts]) < FEWEST_FAST:
-        fast = max(gain for kind, gain in zip(EXCESSES, gains) if kind.as_motion)
-        gains = [0.0 if kind.as_motion else gain - fast for kind, gain in zip(EXCESSES, gains)]
+        fast = max(gain for kind, gain in zip(EXCESSES, gains) if kind is not OF_TIMES)
+        gains = [gain - fast if kind is OF_TIMES else 0.0 for kind, gain in zip(EXCESSES, gains)]
     best = int(np.argmax(gains))
     if gains[best] < CERTAIN or largest[best] < LEAST_EXCESS:
         return None
@@ -432,17 +426,17 @@ def _told_of_all(
     of_head: Attitudes, parts: Sequence[Stretch], kind: Excess, size_si: float, largest: float
 ) -> Finding:
     text, sigma = kind.text.format(size_si / kind.si), np.nan
-    if kind is EXCESSES[0] and (groups := _two_groups(parts, size_si)):
+    if kind is OF_TIMES and (groups := _two_groups(parts, size_si)):
         early, size_si, sigma = groups
         which = f"{len(early)} of {sum(len(part.rows) for part in parts)} are"
         alternate = len(early) > 2 and float(np.mean(np.diff(early) == 2)) > MOSTLY
         which = "every second one is" if alternate else which
         text = f"{which} dated {1e3 * size_si:.3g} ms earlier than the others"
-    elif kind is EXCESSES[0] and (step_s := _common_step(of_head.t_s, size_si)):
+    elif kind is OF_TIMES and (step_s := _common_step(of_head.t_s, size_si)):
         text += f", all of them multiples of {step_s:.4g} s"
-    is_weak = kind.as_motion and of_head.head.head.noise_is_assumed
+    is_weak = kind is not OF_TIMES and of_head.head.head.noise_is_assumed
     noise = "its stated noise" if of_head.is_solved else "its images and the star camera"
-    look_at = "check {}." if kind is EXCESSES[0] else f"check {{}}, and {noise}."
+    look_at = "check {}." if kind is OF_TIMES else f"check {{}}, and {noise}."
     return _of_all(
         of_head,
         kind.cause,

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import WGS84
-from boresight.geometry.epoch import GPS_MINUS_TAI_S, tai_minus_utc_s
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Ledger, Subject
 from boresight.geometry.record import Bools, Floats
@@ -30,6 +29,7 @@ from boresight.pipeline.diagnosis.losses import (
     names,
     stars_found,
 )
+from boresight.pipeline.files.dates import other_scales
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
 from boresight.pipeline.files.images.tiff import StripFiles
@@ -124,12 +124,15 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
         words, both = f"heads {a.name} and {b.name}", (a.subject, b.subject)
         field, apply = "star_cameras.attitudes", partial(_heads_exchanged, a.name, b.name)
         yield Reading("files of two heads", words, both, "dump.toml", field, "exchanged,", apply)
-    leap_s, strips = float(tai_minus_utc_s(dump.epoch.mjd_tai(0.0))), Subject(Kind.STRIP)
-    for scale, minus_tai_s in SCALES:
-        changed = f"read as {scale} ({-minus_tai_s - leap_s:+.0f} s)"
-        apply = partial(_moved, -minus_tai_s - leap_s)
+    strips, first_s = Subject(Kind.STRIP), dump.orbit.span_s[0]
+    for scale, late_s in other_scales(dump.epoch, "UTC", first_s):
+        changed, apply = f"read as {scale} ({late_s:+.4g} s),", partial(_with_later_strips, late_s)
         cause, field = "scale of times", "utc_first_row"
         yield Reading(cause, strips.words, (strips,), "strips.csv", field, changed, apply)
+    for scale, late_s in other_scales(dump.epoch, dump.orbit_time_system, first_s):
+        changed, apply = f"dated in {scale} ({late_s:+.4g} s),", partial(_with_later_orbit, late_s)
+        cause, field = "time system of the orbit", "TIME_SYSTEM"
+        yield Reading(cause, "all states", (), "the orbit", field, changed, apply)
     for cause, changed, field, meant in POINTS if dump.points else ():
         apply = partial(_with_points, meant)
         yield Reading(cause, "all measured points", (), "points.csv", field, changed, apply)
@@ -161,12 +164,18 @@ def _heads_exchanged(a: str, b: str, dump: Dump) -> Dump:
     return replace(dump, heads=tuple(replace(head, source=source[head.name]) for head in dump.heads))
 
 
-def _moved(late_s: float, dump: Dump) -> Dump:
+def _with_later_strips(late_s: float, dump: Dump) -> Dump:
     strips, sky = (
         tuple(replace(strip, t_first_row_s=strip.t_first_row_s + late_s) for strip in those)
         for those in (dump.strips, dump.sky_strips)
     )
     return replace(dump, strips=strips, sky_strips=sky)
+
+
+def _with_later_orbit(late_s: float, dump: Dump) -> Dump:
+    first_s, last_s = (end_s + late_s for end_s in dump.orbit.span_s)
+    earth = replace(dump.orbit.earth, t_start_s=first_s, t_stop_s=last_s)
+    return replace(dump, orbit=replace(dump.orbit, t_s=dump.orbit.t_s + late_s, earth=earth))
 
 
 def _with_points(meant: Points, dump: Dump) -> Dump:
@@ -233,8 +242,6 @@ ATTITUDES: tuple[tuple[str, str, str, str, Turn], ...] = (
     (*ORDER, _inverse_scalar_first),
     (*ORDER, _scalar_first),
 )
-# Scales of time, and what they are ahead of TAI, s.
-SCALES = (("GPS time", GPS_MINUS_TAI_S), ("TAI", 0.0))
 # Of measured points: cause, words, field, and the points that were meant.
 POINTS: tuple[tuple[str, str, str, Points], ...] = (
     ("origin of the lines", "with lines counted from the last", "line", partial(_from_other_end, 1)),
@@ -262,10 +269,8 @@ POINTS: tuple[tuple[str, str, str, Points], ...] = (
 
 
 def _exchanged_ccds(strip: Strip, a: int, b: int, apply: Callable[[T], T]) -> Reading[T]:
-    words, both = (
-        f"CCD {a} and CCD {b} in {strip.subject.words}",
-        (strip.ccd_subject(a), strip.ccd_subject(b)),
-    )
+    words = f"CCD {a} and CCD {b} in {strip.subject.words}"
+    both = (strip.ccd_subject(a), strip.ccd_subject(b))
     return Reading("files of two CCDs", words, both, "strips.csv", "file", "exchanged,", apply)
 
 
@@ -418,8 +423,9 @@ def strips_without_stars(
     """Strips of the sky in which no star is where it must be, but those `explained` by a cause. A strip whose
     stars agree by themselves contradicts the others, and refutes.
     """
-    source = dump.heads[0].source
-    attitudes = f", its attitudes in {source.file}" if isinstance(source, SolvedAttitudes) else ""
+    head = dump.heads[0]
+    solved = isinstance(head.source, SolvedAttitudes)
+    attitudes = f"; or attitudes in {head.times_in[0]}" if solved else ""
     for n, (task, of_strip) in enumerate(zip(side.tasks, named)):
         strip = task.strip
         expected = len(ledger.of_strip(strip.strip_id).ccd)
@@ -442,4 +448,5 @@ def strips_without_stars(
             file="strips.csv",
             field=field,
             refutes=alone,
+            rivals=(f"attitudes, {head.subject.words}",) if alone and solved else (),
         )

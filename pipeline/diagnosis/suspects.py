@@ -44,7 +44,8 @@ class MeasuredTargets:
             for name, ccd, place in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
                 xy_px[Subject(Kind.TARGET, strip=strip.strip_id, ccd=ccd, id=name)] = tuple(place)
             xy_px |= {entry.subject: entry.xy_px for entry in strip.contradicting}
-        return cls({task.strip.strip_id: replace(task, R_cs=R_cs) for task in tasks}, xy_px)
+        known = {"R_cs": R_cs, "sigma_installation_rad": np.zeros(3)}  # beside what a target is off
+        return cls({task.strip.strip_id: replace(task, **known) for task in tasks}, xy_px)
 
     def is_point(self, subject: Subject) -> bool:
         """Whether a target is a point that others measured: without a chip."""

@@ -10,7 +10,14 @@ from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch, tai
 from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 
-__all__ = ["check_exposure_dates", "check_orbit_dates", "orbit_covers", "seconds_of", "span_text"]
+__all__ = [
+    "check_exposure_dates",
+    "check_orbit_dates",
+    "orbit_covers",
+    "other_scales",
+    "seconds_of",
+    "span_text",
+]
 
 FAR_S = 60.0  # from every strip: exposures of another pass
 
@@ -37,7 +44,7 @@ def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips:
     """
     text = f"{file} covers {span_text(epoch, float(t_s[0]), float(t_s[-1]))}"
     if _covered(t_s, strips) < len(strips):
-        for other, later_s in _other_scales(epoch, time_system, float(t_s[0])):
+        for other, later_s in other_scales(epoch, time_system, float(t_s[0])):
             if _covered(t_s + later_s, strips) == len(strips):
                 return f"{text}; with TIME_SYSTEM {other}, not {time_system}, it would cover every strip"
     return text
@@ -72,8 +79,10 @@ def _covered(t_s: Floats, strips: Sequence[Span]) -> int:
     return sum(bool(t_s[0] <= first and last <= t_s[-1]) for first, last in strips)
 
 
-def _other_scales(epoch: Epoch, stated: str, first_s: float) -> list[tuple[str, float]]:
-    """The other time systems, and by how much later an instant is whose date is of them."""
+def other_scales(epoch: Epoch, stated: str, first_s: float) -> list[tuple[str, float]]:
+    """The time systems but the `stated` one, and by how many seconds later an instant is whose date is of
+    them; `first_s` is about when, TAI seconds since the epoch.
+    """
     leap_s = float(tai_minus_utc_s(epoch.mjd_tai(first_s)))
     ahead_s = {"UTC": leap_s, "TAI": 0.0, "TT": -TT_MINUS_TAI_S, "GPS": -float(GPS_MINUS_TAI_S)}
     own = ahead_s.get(stated.strip().upper().replace("TDB", "TT"), 0.0)  # within 2 ms of it

@@ -54,6 +54,7 @@ class Dump:
     errors: schema.Errors = scalar("errors of the mission's data as it states them")
     light: LightEffects = scalar("effects on light that the mission's own software models")
     orbit: Orbit = scalar("trajectory of the satellite")
+    orbit_time_system: str = scalar('of the dates in its file, as stated: "UTC"')
     earth_table: EarthOrientationTable = scalar("Earth orientation of that orbit")
     earth_file: str = scalar("the mission's own file of it; empty: the bundled table")
     strips: tuple[Strip, ...] = scalar("of the ground, in order of time")
@@ -264,6 +265,7 @@ def _view(parts: DumpParts, camera: str) -> Dump:
         errors=head.errors,
         light=LightEffects(**head.light.model_dump()),
         orbit=parts.orbit,
+        orbit_time_system=parts.ephemeris[0].time_system,
         earth_table=parts.earth_table,
         earth_file=head.files.earth_orientation or "",
         strips=strips,

@@ -195,7 +195,7 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
     model = pushbroom_of(task)
     lat, lon, height = geodetic_from_ecef(target.p_e[None], WGS84)
 
-    def off_px(p_e: Floats) -> Floats:
+    def off_px(p_e: Floats, ccd: int = ccd) -> Floats:
         sample, line = model.pixels_from_ground(ccd, p_e)
         return np.nan_to_num(np.hypot(sample - xy_px[0], line - xy_px[1]), nan=np.inf)
 
@@ -209,5 +209,8 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
 
     if stated_px < limit_px:
         return ""
+    for other in range(task.camera.n_ccds):
+        if float(off_px(target.p_e[None], other)[0]) < min(limit_px, 0.1 * stated_px):
+            return f"; it fits in CCD {other}, not {ccd}: files or numbers of CCDs are exchanged"
     slip = likeliest(slips(float(np.degrees(lat[0])), float(np.degrees(lon[0]))), fits)
     return f"; {slip.words} would fit: correct the table" if slip else ""

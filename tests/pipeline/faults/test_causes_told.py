@@ -295,6 +295,13 @@ def test_a_point_beyond_the_horizon_is_named_with_the_slip_that_fits(told):
     assert "beyond the horizon" in first.text and "(sign) would fit" in first.text
 
 
+def test_a_point_with_the_number_of_another_ccd_is_named_with_the_one_it_fits(told):
+    found = told(partial(one_point, "s03-t02", "ccd", lambda value: str((int(value) + 1) % 4)))
+    (first,) = [one for one in found.verdict.findings if one.is_fault]
+    assert first.item == "target s03-t02 (strip s03)" and first.file == "points.csv"
+    assert re.search(r"it fits in CCD (\d), not (?!\1)\d: files or numbers of CCDs are exchanged", first.text)
+
+
 def test_a_point_that_is_seen_too_low_for_refraction_is_named(told):
     found = told(partial(one_point, "s02-t04", "lat_deg", lambda value: f"{float(value) + 17.0:.9f}"))
     (first,) = [one for one in found.verdict.findings if one.is_fault]

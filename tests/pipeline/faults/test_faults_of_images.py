@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 import faults
+import numpy as np
 import pytest
 
 from boresight.calib.finding import MOST_WORDS
@@ -14,8 +15,8 @@ from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 
-edited, later, table, toml_number, write = (
-    getattr(faults, name) for name in ("edited", "later", "table", "toml_number", "write")
+edited, later, repaint, table, toml_number, write = (
+    getattr(faults, name) for name in ("edited", "later", "repaint", "table", "toml_number", "write")
 )
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 CONSISTENT, FINDINGS, REFUTED = Outcome.CONSISTENT, Outcome.FINDINGS, Outcome.REFUTED
@@ -57,6 +58,31 @@ def two_at_once(dump: Path) -> None:
     number(REMOTE, "x_offset_mm", lambda v: 0.0)(dump)
 
 
+def every_second_early(dump: Path, keep: int = 0) -> None:
+    """Exposures dated 40 ms early in turn, of so many a strip, evenly over it; 0: of all."""
+    header, *rows = table(dump / "exposures.csv")
+    at, left = header.index("utc_mid"), rows
+    if keep:
+        t_s = np.array([row[at] for row in rows], dtype="datetime64[ns]").astype(float) / 1e9
+        strips = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(t_s) > 5.0) + 1)
+        left = [
+            rows[own[k]] for own in strips for k in np.linspace(0, len(own) - 1, keep).round().astype(int)
+        ]
+    for row in left[1::2]:
+        row[at] = later(row[at], -0.04)
+    write(dump / "exposures.csv", [header, *left])
+
+
+def lines_lost(dump: Path) -> None:
+    """Eight lines of the only scan, in all CCDs; as many at its end are dark."""
+
+    def shorter(image: np.ndarray) -> np.ndarray:
+        return np.concatenate([image[:1000], image[1008:], np.zeros_like(image[:8])])
+
+    for image in (dump / "strips").glob("sky01_*.tif"):
+        repaint(image, shorter)
+
+
 def of_two_ccds(dump: Path) -> None:
     header, *rows = table(dump / "strips.csv")
     at = [[n for n, row in enumerate(rows) if row[header.index("ccd")] == ccd] for ccd in ("0", "1")]
@@ -79,6 +105,7 @@ def strips_again(dump: Path) -> None:
 
 
 REMOTE, CLOCK = "remote_camera.toml", "clock of the rows"
+IN_TURN = ("clock of the exposures, every second one", "all exposures", -40.0, "exposures.csv")
 ROWS = [
     # fixture, fault, outcome, what is reported: (cause, item, size; None: not measured, file)
     ("mini", number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0), REFUTED,
@@ -112,6 +139,10 @@ ROWS = [
         FINDINGS,
         [("place of a CCD, along the track", "CCD 2", -9.0, REMOTE)],
     ),
+    ("sky", every_second_early, REFUTED, [("times of exposures", "all exposures", 40.0, "exposures.csv")]),
+    ("sky", partial(every_second_early, keep=4), FINDINGS, [IN_TURN]),  # as four rows are no record
+    ("mini", partial(every_second_early, keep=5), REFUTED, [IN_TURN]),
+    ("sky", lines_lost, REFUTED, [("lines of a strip", "strip sky01 from line 1004 on", 8.0, "strips.csv")]),
     ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
 ]  # fmt: skip
 

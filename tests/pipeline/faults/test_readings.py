@@ -74,7 +74,7 @@ def geocentric(row: Row) -> None:
 
 
 READINGS: list[tuple[str, Callable[[Row], None], str, str]] = [
-    ("strips.csv", partial(late, GPS_MINUS_UTC_S), "scale of times", "GPS time (-18 s)"),
+    ("strips.csv", partial(late, GPS_MINUS_UTC_S), "scale of times", "GPS (-18 s)"),
     ("strips.csv", partial(late, TAI_MINUS_UTC_S), "scale of times", "TAI (-37 s)"),
     ("points.csv", partial(from_the_other_end, "line", LAST_LINE), "origin of the lines", "the last"),
     ("points.csv", partial(from_the_other_end, "sample", LAST_SAMPLE), "origin of the samples", "other end"),
@@ -87,8 +87,9 @@ READINGS: list[tuple[str, Callable[[Row], None], str, str]] = [
 
 
 def numbers(dump: Dump) -> np.ndarray:
-    """All that a reading changes: rotations of the heads, times of the strips, and every measurement with its
-    CCD, image point (px) and place on the ground (m), in the order of strips, points and CCDs.
+    """All that a reading changes: rotations of the heads, times of the strips and of the orbit, and every
+    measurement with its CCD, image point (px) and place on the ground (m), in the order of strips, points and
+    CCDs.
     """
     rotations = [
         R.as_matrix().ravel()
@@ -98,7 +99,7 @@ def numbers(dump: Dump) -> np.ndarray:
             *(() if not isinstance(head.source, SolvedAttitudes) else head.source.rows.R_si),
         )
     ]
-    times = [strip.t_first_row_s for strip in dump.strips]
+    times = [dump.orbit.t_s[0], *(strip.t_first_row_s for strip in dump.strips)]
     of_points = [
         (one.strip_id, target.target_id, ccd, *xy_px, *target.p_e)
         for one in dump.points
@@ -163,8 +164,11 @@ def misread(reading: Reading[Dump], dump: Dump) -> Dump:
         made = reading.apply(wrong)
         strips = zip(wrong.strips, dump.strips, made.strips)
         points = zip(wrong.points, dump.points, made.points)
+        t_s = wrong.orbit.t_s + dump.orbit.t_s - made.orbit.t_s
+        earth = replace(wrong.orbit.earth, t_start_s=t_s[0], t_stop_s=t_s[-1])
         wrong = replace(
             wrong,
+            orbit=replace(wrong.orbit, t_s=t_s, earth=earth),
             strips=tuple(
                 replace(one, t_first_row_s=one.t_first_row_s + meant.t_first_row_s - now.t_first_row_s)
                 for one, meant, now in strips
@@ -198,6 +202,14 @@ def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narro
         assert strips == 1 and (named.file, named.field) == (reading.file, reading.field)
         seen = _agreeing_strips(narrow, wrong)
         assert seen == (2 if reading.item == "head STR2" else 0), reading
+
+
+@pytest.mark.parametrize("scale", ["GPS", "TAI"])
+def test_an_orbit_dated_in_another_time_system_than_stated_is_named(sound, tmp_path, scale):
+    fault_dumps.linked(sound, tmp_path / "dump")
+    faults.change(tmp_path / "dump" / "orbit.oem", r"(?m)^TIME_SYSTEM = .*$", f"TIME_SYSTEM = {scale}")
+    with pytest.raises(DataNotSufficientError, match=r"^time system of the orbit, .* dated in UTC .*3 of 3"):
+        calibrate_dump(open_dump(tmp_path / "dump"))
 
 
 @pytest.mark.parametrize("number", [0, 7, 8])

@@ -211,8 +211,11 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     gone = replace_named(one, shifted.found[0], one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
     counts = counted(dump, shifted, [gone], calibration)
     assert lost_ccds(counts, OF_STARS) == [1, 2]
-    (alone,) = named_alone(dump, shifted, counts)  # by its own vote, for the test of its place
+    (alone,) = named_alone(dump, shifted, [gone], counts)  # by its own vote, for the test of its place
     assert set(alone.found.ccd[alone.rows].tolist()) == {1, 2} and len(alone.rows) >= 3
+    unsure = replace_named(one, found, one.rows[found.ccd[one.rows] != 1])  # all where they must be
+    (alone,) = named_alone(dump, side, [unsure], counted(dump, side, [unsure], calibration))
+    assert set(alone.found.ccd[alone.rows].tolist()) == {1} and len(alone.rows) >= 3
 
     exchanged = replace(found, ccd=np.array([0, 2, 1, 3])[found.ccd])
     gone = replace_named(one, exchanged, one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
