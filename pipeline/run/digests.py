@@ -62,7 +62,9 @@ def files_in(value: Any) -> Iterator[Path]:
 
 
 def _feed(state: Any, value: Any) -> None:
-    if value is None or isinstance(value, (bool, int, float, str, bytes, np.number, np.bool_)):
+    if isinstance(value, bytes):
+        state.update(b"bytes:%d:%b;" % (len(value), value))
+    elif value is None or isinstance(value, (bool, int, float, str, np.number, np.bool_)):
         state.update(f"{type(value).__name__}:{value!r};".encode())
     elif isinstance(value, np.ndarray):
         array = np.ascontiguousarray(value)
@@ -138,6 +140,7 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
     return source, imported, data
 
 
+@cache
 def numerical_versions() -> dict[str, str]:
     """Versions of Python and of the libraries of numbers that are in Python."""
     return {"python": platform.python_version()} | {name: metadata.version(name) for name in DISTRIBUTIONS}
