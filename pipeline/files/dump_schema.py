@@ -94,7 +94,8 @@ HeightKind = Literal["ellipsoidal", "egm96"]
 LOOK_TABLES = "look tables"  # `model` of a remote camera
 
 
-CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)  # no other keys, finite numbers
+# No other keys, finite numbers; checks are built for the tables that are read.
+CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 class _Strict(BaseModel):

@@ -71,6 +71,7 @@ def _environment() -> jinja2.Environment:
     return jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
+        optimized=False,  # most expressions are evaluated once
         finalize=_visible,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -62,7 +62,9 @@ def files_in(value: Any) -> Iterator[Path]:
 
 
 def _feed(state: Any, value: Any) -> None:
-    if value is None or isinstance(value, (bool, int, float, str, bytes, np.number, np.bool_)):
+    if isinstance(value, bytes):
+        state.update(b"bytes:%d:%b;" % (len(value), value))
+    elif value is None or isinstance(value, (bool, int, float, str, np.number, np.bool_)):
         state.update(f"{type(value).__name__}:{value!r};".encode())
     elif isinstance(value, np.ndarray):
         array = np.ascontiguousarray(value)
@@ -138,6 +140,7 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
     return source, imported, data
 
 
+@cache
 def numerical_versions() -> dict[str, str]:
     """Versions of Python and of the libraries of numbers that are in Python."""
     return {"python": platform.python_version()} | {name: metadata.version(name) for name in DISTRIBUTIONS}
@@ -151,21 +154,19 @@ def _with_submodules(name: str) -> list[str]:
     return [name, *(".".join((name, *path.parts)) for path in inner if path.name != "__init__")]
 
 
+@cache
 def _file_of(name: str) -> Path | None:
     """Source file of a module, by its place below the top-level package; None if there is none."""
-    top, *parts = name.split(".")
-    folder = _folder_of(top)
-    if folder is None:
+    package, _, last = name.rpartition(".")
+    if not package:
+        spec = importlib.util.find_spec(name)
+        folders = spec.submodule_search_locations if spec else None
+        return Path(folders[0], "__init__.py") if folders else None
+    outer = _file_of(package)
+    if outer is None or outer.name != "__init__.py":
         return None
-    candidates = folder.joinpath(*parts, "__init__.py"), folder.joinpath(*parts).with_suffix(".py")
+    candidates = outer.with_name(last) / "__init__.py", outer.with_name(f"{last}.py")
     return next((file for file in candidates if file.is_file()), None)
-
-
-@cache
-def _folder_of(top: str) -> Path | None:
-    """Folder of a top-level package."""
-    spec = importlib.util.find_spec(top)
-    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else None
 
 
 def _imports(source: bytes, package: str) -> Iterator[str]:

@@ -82,6 +82,8 @@ class Processes:
         self, function: Callable[[Item], Outcome], items: Sequence[Item], done: Callable[[int, Outcome], None]
     ) -> list[Outcome]:
         """Outcomes in the order of the items; `WorkerError` if an item stops its process again and again."""
+        if len(items) == 1:  # a copy of this process would take longer, and what it loads would be lost
+            return InOrder().map(function, items, done)
         waiting = [*range(len(items))][::-1]
         outcomes: dict[int, Outcome] = {}
         deaths: Counter[int] = Counter()

@@ -77,7 +77,7 @@ def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[f
     key = digest(stars, float(epoch_jyear), fov_rad, numerical_program(StarIndex.__module__))
     path = cache_folder() / f"triangles-{key}.arrays"
     try:
-        index = StarIndex.from_arrays(stars, epoch_jyear, mapped_arrays(path))
+        index = StarIndex.from_arrays(stars, mapped_arrays(path))
         with suppress(OSError):
             path.touch()  # the time of the last use
         return index

@@ -11,7 +11,7 @@ proposals are distinguished from false ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar, shape_of
 from boresight.geometry.starlight import StarPlaces
 from boresight.star_id.image_attitude import NEXT, PREV
 
@@ -121,48 +121,26 @@ class StarIndex:
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Pairs and tables as named arrays (N, ...), a row per pair, triangle or star, for `from_arrays`."""
-        tables = {
+        """All but the stars as named arrays (N, ...), a row per pair, triangle or star, for `from_arrays`."""
+        own = {field.name: getattr(self, field.name) for field in fields(self) if shape_of(field)}
+        return own | {
             f"{k}.{field.name}": np.asarray(getattr(table, field.name))
             for k, table in enumerate(self.tables)
             for field in fields(TriangleTable)
         }
-        return tables | {"close": self.close}
 
     @classmethod
-    def from_arrays(
-        cls, stars: StarPlaces, epoch_jyear: float, arrays: Mapping[str, NDArray[Any]]
-    ) -> StarIndex:
+    def from_arrays(cls, stars: StarPlaces, arrays: Mapping[str, NDArray[Any]]) -> StarIndex:
         """Index from `arrays` saved by `arrays()`, rows (N, ...), for the same stars and epoch.
 
         Raises `ValueError` naming the array if one is missing or inconsistent.
         """
-        stars, u_i = _sorted(stars, epoch_jyear)
         count = len({name.partition(".")[0] for name in arrays if "." in name})
-        tables = tuple(_checked(arrays, str(k), len(u_i)) for k in range(count))
+        tables = tuple(_checked(arrays, str(k), len(stars.hip)) for k in range(count))
         if not tables:
             raise ValueError("an index needs at least one table of triangles, got none")
-        if "close" not in arrays or arrays["close"].max(initial=-1) >= len(u_i):
-            raise ValueError(f"an index needs the array close, rows of {len(u_i)} stars")
-        return cls._of(stars, u_i, tables, arrays["close"])
-
-    @classmethod
-    def _of(cls, stars: StarPlaces, u_i: Floats, tables: tuple[TriangleTable, ...], close: Ints) -> StarIndex:
-        along_z = np.argsort(u_i[:, 2], kind="stable")
-        close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
-        to_brighter = np.full(len(u_i), np.inf)
-        np.minimum.at(to_brighter, close[:, 1], close_rad)
-        u_along_z = u_i[along_z].astype(np.float32)
-        return cls(
-            stars=stars,
-            u_i=u_i,
-            tables=tables,
-            along_z=along_z,
-            u_along_z=u_along_z,
-            close=close,
-            close_rad=close_rad,
-            to_brighter_rad=to_brighter,
-        )
+        names = [field.name for field in fields(cls) if shape_of(field)]
+        return cls(stars=_brightest_first(stars), tables=tables, **_named(names, arrays))
 
     def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
         """The table for the field of view closest to `fov_rad`, and the next wider one if there is one."""
@@ -208,7 +186,8 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
     >>> fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
     >>> index = build_index(hipparcos_stars().places, 2026.0, fov_rad)
     """
-    stars, u_i = _sorted(stars, epoch_jyear)
+    stars = _brightest_first(stars)
+    u_i = _directions_at(stars, epoch_jyear)
     if isinstance(fov_rad, tuple):
         low, high = fov_rad
         levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
@@ -216,20 +195,36 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
     else:
         fovs = fov_rad * np.array([_DENSER, 1.0, _WIDER])
     close = np.sort(cKDTree(u_i).query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
-    return StarIndex._of(stars, u_i, tuple(_table(u_i, float(fov)) for fov in fovs), close)
+    close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
+    to_brighter = np.full(len(u_i), np.inf)
+    np.minimum.at(to_brighter, close[:, 1], close_rad)
+    along_z = np.argsort(u_i[:, 2], kind="stable")
+    return StarIndex(
+        stars=stars,
+        u_i=u_i,
+        tables=tuple(_table(u_i, float(fov)) for fov in fovs),
+        along_z=along_z,
+        u_along_z=u_i[along_z].astype(np.float32),
+        close=close,
+        close_rad=close_rad,
+        to_brighter_rad=to_brighter,
+    )
 
 
-def _sorted(stars: StarPlaces, epoch_jyear: float) -> tuple[StarPlaces, Floats]:
-    stars = stars.take(np.argsort(stars.v_mag, kind="stable"))
-    return stars, _directions_at(stars, epoch_jyear)
+def _brightest_first(stars: StarPlaces) -> StarPlaces:
+    return stars.take(np.argsort(stars.v_mag, kind="stable"))
+
+
+def _named(names: Sequence[str], arrays: Mapping[str, NDArray[Any]], table: str = "") -> dict[str, Any]:
+    """Arrays of an index or of one of its tables by the names of their fields."""
+    if missing := [table + name for name in names if table + name not in arrays]:
+        raise ValueError(f"an index of triangles lacks the array {missing[0]}")
+    return {name: arrays[table + name] for name in names}
 
 
 def _checked(arrays: Mapping[str, NDArray[Any]], k: str, stars: int) -> TriangleTable:
     """Table `k` of `arrays`, checked for consistency with an index of `stars` stars."""
-    expected = {field.name: f"{k}.{field.name}" for field in fields(TriangleTable)}
-    if missing := [name for name in expected.values() if name not in arrays]:
-        raise ValueError(f"an index of triangles lacks the array {missing[0]}")
-    part: dict[str, Any] = {name: arrays[key] for name, key in expected.items()}
+    part = _named([field.name for field in fields(TriangleTable)], arrays, f"{k}.")
     table = TriangleTable(**(part | {"fov_rad": float(part["fov_rad"].item())}))
     start, vertices, neighbours, n = table.cell_start, table.vertices, table.neighbours, len(table.vertices)
     if len(start) != _CELLS * _CELLS + 1:

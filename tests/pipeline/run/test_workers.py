@@ -174,7 +174,9 @@ Processes(2).map(slow, range(1000), lambda n, outcome: None)
     assert not any(Path("/proc", str(worker)).exists() for worker in workers)
 
 
-def test_one_worker_is_this_process() -> None:
+def test_one_worker_and_a_single_unit_need_no_other_process() -> None:
+    with executor_for(2, None, 0) as executor:
+        assert executor.map(lambda n: (n, os.getpid()), [3], lambda n, outcome: None) == [(3, os.getpid())]
     with executor_for(1, None, 10**12) as executor:
         assert isinstance(executor, InOrder)
         assert executor.map(lambda n: (n, os.getpid()), [3], lambda n, outcome: None) == [(3, os.getpid())]
