@@ -197,7 +197,7 @@ def _estimate_lines(
         axes = zip(("east", "north", "up"), one.value_m, one.sigma_m)
         text = ", ".join(f"{axis} {value:+.2f} ± {sigma:.2f} m" for axis, value, sigma in axes)
         lines.append(f"{f'reference {one.name}'[:25]:26s}{text}, stated less true")
-    if not estimate.converged:
+    if not estimate.converged_covariance:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines
 
