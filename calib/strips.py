@@ -22,10 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import (
-    residual_distortion,
-    unit_numbers,
-)
+from boresight.calib.distortion import residual_distortion, unit_numbers
 from boresight.calib.error_table import (
     MICRORADIAN,
     SharedUnknowns,
@@ -151,11 +148,8 @@ class CommonColumns:
 
     def rows_of(self, n: int) -> Ints | slice:
         """Which (2 I,) of n rows, two a target, are those of the targets."""
-        return (
-            self.targets
-            if isinstance(self.targets, slice)
-            else np.arange(n).reshape(-1, 2)[self.targets].ravel()
-        )
+        own = np.arange(n).reshape(-1, 2)[self.targets].ravel()
+        return self.targets if isinstance(self.targets, slice) else own
 
     def of(self, rows: Floats) -> Floats:
         """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
