@@ -24,7 +24,6 @@ from boresight.geometry.record import array, record, scalar
 
 __all__ = [
     "InformationPairs",
-    "InformationTotal",
     "Solution",
     "corrected",
     "exact_sum",
@@ -114,18 +113,17 @@ class InformationPairs:
         F_theta[:, place] = self.F_theta
         return replace(self, F=F, F_theta=F_theta, shared=shared)
 
-    def total(self) -> InformationTotal:
-        """The exact sum over all pairs."""
+    def total(self) -> tuple[Array, Array]:
+        """The exact sums (N, N) and (N,) of F and F_theta over all pairs."""
         return exact_sum(self.F, self.F_theta)
 
     def as_one(self, name: str, eliminated: tuple[str, ...], prior: Array) -> InformationPairs:
         """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the prior
         information `prior` (m, m), are marginalised; theta and the others stay.
         """
-        total = self.total()
+        F, right = self.total()
         out = self.n_theta + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
-        stay = np.setdiff1d(np.arange(len(total.F)), out)
-        F, right = total.F, total.F_theta
+        stay = np.setdiff1d(np.arange(len(F)), out)
         gain = np.linalg.solve(F[np.ix_(out, out)] + prior, F[np.ix_(out, stay)])
         left = F[np.ix_(stay, stay)] - F[np.ix_(stay, out)] @ gain
         shared = tuple(unknown for unknown in self.shared if unknown not in eliminated)
@@ -164,26 +162,18 @@ class InformationPairs:
         return cls(pairs.astype(str), F, F_theta, R_cs_ref, tuple(unknowns[3 * len(cameras) :]), cameras)
 
 
-@record
-class InformationTotal:
-    """The sum of many pairs, each of its numbers rounded once."""
-
-    F: Array = array("N, N", "information")
-    F_theta: Array = array("N", "right-hand side")
-
-
-def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
-    """The sum over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before it is
+def exact_sum(F: Array, F_theta: Array) -> tuple[Array, Array]:
+    """The sums over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before they are
     rounded: the same, bit for bit, in whatever order the pairs come. `ValueError` for a number not finite."""
     n = F_theta.shape[1]
     if not (np.isfinite(F).all() and np.isfinite(F_theta).all()):
         raise ValueError("information that is not a finite number cannot be added")
     if len(F) == 1:
-        return InformationTotal(F[0] + 0.0, F_theta[0] + 0.0)
+        return F[0] + 0.0, F_theta[0] + 0.0
     rows, columns = np.triu_indices(n)
     sums, total = _rounded_once(np.concatenate([F[:, rows, columns], F_theta], axis=1)), np.empty((n, n))
     total[rows, columns] = total[columns, rows] = sums[:-n]
-    return InformationTotal(total, sums[-n:])
+    return total, sums[-n:]
 
 
 def _rounded_once(numbers: Array) -> Array:

@@ -196,15 +196,15 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: S
     if problem.prior is not None:
         pairs, off = pairs.with_prior(problem.prior), theta_of(problem.prior.R_cs_ref, about.R_cs)
         of_prior = float(off @ problem.prior.F[0] @ off)
-    total = pairs.total()
+    F, right = pairs.total()
     limit = problem.settings.sigma_observable_rad
-    solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
+    solution = solve_total(F, right, problem.prior_shared, sigma_observable_rad=limit)
     x = np.concatenate([solution.theta, solution.shared])
     return Step(
         about=about,
         pairs=pairs,
         solution=solution,
-        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2 + of_prior,
+        chi2=float(np.sum(N[:, -1, -1]) - x @ right) - problem.agreement.chi2 + of_prior,
         whitened=np.concatenate([_whitened(*of, x) for of in zip(about.strips, reduced)]),
         weight=weight,
         reduced=reduced,

@@ -126,7 +126,9 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
                 f"exposure {exposure.exposure_id} of strip {strip_id} and {other.exposure_id} of strip "
                 f"{other_id} are of one instant, {exposure.t_s:.6f} s, and hold other stars"
             )
-    heads = sorted({other.head for strip in strips for other in strip.others})
+    others = [other for strip in strips for other in strip.others]
+    heads = sorted({other.head for other in others})
+    records = [HeadAttitudes.together([one for one in others if one.head == head]) for head in heads]
     found = replace(
         strips[0],
         exposures=tuple(listed[n][1] for n in rows.tolist()),
@@ -134,7 +136,7 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         R_oi_exposures=rotations_together([strip.R_oi_exposures for strip in strips])[rows],
         R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
         attitudes=ExposureAttitudes.together([strip.fitted for strip in strips]).take(rows),
-        others=tuple(_record_of(head, strips) for head in heads),
+        others=tuple(one.take(_first_of_each(one.t_s)) for one in records),
         gyro=_gyro_of(strips),
         joined=tuple(part for strip in strips for part in strip.parts),
     )
@@ -155,12 +157,6 @@ def _about_one_motion(scan: StripSightings) -> StripSightings:
         others=tuple(replace(one, R_oi=motion.R_oi(one.t_s)) for one in scan.others),
         gyro=scan.gyro and replace(scan.gyro, R_oi=motion.R_oi(scan.gyro.t_s)),
     )
-
-
-def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:
-    """Attitudes of one head around strips, each once."""
-    record = HeadAttitudes.together([one for strip in strips for one in strip.others if one.head == head])
-    return record.take(_first_of_each(record.t_s))
 
 
 def _gyro_of(strips: Sequence[StripSightings]) -> GyroRows | None:

@@ -115,8 +115,7 @@ def test_stored_pairs_are_all_that_a_later_calibration_needs():
     settings = CalibrationSettings()
     estimate = calibrate_strips(strips, R_CS0, settings)
     assert isinstance(estimate, InstallationEstimate)
-    total = estimate.pairs.total()
-    again = solve_total(total.F, total.F_theta, estimate.prior_shared, sigma_observable_rad=1e-3)
+    again = solve_total(*estimate.pairs.total(), estimate.prior_shared, sigma_observable_rad=1e-3)
     np.testing.assert_array_equal(again.covariance, estimate.cov_theta)
     np.testing.assert_allclose(again.theta, 0.0, atol=1e-11)
 
