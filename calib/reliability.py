@@ -570,11 +570,16 @@ def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) 
 def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
     step = one.solved(kept.astype(float))
-    rejected, shape = one.limit * float(np.sum(one.problem.inside & ~kept)), (2 * len(kept), len(rows))
-    B = one.B[:, list(rows)].toarray().reshape(len(kept), 2, len(rows))
+    rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
+    if not rows:
+        theta, none = step.solution.theta, np.zeros(0)
+        covariance, chi2 = step.solution.covariance, step.chi2 + rejected
+        statistic = squared_mahalanobis(step)
+        return _Fit(kept, chi2, theta, covariance, none, none, statistic, step.whitened, step.variance)
+    B = one.B[:, rows].toarray().reshape(-1, 2, len(rows))
     left, x = respond(step, B)
-    weighted = (step.weight[:, None, None] * B).reshape(shape)
-    S = weighted.T @ left.reshape(shape) + one.star_information[np.ix_(rows, rows)]
+    weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
+    S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
     y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
     of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
     x = x[: len(step.solution.theta)]
