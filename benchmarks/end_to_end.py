@@ -6,7 +6,8 @@ Each seed is simulated, calibrated and held against its truth by the same three 
 lie in a scratch folder and are removed. The bound beside each error is the 1-sigma that the run states of
 itself: the Cramér-Rao bound of its own sightings. The paper's mission takes 4 minutes and 2 GB a seed. The
 first `--cuts` missions are calibrated again with their strips cut, in files of their own, into groups of CCDs
-and between targets: how data are cut must not change the result.
+and between targets: how data are cut must not change the result, and each cut has errors as small as its
+covariance says.
 With `--changed` the strips are of another date than the chips: that share of the fields bears another crop,
 under other light, with new patches and clouds.
 """
@@ -30,7 +31,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.reading import read_saved_result
-from boresight.pipeline.results.validate import TruthErrors, validation_of
+from boresight.pipeline.results.validate import TruthErrors, true_installation, validation_of
 
 CUTS = ((1, 2), (1, 4), (2, 1), (3, 1), (2, 2))  # parts of the rows and of the CCDs
 
@@ -47,6 +48,7 @@ class Run:
     visible: int
     chi2_dof: float
     apart: tuple[float, float] = (0.0, 0.0)  # by cuts: theta in its sigma, and share of sigma, the largest
+    squares: tuple[float, ...] = ()  # errors of the cuts, squared in their covariances
 
 
 def with_strips_cut(dump: Path, out: Path, line: dict[str, np.ndarray], rows: int, ccds: int) -> None:
@@ -71,11 +73,14 @@ def with_strips_cut(dump: Path, out: Path, line: dict[str, np.ndarray], rows: in
     pd.DataFrame(parts, columns=strips.columns).to_csv(out / "strips.csv", index=False)
 
 
-def apart_by_cuts(dump: Path, result: Path) -> tuple[float, float]:
-    """How far theta moves, in its sigma, and by which share sigma, at most, where strips are cut."""
+def apart_by_cuts(dump: Path, result: Path) -> tuple[tuple[float, float], tuple[float, ...]]:
+    """How far theta moves, in its sigma, and by which share sigma, at most, where strips are cut; and the
+    squared error of each cut in its covariance.
+    """
     whole, table = read_saved_result(result), pd.read_parquet(result / "sightings" / "targets.parquet")
     line = {name: np.stack(of["xy_px"])[:, 1] for name, of in table.groupby("strip_id")}
-    variance, moved, share = np.diag(whole.cov_theta), [], []
+    variance, moved, share, squares = np.diag(whole.cov_theta), [], [], []
+    truth = true_installation(open_dump(dump))
     for rows, ccds in CUTS:
         with tempfile.TemporaryDirectory() as scratch:
             with_strips_cut(dump, Path(scratch) / "dump", line, rows, ccds)
@@ -83,10 +88,12 @@ def apart_by_cuts(dump: Path, result: Path) -> tuple[float, float]:
             one = read_saved_result(Path(scratch) / "result")
         moved.append(np.abs(theta_between(one.R_cs, whole.R_cs) / np.sqrt(variance)).max())
         share.append(np.abs(np.sqrt(np.diag(one.cov_theta) / variance) - 1.0).max())
+        off = theta_between(one.R_cs, truth)
+        squares.append(float(off @ np.linalg.solve(one.cov_theta, off)))
         counts = [[of.installation[key] for key in ("frames", "stars", "targets")] for of in (one, whole)]
-        told = f"{moved[-1]:.3f} sigma, {share[-1]:.2%}, {counts[0]} of {counts[1]}"
-        print(f"  {rows} x rows, {ccds} x CCDs: {told}")
-    return float(max(moved)), float(max(share))
+        told = f"{moved[-1]:.3f} sigma, {share[-1]:.2%}, {counts[0]} of {counts[1]}, NEES {squares[-1]:.2f}"
+        print(f"  {rows} x rows, {ccds} x CCDs: {told}", flush=True)
+    return (float(max(moved)), float(max(share))), tuple(squares)
 
 
 def run_seed(scenario: str, seed: int, changed: float, workers: int, is_cut: bool) -> Run:
@@ -109,7 +116,7 @@ def run_seed(scenario: str, seed: int, changed: float, workers: int, is_cut: boo
             facts["targets"],
             _visible(open_dump(dump)),
             facts["chi2"] / facts["dof"],
-            apart_by_cuts(dump, result) if is_cut else (0.0, 0.0),
+            *(apart_by_cuts(dump, result) if is_cut else ()),
         )
 
 
@@ -171,6 +178,8 @@ def main() -> int:
         moved, share = np.max([run.apart for run in runs], axis=0)
         judge_largest(f"{name}: strips cut, theta moves by", moved, 0.3, "of its sigma", options.cuts)
         judge_largest(f"{name}: strips cut, sigma moves by", share, 0.01, "of itself", options.cuts)
+        for (rows, ccds), squares in zip(CUTS, zip(*(run.squares for run in runs if run.squares))):
+            judge_nees(f"{name}: rows in {rows} parts, CCDs in {ccds}", squares)
     peak = max(run.calibrated.peak_mib for run in runs)
     judge_largest(f"{name}: memory of a calibration", peak, 1024.0, "MiB", len(runs))
     return exit_status()

@@ -55,7 +55,7 @@ BENCHMARKS = (
     Benchmark("faults_grid", "--cases 40", "--cases 600 --minutes 60"),
     Benchmark("star_cameras", "--sets 1", "--sets 10"),
     Benchmark("clean_campaigns", "--sightings 200 --dumps 10", "--sightings 3000 --dumps 100"),
-    Benchmark("end_to_end mini", "--seeds 6 --cuts 2", "--seeds 100 --cuts 12"),
+    Benchmark("end_to_end mini", "--seeds 6 --cuts 2", "--seeds 100 --cuts 60"),
     Benchmark("end_to_end dates", "--seeds 3 --changed 0.3", "--seeds 60 --changed 0.3"),
     Benchmark("end_to_end paper", "--scenario paper --seeds 1 --workers 2", "--scenario paper --seeds 20"),
     Benchmark("sky missions", "missions", "missions --seeds 40 --cameras paper"),

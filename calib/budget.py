@@ -10,7 +10,7 @@ with all variances times k, C is k times as large (Euler's theorem on homogeneou
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
@@ -29,8 +29,8 @@ from boresight.geometry.sightings import StripSightings
 __all__ = ["ErrorShare", "uncertainty_budget"]
 
 Noise = TypeVar("Noise", AttitudeNoise, GyroNoise)
-OF_GYRO = ("random_walk_rad", "bias_walk_rad_s", "bias_rad_s", "white_rad")  # sizes of its errors
 STEP = 1e-3  # relative change of a variance: what it leaves out is of its own size, a thousandth of a share
+ROOT = float(np.sqrt(1.0 + STEP))  # the same of a standard deviation
 
 
 @record(kw_only=True)
@@ -59,9 +59,8 @@ def uncertainty_budget(
     larger = {
         source: covariance([change(one) for one in fitted], model) for source, change in OF_SIGHTINGS.items()
     }
-    root = np.sqrt(1.0 + STEP)
     for source, names in OF_SETTINGS.items():
-        stated = {name: root * getattr(model, name) for name in names}
+        stated = {name: ROOT * getattr(model, name) for name in names}
         larger[source] = covariance(fitted, replace(model, **stated))
     found = [ErrorShare(source=source, covariance=(C - now) / STEP) for source, C in larger.items()]
     shares = [np.diag(one.covariance) / np.diag(now) for one in found]
@@ -69,24 +68,20 @@ def uncertainty_budget(
     return tuple(found[n] for n in order.tolist() if shares[n].max() > STEP)
 
 
-def _noisier(noise: AttitudeNoise) -> AttitudeNoise:
-    return _larger(noise, ("white_rad", "correlated_rad", "constant_rad", "periodic_rad"))
-
-
-def _larger(noise: Noise, names: Sequence[str]) -> Noise:
-    root = float(np.sqrt(1.0 + STEP))
-    return replace(noise, **{name: root * getattr(noise, name) for name in names})
+def _larger(noise: Noise) -> Noise:
+    sigmas = (field.name for field in fields(noise) if "_rad" in field.name)
+    return replace(noise, **{name: ROOT * getattr(noise, name) for name in sigmas})
 
 
 def _attitudes(strip: StripSightings) -> StripSightings:
     """The strip with attitudes of larger variance, of all heads."""
     others = tuple(
-        replace(one, covariance_h=(1.0 + STEP) * one.covariance_h, noise=_noisier(one.noise))
+        replace(one, covariance_h=(1.0 + STEP) * one.covariance_h, noise=_larger(one.noise))
         for one in strip.others
     )
     fitted = replace(strip.fitted, covariance_s=(1.0 + STEP) * strip.fitted.covariance_s)
-    gyro = strip.gyro and replace(strip.gyro, noise=_larger(strip.gyro.noise, OF_GYRO))
-    return replace(strip, attitudes=fitted, noise=_noisier(strip.noise), others=others, gyro=gyro)
+    gyro = strip.gyro and replace(strip.gyro, noise=_larger(strip.gyro.noise))
+    return replace(strip, attitudes=fitted, noise=_larger(strip.noise), others=others, gyro=gyro)
 
 
 def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:
@@ -105,7 +100,7 @@ def _coordinates(strip: StripSightings) -> StripSightings:
 
 def _earth(strip: StripSightings) -> StripSightings:
     ground = strip.ground
-    return replace(strip, ground=replace(ground, earth_i=np.sqrt(1.0 + STEP) * ground.earth_i))
+    return replace(strip, ground=replace(ground, earth_i=ROOT * ground.earth_i))
 
 
 # Sources that the sightings hold, by name: how a strip looks with its variance larger by `STEP`.

@@ -37,6 +37,7 @@ from boresight.calib.gross_errors import (
 )
 from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import (
+    PeriodicError,
     aligned,
     alignment_names,
     carried,
@@ -195,8 +196,9 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     R_cs = corrected(fit.step.about.R_cs, fit.step.solution.theta)
     if len(fit.step.solution.unobservable):
         return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
-    estimate = _estimate(prepared, problem, fit, (R_cs, R_cs0), residuals, rejected, test)
-    return _with_heads(estimate, strips, problem, fit.step.solution)
+    heads = _heads(R_cs if R_cs.single else R_cs[0], strips, problem, fit.step.solution)
+    estimate = _estimate(prepared, problem, fit, (R_cs, R_cs0), heads, residuals, rejected, test)
+    return replace(estimate, periodic=_periodic(strips, problem, fit.step.solution))
 
 
 def strip_pairs(
@@ -324,6 +326,7 @@ def _estimate(
     problem: Problem,
     fit: _Fit,
     matrices: tuple[Rotation, Rotation],
+    heads: tuple[tuple[HeadInstallation, ...], Floats],
     residuals: TargetResiduals,
     rejected: tuple[Entry, ...],
     test: RejectionTest,
@@ -363,8 +366,8 @@ def _estimate(
         agreement=problem.agreement,
         bias=common_bias(problem.shared.names, step.solution, settings),
         references=_offsets(problem, step.solution),
-        heads=(HeadInstallation(name="", R_cs=R_cs if R_cs.single else R_cs[0]),),
-        cov_heads=step.solution.covariance[:3, :3],
+        heads=heads[0],
+        cov_heads=heads[1],
         prior=problem.prior,
     )
 
@@ -380,20 +383,19 @@ def _offsets(problem: Problem, solution: Solution) -> tuple[ReferenceOffset, ...
     )
 
 
-def _with_heads(
-    estimate: InstallationEstimate, strips: Sequence[StripSightings], problem: Problem, solution: Solution
-) -> InstallationEstimate:
-    """The estimate with the matrices of the other heads, R_ch = R_cs exp(alpha) R_sh, and all covariances; of
-    several cameras those of the first. And with the periodic errors of all heads.
+def _heads(
+    R_cs: Rotation, strips: Sequence[StripSightings], problem: Problem, solution: Solution
+) -> tuple[tuple[HeadInstallation, ...], Floats]:
+    """The matrix of the reference head and those of the other heads, R_ch = R_cs exp(alpha) R_sh, with their
+    covariance; of several cameras about the first, whose `R_cs` is given.
     """
-    of_heads, R_cs = problem.shared.of_heads, estimate.heads[0].R_cs
+    of_heads, C = problem.shared.of_heads, R_cs.as_matrix()
     names = tuple(dict.fromkeys(name.split("/")[1] for name in of_heads if name.startswith("head/")))
-    C = R_cs.as_matrix()
     first = solution.covariance_all.shape[0] - len(of_heads)
     # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
     lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))
     lift[:3, :3] = np.eye(3)
-    heads = [estimate.heads[0]]
+    heads = [HeadInstallation(name="", R_cs=R_cs)]
     for n, name in enumerate(names):
         rows = slice(3 + 3 * n, 6 + 3 * n)
         columns = [first + of_heads.index(one) for one in alignment_names(name)]
@@ -401,12 +403,14 @@ def _with_heads(
         alpha = np.concatenate([solution.theta, solution.shared])[columns]
         R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
         heads.append(HeadInstallation(name=name, R_cs=R_cs * Rotation.from_rotvec(alpha) * R_sh))
+    return tuple(heads), lift @ solution.covariance_all @ lift.T
+
+
+def _periodic(
+    strips: Sequence[StripSightings], problem: Problem, solution: Solution
+) -> tuple[PeriodicError, ...]:
+    """Estimated errors of the heads that come back with a period."""
     noise = {one.head: one.noise for strip in strips for one in strip.others}
     noise |= {strip.carrier: strip.noise for strip in strips if strip.exposures}
     sigma = np.sqrt(np.diag(solution.covariance_all)[len(solution.theta) :])
-    return replace(
-        estimate,
-        heads=tuple(heads),
-        cov_heads=lift @ solution.covariance_all @ lift.T,
-        periodic=periodic_errors(dict(sorted(noise.items())), problem.shared.names, solution.shared, sigma),
-    )
+    return periodic_errors(dict(sorted(noise.items())), problem.shared.names, solution.shared, sigma)

@@ -59,12 +59,8 @@ def residual_distortion(
     change (J, 3) by the `MODES` of its CCD, of 1-sigma each, rad; by the settings of each camera.
     """
     J, sample = len(camera), ground.xy_px[:, 0]
-    curve, place, sigma_rad, modes_rad = (
-        np.zeros(J, dtype=np.int64),
-        np.zeros(J),
-        np.zeros(J),
-        np.zeros((J, 3)),
-    )
+    curve, modes_rad = np.zeros(J, dtype=np.int64), np.zeros((J, 3))
+    place, sigma_rad = np.zeros((2, J))
     for n in np.unique(camera).tolist():
         here, model = camera == n, models[n]
         ccd, x, u_c = ground.ccd[here], sample[here], ground.u_c[here]

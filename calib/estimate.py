@@ -192,11 +192,6 @@ class InstallationEstimate:
         )
 
     @property
-    def converged(self) -> bool:
-        """Whether the last correction was negligible against the predicted 1-sigma."""
-        return self.converged_covariance
-
-    @property
     def sigma_theta(self) -> Floats:
         """1-sigma (T,) about the axes of frame c, rad."""
         return np.sqrt(np.diag(self.cov_theta))

@@ -69,4 +69,4 @@ def forecast_from_strips(
     strip has a target between usable star exposures.
     """
     pairs, prior_shared = strip_pairs(strips, R_cs, settings)
-    return Forecast(pairs.total().F / len(strips), prior_shared, settings.sigma_observable_rad)
+    return Forecast(pairs.total()[0] / len(strips), prior_shared, settings.sigma_observable_rad)

@@ -270,7 +270,6 @@ def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[
 
 
 def _all(item: str, of: HypothesisInputs) -> list[Place]:
-    """All targets."""
     return [(item, (), np.ones(len(of.number), dtype=bool))]
 
 
@@ -280,7 +279,6 @@ def _all_strips(of: HypothesisInputs) -> list[Place]:
 
 
 def _passes(of: HypothesisInputs) -> Iterator[Place]:
-    """Each pass."""
     for n, one in enumerate(of.prepared):
         strips = tuple(Subject(Kind.STRIP, strip=name) for name in np.unique(one.strip).tolist())
         yield f"{'pass of ' if len(strips) > 1 else ''}strip {one.strip_id}", strips, of.number == n
@@ -501,7 +499,6 @@ def _focal_length(of: HypothesisInputs) -> Hypothesis:
 
 
 def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Shifts of the image of one CCD in one strip."""
     _, across = of.looks()
     shifts = [
         _error(of, f"image of a CCD, {name}", of.pixel * across[:, :, axis])

@@ -10,7 +10,6 @@ eliminated, after the sum. Of C cameras theta is three components each, camera a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -25,7 +24,6 @@ from boresight.geometry.record import array, record, scalar
 
 __all__ = [
     "InformationPairs",
-    "InformationTotal",
     "Solution",
     "corrected",
     "exact_sum",
@@ -56,14 +54,20 @@ class InformationPairs:
         """Components of theta."""
         return 3 * len(self.cameras)
 
+    @property
+    def unknowns(self) -> list[str]:
+        """Names (N,) of all unknowns."""
+        theta = [f"camera/{name}/{axis}" if name else axis for name in self.cameras for axis in "xyz"]
+        return [*theta, *self.shared]
+
     def of_camera(self, name: str) -> InformationPairs:
         """The pairs about the matrix of one of several cameras; theta of the others, without a prior, are the
         first shared unknowns. `ValueError` for another name."""
         if self.cameras == (name,):
             return self
         first = 3 * self.cameras.index(name)
-        unknowns = [_of(camera, axis) for camera in self.cameras for axis in "xyz"] + list(self.shared)
-        own, every = slice(first, first + 3), np.arange(len(unknowns))
+        unknowns, own = self.unknowns, slice(first, first + 3)
+        every = np.arange(len(unknowns))
         order = np.concatenate([every[own], np.delete(every, own)])
         return InformationPairs(
             self.names,
@@ -109,18 +113,17 @@ class InformationPairs:
         F_theta[:, place] = self.F_theta
         return replace(self, F=F, F_theta=F_theta, shared=shared)
 
-    def total(self) -> InformationTotal:
-        """The exact sum over all pairs."""
+    def total(self) -> tuple[Array, Array]:
+        """The exact sums (N, N) and (N,) of F and F_theta over all pairs."""
         return exact_sum(self.F, self.F_theta)
 
     def as_one(self, name: str, eliminated: tuple[str, ...], prior: Array) -> InformationPairs:
         """All pairs as a single one, added exactly. The shared unknowns `eliminated`, with the prior
         information `prior` (m, m), are marginalised; theta and the others stay.
         """
-        total = self.total()
+        F, right = self.total()
         out = self.n_theta + np.array([self.shared.index(unknown) for unknown in eliminated], dtype=np.int64)
-        stay = np.setdiff1d(np.arange(len(total.F)), out)
-        F, right = total.F, total.F_theta
+        stay = np.setdiff1d(np.arange(len(F)), out)
         gain = np.linalg.solve(F[np.ix_(out, out)] + prior, F[np.ix_(out, stay)])
         left = F[np.ix_(stay, stay)] - F[np.ix_(stay, out)] @ gain
         shared = tuple(unknown for unknown in self.shared if unknown not in eliminated)
@@ -134,28 +137,20 @@ class InformationPairs:
         )
 
     def numbers(self) -> tuple[list[str], Array]:
-        """Names (M,) and numbers (K, M) of a table: upper triangle of F, F_theta, references (scalar last).
-
-        They are `F:a:b`, `F_theta:a` and `q_ref:i`, where a and b are x, y, z (of one of several cameras
-        camera/NAME/x) or the name of a shared unknown.
+        """Names (N,) of the unknowns, and numbers (K, M) of a table: upper triangle of F row by row, F_theta,
+        references (scalar last). Components of theta are x, y, z, of one of several cameras camera/NAME/x.
         """
-        unknowns = [*(_of(camera, axis) for camera in self.cameras for axis in "xyz"), *self.shared]
-        rows, columns = np.triu_indices(len(unknowns))
+        rows, columns = np.triu_indices(len(self.unknowns))
         references = np.tile(self.R_cs_ref.as_quat().ravel(), (len(self.names), 1))
-        numbers = np.hstack([self.F[:, rows, columns], self.F_theta, references])
-        return _number_names(unknowns, self.cameras), numbers
+        return self.unknowns, np.hstack([self.F[:, rows, columns], self.F_theta, references])
 
     @classmethod
-    def from_numbers(cls, pairs: NDArray[Any], names: list[str], numbers: Array) -> InformationPairs:
+    def from_numbers(cls, pairs: NDArray[Any], unknowns: list[str], numbers: Array) -> InformationPairs:
         """Pairs of the names `pairs` (K,) from what `numbers` gives; `ValueError` if they have several
-        references, `KeyError` for a number that is missing.
+        references, or other numbers than those of the unknowns.
         """
-        unknowns = [name.removeprefix("F_theta:") for name in names if name.startswith("F_theta:")]
         named = [name.split("/")[1] for name in unknowns if name.startswith("camera/")]
         cameras = tuple(dict.fromkeys(named)) or ("",)
-        if (wanted := _number_names(unknowns, cameras)) != names:
-            place = {name: k for k, name in enumerate(names)}
-            numbers = numbers[:, [place[name] for name in wanted]]
         n = len(unknowns)
         rows, columns = np.triu_indices(n)
         of_F, F_theta, quaternions = np.split(numbers, [len(rows), len(rows) + n], axis=1)
@@ -163,28 +158,22 @@ class InformationPairs:
             raise ValueError("the pairs of one table must share one reference")
         F = np.empty((len(numbers), n, n))
         F[:, rows, columns] = F[:, columns, rows] = of_F
-        R_cs_ref = Rotation.from_quat(quaternions[0].reshape((-1, 4) if len(cameras) > 1 else 4))
+        R_cs_ref = Rotation.from_quat(quaternions[0].reshape((len(cameras), 4) if len(cameras) > 1 else 4))
         return cls(pairs.astype(str), F, F_theta, R_cs_ref, tuple(unknowns[3 * len(cameras) :]), cameras)
 
 
-@record
-class InformationTotal:
-    """The sum of many pairs, each of its numbers rounded once."""
-
-    F: Array = array("N, N", "information")
-    F_theta: Array = array("N", "right-hand side")
-
-
-def exact_sum(F: Array, F_theta: Array) -> InformationTotal:
-    """The sum over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before it is
+def exact_sum(F: Array, F_theta: Array) -> tuple[Array, Array]:
+    """The sums over the first axis of `F` (K, n, n), symmetric, and `F_theta` (K, n), exact before they are
     rounded: the same, bit for bit, in whatever order the pairs come. `ValueError` for a number not finite."""
     n = F_theta.shape[1]
     if not (np.isfinite(F).all() and np.isfinite(F_theta).all()):
         raise ValueError("information that is not a finite number cannot be added")
     if len(F) == 1:
-        return InformationTotal(F[0] + 0.0, F_theta[0] + 0.0)
-    sums = _rounded_once(np.concatenate([F.reshape(len(F), -1), F_theta], axis=1))
-    return InformationTotal(sums[:-n].reshape(n, n), sums[-n:])
+        return F[0] + 0.0, F_theta[0] + 0.0
+    rows, columns = np.triu_indices(n)
+    sums, total = _rounded_once(np.concatenate([F[:, rows, columns], F_theta], axis=1)), np.empty((n, n))
+    total[rows, columns] = total[columns, rows] = sums[:-n]
+    return total, sums[-n:]
 
 
 def _rounded_once(numbers: Array) -> Array:
@@ -285,15 +274,3 @@ def theta_of(R_cs: Rotation, R_cs0: Rotation) -> Array:
 def corrected(R_cs: Rotation, theta: Array) -> Rotation:
     """The matrices of C cameras that deviate by theta (3 C,) from `R_cs`."""
     return deviation_from_theta(theta if R_cs.single else theta.reshape(-1, 3)) * R_cs
-
-
-def _number_names(unknowns: Sequence[str], cameras: Sequence[str]) -> list[str]:
-    """Of the numbers of a pair, in order."""
-    of_F = [f"F:{one}:{other}" for n, one in enumerate(unknowns) for other in unknowns[n:]]
-    of_right = [f"F_theta:{one}" for one in unknowns]
-    return of_F + of_right + [f"q_ref:{_of(camera, i)}" for camera in cameras for i in range(4)]
-
-
-def _of(camera: str, part: str | int) -> str:
-    """Name of an unknown, or a number, of one of several cameras; a single camera has no name."""
-    return f"camera/{camera}/{part}" if camera else str(part)

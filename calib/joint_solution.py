@@ -198,15 +198,15 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: S
     if problem.prior is not None:
         pairs, off = pairs.with_prior(problem.prior), theta_of(problem.prior.R_cs_ref, about.R_cs)
         of_prior = float(off @ problem.prior.F[0] @ off)
-    total = pairs.total()
+    F, right = pairs.total()
     limit = problem.settings.sigma_observable_rad
-    solution = solve_total(total.F, total.F_theta, problem.prior_shared, sigma_observable_rad=limit)
+    solution = solve_total(F, right, problem.prior_shared, sigma_observable_rad=limit)
     x = np.concatenate([solution.theta, solution.shared])
     return Step(
         about=about,
         pairs=pairs,
         solution=solution,
-        chi2=float(np.sum(N[:, -1, -1]) - x @ total.F_theta) - problem.agreement.chi2 + of_prior,
+        chi2=float(np.sum(N[:, -1, -1]) - x @ right) - problem.agreement.chi2 + of_prior,
         whitened=np.concatenate([_whitened(*of, x) for of in zip(about.strips, reduced)]),
         weight=weight,
         reduced=reduced,
@@ -289,15 +289,12 @@ def readmitted(step: Step, rows: Ints) -> Iterator[tuple[Floats, Floats]]:
 
     One more target changes the solution by a matrix of rank two, so that the change needs no new one.
     """
-    parts = list(zip(step.about.strips, step.reduced))
-    covariance = step.solution.covariance_all
     sign = 1.0 - 2.0 * step.weight[:, None, None]
-    leverage = step.leverage
+    leverage, alone = step.leverage, np.zeros((len(step.weight), 2, 2))
     for row in rows.tolist():
-        own, strip, by_x = _of_strip(parts, row)
-        moved = covariance @ by_x
-        across = np.concatenate([_after(line, part, moved).reshape(-1, 2, 2) for line, part in parts])
-        across[strip] += own
+        alone[row] = np.eye(2)
+        across = alone - respond(step, alone, alone[:, 0, 0])[0]
+        alone[row] = 0.0
         gain = across @ np.linalg.inv(np.eye(2) + leverage[row])
         e = step.whitened - gain @ step.whitened[row]
         of_row = sign.copy()
@@ -306,40 +303,21 @@ def readmitted(step: Step, rows: Ints) -> Iterator[tuple[Floats, Floats]]:
         yield squared_over(e, variance), variance
 
 
-def _of_strip(parts: list[tuple[LinearStrips, _Reduced]], row: int) -> tuple[Floats, slice, Floats]:
-    """Covariance (N, 2, 2), by the own unknowns of a target's strip, of that strip's N targets with it, and
-    the change (3 C + g, 2) of its residual by the common unknowns, its strip's own following."""
-    first = 0
-    for line, part in parts:
-        S, rows, _ = line.X_q.shape
-        targets = rows // 2
-        if row < first + S * targets:
-            s, j = divmod(row - first, targets)
-            first += s * targets
-            X_q = line.X_q[s, 2 * j : 2 * j + 2]
-            own = line.X_q[s] @ (part.cov_q[s] @ X_q.T)
-            alone = np.zeros((S, rows, 2))
-            alone[s, 2 * j : 2 * j + 2] = np.eye(2)
-            by_x = line.onto(alone)[s] - part.back[s, :, :-1].T @ X_q.T
-            return own.reshape(targets, 2, 2), slice(first, first + targets), by_x
-        first += S * targets
-    raise IndexError(f"no target {row}")
-
-
-def respond(step: Step, columns: Floats) -> tuple[Floats, Floats]:
+def respond(step: Step, columns: Floats, weight: Floats | None = None) -> tuple[Floats, Floats]:
     """What a change of the residuals does to the solution `step`, each of H columns by itself.
 
-    `columns` (J, 2, H) is the change of the whitened residuals by a unit of each. Returned are the part of it
-    that is left as residuals, all unknowns estimated (J, 2, H), and the change of theta and of the shared
-    unknowns (3 + G, H).
+    `columns` (J, 2, H) is the change of the whitened residuals by a unit of each, `weight` (J,) that of the
+    targets in it; None: that of the solution. Returned are the part of the change that is left as residuals,
+    all unknowns estimated (J, 2, H), and the change of theta and of the shared unknowns (3 + G, H).
     """
+    weight = step.weight if weight is None else weight
     H, parts, last = columns.shape[2], [], 0
     right = np.zeros((len(step.solution.covariance_all), H))
     for line, part in zip(step.about.strips, step.reduced):
         S, rows = line.r.shape
         first, last = last, last + S * rows // 2
         B = columns[first:last].reshape(S, rows, H)
-        weighted = np.repeat(step.weight[first:last].reshape(S, -1), 2, axis=1)[:, :, None] * B
+        weighted = np.repeat(weight[first:last].reshape(S, -1), 2, axis=1)[:, :, None] * B
         of_q = np.swapaxes(line.X_q, 1, 2) @ weighted
         right += (line.onto(weighted) - np.swapaxes(part.back[:, :, :-1], 1, 2) @ of_q).sum(axis=0)
         parts.append((line, part, B, part.cov_q @ of_q))

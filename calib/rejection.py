@@ -22,7 +22,7 @@ def rejected_observations(
 ) -> tuple[Entry, ...]:
     """Rejected stars, exposures, targets and strips, pass by pass; an exposure once.
 
-    `limit` is that of the tests of stars and targets; without `residuals` no target has been tested.
+    `limit` is that of the tests of stars and targets; without `residuals` no target is covered.
     """
     entries: list[Entry] = []
     for strip, ready in zip(strips, prepared):
@@ -55,28 +55,20 @@ def _targets(
     name: str, ready: PreparedStrip, limit: float, residuals: TargetResiduals | None
 ) -> Iterator[Entry]:
     """Targets of the strip `name` that are not covered, or fail their test; or that none is covered."""
-    rows = np.flatnonzero(ready.strip == name)
-    inside = ready.inside[rows]
-    if not inside.any():
-        counts = float(ready.used.sum()), float(len(rows))
+    inside = ready.inside[ready.strip == name]
+    if residuals is None or not inside.any():
+        counts = float(ready.used.sum()), float(len(inside))
         yield Entry(Subject(Kind.STRIP, strip=name), Reason.NO_TARGET_COVERED, more=counts)
         return
-
-    def subject(row: int) -> Subject:
-        kind = Kind.STAR if ready.is_star[row] else Kind.TARGET
-        return Subject(kind, strip=name, ccd=int(ready.ccd[row]), id=str(ready.target_id[row]))
-
-    for row in rows[~inside].tolist():
-        yield Entry(subject(row), Reason.NOT_BETWEEN_EXPOSURES)
-    if residuals is None:
-        return
     own = np.flatnonzero(residuals.strip_id == name)
-    for n in np.flatnonzero(inside & ~residuals.kept[own]).tolist():
-        rivals = {residuals.subject(int(other)) for other in residuals.rivals[int(own[n])]}
+    for row in own[~inside].tolist():
+        yield Entry(residuals.subject(row), Reason.NOT_BETWEEN_EXPOSURES)
+    for row in own[inside & ~residuals.kept[own]].tolist():
+        rivals = {residuals.subject(int(other)) for other in residuals.rivals[row]}
         yield Entry(
-            subject(rows[n]),
+            residuals.subject(row),
             Reason.TARGET_RESIDUAL,
-            value=float(residuals.statistic[own[n]]),
+            value=float(residuals.statistic[row]),
             limit=limit,
             rivals=tuple(sorted(rivals, key=lambda rival: rival.name)),
         )

@@ -109,22 +109,34 @@ def _reach_s(times: Floats) -> Span:
 
 
 def _joined(strips: list[StripSightings]) -> StripSightings:
-    """Strips of one pass as one: all targets, in order of the strips' ids, and every exposure once."""
+    """Strips of one pass as one: all targets, in order of the strips' ids, and every exposure once.
+
+    `ValueError` where exposures of one instant hold other stars.
+    """
     if len(strips) == 1:
         return strips[0]
     strips = sorted(strips, key=lambda strip: strip.strip_id)
-    listed = [exposure for strip in strips for exposure in strip.exposures]
-    rows = _first_of_each(np.array([exposure.t_s for exposure in listed]))
-    _check_same(strips, rows)
-    heads = sorted({other.head for strip in strips for other in strip.others})
+    listed = [(strip.strip_id, exposure) for strip in strips for exposure in strip.exposures]
+    number = _instants(np.array([exposure.t_s for _, exposure in listed]))
+    rows = np.unique(number, return_index=True)[1]
+    for (strip_id, exposure), n in zip(listed, rows[number].tolist()):
+        other_id, other = listed[n]
+        if exposure is not other and not np.array_equal(exposure.u_s, other.u_s):
+            raise ValueError(
+                f"exposure {exposure.exposure_id} of strip {strip_id} and {other.exposure_id} of strip "
+                f"{other_id} are of one instant, {exposure.t_s:.6f} s, and hold other stars"
+            )
+    others = [other for strip in strips for other in strip.others]
+    heads = sorted({other.head for other in others})
+    records = [HeadAttitudes.together([one for one in others if one.head == head]) for head in heads]
     found = replace(
         strips[0],
-        exposures=tuple(listed[n] for n in rows),
+        exposures=tuple(listed[n][1] for n in rows.tolist()),
         ground=GroundSightings.together([strip.ground for strip in strips]),
         R_oi_exposures=rotations_together([strip.R_oi_exposures for strip in strips])[rows],
         R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
         attitudes=ExposureAttitudes.together([strip.fitted for strip in strips]).take(rows),
-        others=tuple(_record_of(head, strips) for head in heads),
+        others=tuple(one.take(_first_of_each(one.t_s)) for one in records),
         gyro=_gyro_of(strips),
         joined=tuple(part for strip in strips for part in strip.parts),
     )
@@ -145,12 +157,6 @@ def _about_one_motion(scan: StripSightings) -> StripSightings:
         others=tuple(replace(one, R_oi=motion.R_oi(one.t_s)) for one in scan.others),
         gyro=scan.gyro and replace(scan.gyro, R_oi=motion.R_oi(scan.gyro.t_s)),
     )
-
-
-def _record_of(head: str, strips: Sequence[StripSightings]) -> HeadAttitudes:
-    """Attitudes of one head around strips, each once."""
-    record = HeadAttitudes.together([one for strip in strips for one in strip.others if one.head == head])
-    return record.take(_first_of_each(record.t_s))
 
 
 def _gyro_of(strips: Sequence[StripSightings]) -> GyroRows | None:
@@ -179,16 +185,3 @@ def _instants(t_s: Floats) -> Ints:
     number = np.zeros(len(t_s), dtype=np.int64)
     number[order[1:]] = np.cumsum(np.diff(t_s[order]) > INSTANT_S)
     return number
-
-
-def _check_same(strips: Sequence[StripSightings], rows: Ints) -> None:
-    """`ValueError` where exposures of one instant hold other stars."""
-    listed = [(strip.strip_id, exposure) for strip in strips for exposure in strip.exposures]
-    number = _instants(np.array([exposure.t_s for _, exposure in listed]))
-    for (strip_id, exposure), n in zip(listed, rows[number].tolist()):
-        other_id, other = listed[n]
-        if exposure is not other and not np.array_equal(exposure.u_s, other.u_s):
-            raise ValueError(
-                f"exposure {exposure.exposure_id} of strip {strip_id} and {other.exposure_id} of strip "
-                f"{other_id} are of one instant, {exposure.t_s:.6f} s, and hold other stars"
-            )

@@ -22,10 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import (
-    residual_distortion,
-    unit_numbers,
-)
+from boresight.calib.distortion import residual_distortion, unit_numbers
 from boresight.calib.error_table import (
     MICRORADIAN,
     SharedUnknowns,
@@ -40,7 +37,7 @@ from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, 
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, StripSightings
 
 __all__ = [
     "LinearStrips",
@@ -153,11 +150,8 @@ class CommonColumns:
 
     def rows_of(self, n: int) -> Ints | slice:
         """Which (2 I,) of n rows, two a target, are those of the targets."""
-        return (
-            self.targets
-            if isinstance(self.targets, slice)
-            else np.arange(n).reshape(-1, 2)[self.targets].ravel()
-        )
+        own = np.arange(n).reshape(-1, 2)[self.targets].ravel()
+        return self.targets if isinstance(self.targets, slice) else own
 
     def of(self, rows: Floats) -> Floats:
         """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
@@ -264,7 +258,11 @@ def prepare_strip(
         v_s=v_s,
         number=np.zeros(len(v_s), dtype=np.int64),
         attitude_s=by_rotation @ attitude.root_s,
-        coordinates_s=_by_coordinates(ground, MICRORADIAN * attitude.R_si @ across, move_i),
+        coordinates_s=np.where(
+            ground.is_star[:, None, None],
+            MICRORADIAN * attitude.R_si @ across,
+            -move_i @ earth_axes(ground.t_s),
+        ),
         cov_coordinates=own,
         reference=references.name,
         reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
@@ -412,14 +410,6 @@ def _ground_axes(references: GroundReferences, R_oi: Rotation) -> Floats:
     east /= np.maximum(np.linalg.norm(east, axis=1, keepdims=True), 1e-9)
     level = np.stack([east, np.cross(up, east), up], axis=2)
     return np.where((references.name != "")[:, None, None], references.axes_i, level)
-
-
-def _by_coordinates(ground: GroundSightings, turn_i: Floats, move_i: Floats) -> Floats:
-    """Change (J, 3, 3) of v_s by the targets' own coordinates (`coordinate_covariance` has their units), from
-    those by directions and by positions, GCRS axes.
-    """
-    change = -move_i @ earth_axes(ground.t_s)
-    return np.asarray(np.where(ground.is_star[:, None, None], turn_i, change))
 
 
 def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, Floats]:

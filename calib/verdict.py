@@ -402,27 +402,26 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
 
 def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
     """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
-    S, n = right.shape
-    t = n - len(prior)  # components of theta
-    if S == 1:
-        return 0.0, 0
-    if n == t:  # nothing is shared: each strip by itself, in a time that grows with their number
-        each = [_explained(F[k], right[k]) for k in range(S)]
-        free, dof_free = float(sum(gain for gain, _ in each)), sum(dof for _, dof in each)
-        one, dof_one = _explained(F.sum(axis=0), right.sum(axis=0))
-        return max(free - one, 0.0), dof_free - dof_one
-    apart = np.zeros((t * S + n - t, t * S + n - t))
-    b = np.concatenate([right[:, :t].ravel(), right[:, t:].sum(axis=0)])
-    apart[t * S :, t * S :] = F[:, t:, t:].sum(axis=0) + prior
-    for k in range(S):
-        own = slice(t * k, t * k + t)
-        apart[own, own], apart[own, t * S :], apart[t * S :, own] = F[k, :t, :t], F[k, :t, t:], F[k, t:, :t]
-    together = np.zeros((n, t * S + n - t))  # one theta for all strips
-    together[:t, : t * S] = np.tile(np.eye(t), S)
-    together[t:, t * S :] = np.eye(n - t)
-    free, dof_free = _explained(apart, b)
-    one, dof_one = _explained(together @ apart @ together.T, together @ b)
+    free, dof_free = _explained(F, right, prior)
+    one, dof_one = _explained(F.sum(axis=0)[None], right.sum(axis=0)[None], prior)
     return max(free - one, 0.0), dof_free - dof_one
+
+
+def _explained(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
+    """bᵀ N⁻¹ b of the normal equations (S, n, n), (S, n) of S strips with a matrix each, whose axes are
+    eliminated strip by strip; and how many of these axes the strips determine.
+    """
+    t, explained, axes = F.shape[1] - len(prior), 0.0, 0
+    N, b = prior + F[:, t:, t:].sum(axis=0), right[:, t:].sum(axis=0)
+    for of_strip, b_strip in zip(F, right):
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(of_strip)[:t], np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(scale[:, None] * of_strip[:t, :t] * scale)
+        seen = values > 1e-10 * max(values[-1], 0.0)
+        root = (scale[:, None] * vectors)[:, seen] / np.sqrt(values[seen])
+        along, shared = root.T @ b_strip[:t], root.T @ of_strip[:t, t:]
+        explained, axes = explained + float(along @ along), axes + int(seen.sum())
+        N, b = N - shared.T @ shared, b - shared.T @ along
+    return explained + float(b @ np.linalg.solve(N, b)), axes
 
 
 def _between_heads(agreement: HeadAgreement, settings: VerdictSettings) -> list[Check]:
@@ -445,15 +444,6 @@ def _excess(one: WithoutHead) -> float:
     """chi2 as a deviate of a normal distribution (Wilson & Hilferty 1931)."""
     variance = 2.0 / (9.0 * max(one.dof, 1))
     return float((np.cbrt(one.chi2 / max(one.dof, 1)) - 1.0 + variance) / np.sqrt(variance))
-
-
-def _explained(N: Floats, b: Floats) -> tuple[float, int]:
-    """bᵀ N⁻¹ b over the directions that N determines, and their number."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(scale[:, None] * N * scale)
-    seen = values > 1e-10 * max(values[-1], 0.0)
-    along = vectors.T[seen] @ (scale * b)
-    return float(along @ (along / values[seen])), int(seen.sum())
 
 
 def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: VerdictSettings) -> Check:

@@ -97,8 +97,7 @@ def calibrate_frames(frames: VectorSets, R_cs0: Rotation, *, most_iterations: in
     R_cs, steps = R_cs0, list[Array]()
     for _ in range(most_iterations):
         F, F_theta = frame_pairs(prepared, R_cs)
-        total = exact_sum(F, F_theta)
-        solution = solve_total(total.F, total.F_theta, sigma_observable_rad=1e-3)
+        solution = solve_total(*exact_sum(F, F_theta), sigma_observable_rad=1e-3)
         steps.append(solution.theta)
         reference, R_cs = R_cs, deviation_from_theta(solution.theta) * R_cs
         if np.linalg.norm(solution.theta) < 1e-12:

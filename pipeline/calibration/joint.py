@@ -28,7 +28,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, record, scalar
-from boresight.geometry.sightings import StarSightings, StripSightings
+from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows_together
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -217,21 +217,17 @@ def _renamed(
     strip: StripSightings, named: NamedDump, epoch: Epoch, target_names: dict[Place, str]
 ) -> StripSightings:
     """The strip as one of many dumps: ids with the dump's name, seconds since `epoch`."""
-    later_s = float(named.dump.epoch.tai_s - epoch.tai_s)
+    later = strip.later(float(named.dump.epoch.tai_s - epoch.tai_s))
     own = {target.target_id: target_names[_place(target)] for target in named.dump.ground_targets.values()}
     targets = np.array([own.get(name, name) for name in strip.ground.target_id.tolist()], dtype=str)
-
-    def seen(exposure: StarSightings) -> StarSightings:
-        exposure_id = f"{named.name}/{exposure.exposure_id}"
-        return replace(exposure, exposure_id=exposure_id, t_s=exposure.t_s + later_s)
-
     return replace(
-        strip,
+        later,
         strip_id=f"{named.name}/{strip.strip_id}",
         camera=named.dump.camera,
-        exposures=tuple(map(seen, strip.exposures)),
-        others=tuple(replace(other, t_s=other.t_s + later_s) for other in strip.others),
-        ground=replace(strip.ground, target_id=targets, t_s=strip.ground.t_s + later_s),
+        exposures=tuple(
+            replace(one, exposure_id=f"{named.name}/{one.exposure_id}") for one in later.exposures
+        ),
+        ground=replace(later.ground, target_id=targets),
     )
 
 

@@ -256,13 +256,10 @@ def pairs_in(path: Path) -> InformationPairs:
     """The pairs of a file that `pairs_table` was written to; `RawDataError` if not readable."""
     try:
         table = read_parquet(path)
-        if "values" not in table.column_names:  # of version 0.1.0 before it had one list a row
-            names = [name for name in table.column_names if name != "name"]
-            numbers = np.column_stack([column(table, name) for name in names])
-        else:
-            names = json.loads(table.schema.metadata[b"names"])
-            numbers = list_values(table, "values", len(names))
-        return InformationPairs.from_numbers(column(table, "name"), names, numbers)
+        unknowns = json.loads(table.schema.metadata[b"unknowns"])
+        return InformationPairs.from_numbers(
+            column(table, "name"), unknowns, list_values(table, "values", -1)
+        )
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 

@@ -43,12 +43,12 @@ def sightings_schema(table: str) -> pa.Schema:
 
 
 def pairs_table(pairs: InformationPairs) -> pa.Table:
-    """One row a pass: its name, and all numbers of its pair in one list, whose names are in the metadata. A
-    column for each number takes ten times as long to read.
+    """One row a pass: its name, and all numbers of its pair in one list; the unknowns' names, in whose order
+    they stand, are in the metadata. A column for each number takes ten times as long to read.
     """
-    names, numbers = pairs.numbers()
+    unknowns, numbers = pairs.numbers()
     table = pa.table({"name": arrow_array(pairs.names), "values": fixed_list(numbers)})
-    return table.replace_schema_metadata({"names": json.dumps(names)})
+    return table.replace_schema_metadata({"unknowns": json.dumps(unknowns)})
 
 
 def read_sightings(result: Path, table: str, names: str) -> pa.Table:

@@ -208,7 +208,7 @@ def _estimate_lines(
                 _row(f"  sine {h + 1}", wave.sine_rad[h] / ARCSEC, "+.3f"),
                 _row("    1 sigma", wave.sigma_sine_rad[h] / ARCSEC, ".3f"),
             ]
-    if not estimate.converged:
+    if not estimate.converged_covariance:
         lines.append("not converged: the last correction is not negligible; do not use this matrix")
     return lines
 

@@ -30,7 +30,7 @@ def normalised_errors(plan, settings, runs, seed):
     for _ in range(runs):
         strips, _ = draw_strips(plan, CAMERAS, rng)
         estimate = calibrate_strips(strips, R_CS0, settings)
-        assert isinstance(estimate, InstallationEstimate) and estimate.converged
+        assert isinstance(estimate, InstallationEstimate) and estimate.converged_covariance
         error = theta_between(estimate.R_cs, BOLD)
         out.append(error @ np.linalg.solve(estimate.cov_theta, error))
     return np.array(out)
@@ -115,8 +115,7 @@ def test_stored_pairs_are_all_that_a_later_calibration_needs():
     settings = CalibrationSettings()
     estimate = calibrate_strips(strips, R_CS0, settings)
     assert isinstance(estimate, InstallationEstimate)
-    total = estimate.pairs.total()
-    again = solve_total(total.F, total.F_theta, estimate.prior_shared, sigma_observable_rad=1e-3)
+    again = solve_total(*estimate.pairs.total(), estimate.prior_shared, sigma_observable_rad=1e-3)
     np.testing.assert_array_equal(again.covariance, estimate.cov_theta)
     np.testing.assert_allclose(again.theta, 0.0, atol=1e-11)
 
@@ -176,13 +175,13 @@ def test_one_step_from_far_away_has_not_converged():
     strips, _ = draw_strips(replace(TABLE_1, strips=2), CAMERAS, np.random.default_rng(8))
     one_step = CalibrationSettings(most_iterations=1, robust=False)
     estimate = calibrate_strips(strips, R_CS0, one_step)
-    assert not estimate.converged_matrix and not estimate.converged_covariance and not estimate.converged
+    assert not estimate.converged_matrix and not estimate.converged_covariance
     near = (
         deviation_from_theta(np.array([0.0, 0.0, 1e-9]))
         * calibrate_strips(strips, R_CS0, CalibrationSettings()).R_cs
     )
     estimate = calibrate_strips(strips, near, one_step)
-    assert not estimate.converged_matrix and estimate.converged_covariance and estimate.converged
+    assert not estimate.converged_matrix and estimate.converged_covariance
 
 
 def test_nearly_half_of_the_targets_wrong_in_one_direction_do_not_decide():

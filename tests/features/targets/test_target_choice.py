@@ -39,8 +39,7 @@ def sigma_with(strips, names):
     information = np.zeros((3, 3))
     for strip in [strip for strip in strips if np.isin(strip.ground.target_id, names).any()]:
         pairs, prior = strip_pairs([only(strip, names)], R_CS, settings())
-        total = pairs.total()
-        information += solve_total(total.F, total.F_theta, prior, sigma_observable_rad=1.0).information
+        information += solve_total(*pairs.total(), prior, sigma_observable_rad=1.0).information
     return np.sqrt(np.diag(np.linalg.inv(information)))
 
 

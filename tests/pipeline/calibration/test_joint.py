@@ -25,6 +25,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE, WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.star_camera import StarCamera
@@ -47,6 +48,7 @@ from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.head_attitudes import with_gyro
 
 NAMES = ["november", "a-little-later", "january"]  # in the order of time; not that of the alphabet
 
@@ -420,6 +422,17 @@ BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 SETTINGS_USED = CalibrationSettings(
     sigma_position_m=1.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0, robust=False
 )
+
+
+def test_rows_of_a_gyro_count_from_the_epoch_of_all_dumps() -> None:
+    cameras, rng = CameraPair(BOLD), np.random.default_rng(3)
+    strips, truth = draw_strips(StripPlan(strips=2, exposures=2, exposure_margin_s=0.3), cameras, rng)
+    noise = GyroNoise(random_walk_rad=1e-7, bias_walk_rad_s=1e-9, bias_rad_s=1e-6, white_rad=1e-9)
+    strips = with_gyro(strips, truth, BOLD, noise, np.arange(-0.4, 2.25, 0.05), rng)
+    dumps = [visit(n, [strip], 60 * n, np.zeros(3)) for n, strip in enumerate(strips)]
+    for strip in calibrate_jointly(dumps, [], Settings()).strips:
+        assert strip.gyro is not None
+        assert strip.gyro.t_s[0] < strip.times_s[0] < strip.times_s[-1] < strip.gyro.t_s[-1]
 
 
 def test_targets_that_two_dumps_list_alike_are_one_point_each() -> None:

@@ -57,6 +57,7 @@ from boresight.pipeline.files.scenario_file import named_scenario
 from boresight.pipeline.files.table_files import fixed_list
 from boresight.pipeline.files.terrain_files import TerrainFiles, _read_terrain
 from boresight.pipeline.results.reading import read_pairs, read_saved_result
+from boresight.pipeline.results.sightings_tables import pairs_table
 from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.run.settings import read_settings
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
@@ -174,9 +175,7 @@ def _write_result(result: Path) -> None:
     pq.write_table(pa.table(exposures), result / "sightings/exposures.parquet", write_page_checksum=True)
     R_cs = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
     pair = InformationPairs(np.array(["s1"]), 1e12 * np.eye(3)[None], np.zeros((1, 3)), R_cs)
-    names, numbers = pair.numbers()
-    table = pa.table({"name": pair.names} | dict(zip(names, numbers.T)))
-    pq.write_table(table, result / "sightings/strips.parquet", write_page_checksum=True)
+    pq.write_table(pairs_table(pair), result / "sightings/strips.parquet", write_page_checksum=True)
 
 
 def _write_units(folder: Path) -> None:

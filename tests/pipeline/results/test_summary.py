@@ -40,7 +40,7 @@ def calibration(**changed: Any) -> Any:
         "n_targets": 36,
         "chi2": 57.64,
         "dof": 69,
-        "converged": True,
+        "converged_covariance": True,
         "heads": (),
         "bias": None,
         "cameras": ("",),
@@ -152,7 +152,7 @@ def test_stars_of_scans_are_not_called_targets(ranges_m: Any, words: str) -> Non
 
 
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
-    assert "do not use this matrix" in calibration_summary(calibration(converged=False))
+    assert "do not use this matrix" in calibration_summary(calibration(converged_covariance=False))
     assert "do not use" not in calibration_summary(calibration())
 
 
