@@ -11,16 +11,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.imaging.views import View, band_passed, filled_with_mean, in_counts, view_of, window
+from boresight.gct_match.imaging.views import (
+    View,
+    band_passed,
+    edge_strength,
+    filled_with_mean,
+    in_counts,
+    view_of,
+    window,
+)
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
 from boresight.gct_match.refine.changed import REACH_PX, fit_changed
 from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
-    Peaks,
     correlation_surface,
-    independent_values,
     peaks_of,
-    probability_wrong,
+    posterior,
     self_similarity,
 )
 from boresight.gct_match.settings import MatchSettings
@@ -188,7 +194,8 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    return _found(best, surface, peaks, best_peak, template, None)
+    wrong = posterior([surface], best_peak, _PRIOR_ABSENT).wrong
+    return _Found(best, surface, best_peak, float(peaks.value[0]), wrong)
 
 
 def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
@@ -219,9 +226,14 @@ def _agree(one: PositionFit, other: PositionFit) -> bool:
 def _of_changed(
     template: View, picture: View, start_px: tuple[int, int], radius_px: int, reference_px: Floats
 ) -> _Found | Entry:
-    """The fit to the whole template by its strong edges; what it shows bright the picture may show dark."""
+    """The fit to the whole template by its strong edges; what it shows bright the picture may show dark.
+
+    Shores and crops that have moved leave a displaced peak. Edges without their sign are a second look at the
+    pair, and the positions that both leave possible are added to the covariance.
+    """
     template, picture = band_passed(template), band_passed(picture)
     surface = _surface(template, picture, start_px, radius_px)
+    unsigned = _surface(edge_strength(template), edge_strength(picture), start_px, radius_px)
     inverted = bool(-surface.min() > surface.max())
     if inverted:
         template, surface = replace(template, normalised=-template.normalised), -surface
@@ -231,7 +243,10 @@ def _of_changed(
     fit = fit_changed(template, picture, peaks.xy[0] + start_px - radius_px, reference_px)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
-    return _found(fit, surface, peaks, np.round(peaks.xy[0]), template, REACH_PX)
+    peak = np.round(peaks.xy[0])
+    where = posterior([surface, unsigned], peak, _PRIOR_ABSENT, REACH_PX)
+    fit = replace(fit, cov_px=fit.cov_px + where.cov_px)
+    return _Found(fit, surface, peak, float(peaks.value[0]), where.wrong)
 
 
 def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
@@ -239,14 +254,6 @@ def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
     return correlation_surface(template.normalised, window(picture.normalised, *around))
-
-
-def _found(
-    fit: PositionFit, surface: Image, peaks: Peaks, peak_xy: Floats, template: View, reach_px: int | None
-) -> _Found:
-    n = independent_values(template.normalised)
-    wrong = probability_wrong(surface, peak_xy, n, _PRIOR_ABSENT, reach_px)
-    return _Found(fit, surface, peak_xy, float(peaks.value[0]), wrong)
 
 
 def _tested(found: _Found | Entry, radius_px: int, template: View, settings: MatchSettings) -> _Found | Entry:

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, array, record
 
-__all__ = ["View", "band_passed", "filled_with_mean", "in_counts", "normalised", "view_of", "window"]
+__all__ = [
+    "View",
+    "band_passed",
+    "edge_strength",
+    "filled_with_mean",
+    "in_counts",
+    "normalised",
+    "view_of",
+    "window",
+]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _STRONG_PX = 1.0, 4.0  # Gaussians whose difference is the pass band where contrast is left as it is
@@ -49,6 +58,17 @@ def band_passed(view: View) -> View:
             for part, sigma_px in zip((fine, wide), _STRONG_PX, strict=True)
         )
     return View(view.grey, view.valid, (fine - wide) * weight)
+
+
+def edge_strength(view: View) -> View:
+    """The band-passed view with the strength of its edges, whichever side is brighter, as what is compared:
+    the root of the gradient, without its local mean.
+    """
+    slopes = (cv2.Sobel(view.normalised, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
+    strength: Image = cv2.sqrt(cv2.magnitude(*slopes))
+    strength -= cv2.GaussianBlur(strength, (0, 0), _CONTRAST_PX)
+    inner = cv2.erode(view.valid.astype(np.uint8), np.ones((5, 5), np.uint8))  # the band reaches over edges
+    return View(view.grey, view.valid, strength * inner)
 
 
 def in_counts(image: NDArray, valid: Bools) -> Image:

@@ -1,11 +1,12 @@
 """Correlation of normalised pictures, its peaks, and the probability that a peak is a false match.
 
-That probability follows from the number of independent values in the template and from the correlation
-away from the peak. Pictures are normalised with `imaging.views`.
+That probability follows from the correlation away from the peak. Pictures are normalised with
+`imaging.views`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -13,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Bools, Floats, array, record
+from boresight.geometry.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Peaks",
+    "Posterior",
     "correlation_surface",
-    "independent_values",
     "peaks_of",
-    "probability_wrong",
+    "posterior",
     "self_similarity",
 ]
 
@@ -34,6 +35,14 @@ class Peaks:
 
     xy: Floats = array("K, 2", "column, row of the surface, to a fraction of a pixel")
     value: Floats = array("K", "correlation")
+
+
+@record
+class Posterior:
+    """Where the true position may be, by correlation surfaces."""
+
+    wrong: float = scalar("probability that it is not under the peak")
+    cov_px: Floats = array("2, 2", "covariance of the positions under the peak, px²")
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
@@ -62,47 +71,41 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     return Peaks(xy.astype(float), value.astype(float))
 
 
-def probability_wrong(
-    surface: Image, peak_xy: Floats, independent: float, absent: float, reach_px: int | None = None
-) -> float:
-    """Probability that the true position is not under the peak, given the whole correlation surface.
+def posterior(
+    surfaces: Sequence[Image], peak_xy: Floats, absent: float, reach_px: int | None = None
+) -> Posterior:
+    """Where the true position may be, given the whole correlation surfaces (R, C) of a pair.
 
-    Each position has the likelihood (1 - r²)^(-n/2) of being the true one, against 1 for chance. n is the
-    geometric mean of the template's number of independent values, `independent`, and of one over the variance
-    of r away from the peak: the first is too large for repeated patterns, the second counts the peak's side
-    lobes as chance. Under the peak are positions joined to it at more than half its height, from which least
-    squares converges to it: all of a ridge along a road, or what lies within `reach_px` of the peak. `absent`
-    is the prior probability that the surface does not contain the target.
+    Each position has the likelihood (1 - r²)^(-n/2) of being the true one in each surface, against 1 for
+    chance. One over the variance of r away from the peak is the number of independent values; what has
+    changed lies along the same edges and takes as many of them as one surface has: n is the number over one
+    more than the surfaces. Under the peak of the first are positions joined to it at more than half its
+    height, from which least squares converges to it: all of a ridge along a road, or what lies within
+    `reach_px` of the peak. `absent` is the prior probability that the surfaces do not contain the target.
     """
-    column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
-    _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))
+    first = surfaces[0]
+    column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(first.shape[::-1]) - 1)
+    _, labels = cv2.connectedComponents((first > 0.5 * first[row, column]).astype(np.uint8))
     near = (labels == labels[row, column]).astype(np.uint8)
     near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = 1
     under = cv2.dilate(near, np.ones((5, 5), np.uint8)).astype(bool)
+    y, x = np.mgrid[: first.shape[0], : first.shape[1]]
     if reach_px is not None:
-        y, x = np.ogrid[: surface.shape[0], : surface.shape[1]]
         under &= np.maximum(np.abs(x - column), np.abs(y - row)) <= reach_px
-    away = surface[~under].astype(float)
-    if away.size < 30:
-        return 1.0
-    r = np.clip(surface.astype(float), 0.0, 0.99999)
-    independent = float(np.sqrt(independent / max(float(np.mean(away**2)), 1e-6)))
-    log_likelihood = -0.5 * independent * np.log1p(-(r**2))
-    top = float(log_likelihood.max())
-    weight = np.exp(log_likelihood - top)
-    here, elsewhere = float(weight[under].sum()), float(weight[~under].sum())
-    chance = absent / (1.0 - absent) * surface.size * np.exp(-top)
-    return float((elsewhere + chance) / (here + elsewhere + chance))
-
-
-def independent_values(template: Image) -> float:
-    """Number of independent values in a normalised template (h, w), from the flatness of its spectrum."""
-    template = template - np.float32(cv2.mean(template)[0])
-    spectrum = cv2.dft(template)
-    power: Image = cv2.mulSpectrums(spectrum, spectrum, 0, conjB=True)
-    total = template.size * float(np.vdot(template, template))  # Parseval
-    square = 2.0 * float(np.vdot(power, power))  # packed: all but four numbers stand for two coefficients
-    return total**2 / square if square else 1.0
+    if np.count_nonzero(~under) < 30:
+        return Posterior(1.0, np.diag([np.inf, np.inf]))
+    log_likelihood = np.zeros(first.shape)
+    for surface in surfaces:
+        r = surface.astype(float)
+        n = 1.0 / max(float(np.mean(r[~under] ** 2)), 1e-6) / (1.0 + len(surfaces))
+        log_likelihood -= 0.5 * n * np.log1p(-(np.clip(r, 0.0, 0.99999) ** 2))
+    here, elsewhere = (float(np.logaddexp.reduce(log_likelihood[part])) for part in (under, ~under))
+    chance = float(np.log(absent / (1.0 - absent) * first.size))
+    wrong = float(np.logaddexp(elsewhere, chance))
+    weight = np.exp(log_likelihood[under] - here)
+    return Posterior(
+        float(np.exp(wrong - np.logaddexp(wrong, here))), np.cov(x[under], y[under], ddof=0, aweights=weight)
+    )
 
 
 def self_similarity(template: Image) -> float:

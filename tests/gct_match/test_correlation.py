@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.correlation import (
     correlation_surface,
-    independent_values,
     peaks_of,
-    probability_wrong,
+    posterior,
 )
 
 
@@ -45,18 +44,12 @@ def test_correlation_is_one_where_the_template_was_cut_out():
     assert peaks.value[1] < 0.5
 
 
-def test_independent_values_of_white_noise_are_its_pixels():
-    assert independent_values(noise(4, 64)) == pytest.approx(
-        64**2 / 2.0, rel=0.15
-    )  # |F|² is exponential: 1/2
-
-
 def test_lone_peak_is_right_and_one_among_equals_is_not():
     surface = 0.05 * noise(6, 41)
     surface[20, 20] = 0.8
-    assert probability_wrong(surface, np.array([20.0, 20.0]), 300.0, 0.05) < 1e-6
+    assert posterior([surface], np.array([20.0, 20.0]), 0.05).wrong < 1e-6
     surface[5, 33] = 0.8
-    assert probability_wrong(surface, np.array([20.0, 20.0]), 300.0, 0.05) > 0.4
+    assert posterior([surface], np.array([20.0, 20.0]), 0.05).wrong > 0.4
 
 
 def test_highest_of_nothing_but_chance_is_not_believed():
@@ -64,5 +57,5 @@ def test_highest_of_nothing_but_chance_is_not_believed():
     for seed in range(200):
         surface = 0.05 * noise(seed, 33)
         row, column = np.unravel_index(np.argmax(surface), surface.shape)
-        wrong.append(probability_wrong(surface, np.array([column, row], dtype=float), 400.0, 0.05))
-    assert min(wrong) > 1e-4  # the limit at which matches are refused
+        wrong.append(posterior([surface], np.array([column, row], dtype=float), 0.05).wrong)
+    assert min(wrong) > 0.05  # the limit at which matches are refused
