@@ -29,7 +29,7 @@ class MatchSettings:
     probability_chance_match: float = scalar(
         "of a match at a false position consistent with the others: 0 of 6120 were", default=1e-2
     )
-    probability_wrong: float = scalar("largest probability that a match is false", default=0.05)
+    probability_wrong: float = scalar("largest probability that a match is false", default=1e-2)
     sigma_px: float = scalar("largest standard error: beyond, another peak may be as near", default=1.5)
     # Parts of a self-similar chip differ by a pixel, which leaves 0.16 px in the median and less than 0.05 px
     # in 1e-4 of cases (log-normal, 441 false matches in synthetic housing estates).
