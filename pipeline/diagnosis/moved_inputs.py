@@ -21,6 +21,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.geometry.starlight import earth_velocity_i
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
@@ -28,7 +29,6 @@ from boresight.pipeline.stages.strip import StripTask
 
 __all__ = ["moved_inputs"]
 
-AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
@@ -106,14 +106,10 @@ def _turns(
 
 def _velocities(dump: Dump) -> Mapping[str, Callable[[Floats], Floats]]:
     """Velocities (K, 3) m/s, GCRS, whose aberration an attitude may contain, by the part's name."""
-
-    def annual(t_s: Floats) -> Floats:
-        return np.asarray(erfa.epv00(*dump.epoch.tt_jd(t_s))[1]["v"] * AU_PER_DAY)
-
-    def orbital(t_s: Floats) -> Floats:
-        return dump.orbit.states_i(t_s)[1]
-
-    return {"annual": annual, "orbital": orbital}
+    return {
+        "annual": partial(earth_velocity_i, dump.epoch),
+        "orbital": lambda t_s: dump.orbit.states_i(t_s)[1],
+    }
 
 
 def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:

@@ -12,10 +12,10 @@ from boresight.calib.hypotheses import HypothesisInputs, hypotheses
 from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
-from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.starlight import with_all_aberration
 from boresight.pipeline.diagnosis.moved_inputs import (
     _by_precession,
     _clock_of_exposures,
