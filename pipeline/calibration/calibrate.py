@@ -99,7 +99,7 @@ def calibrate_dump(
     sky = find_in_sky_strips(dump, heads, settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     basis = Basis(dump, heads, settings, errors, runner)
-    first, last, matchings = first_and_last_round(basis, sky)
+    first, last = first_and_last_round(basis, sky)
     found = last.estimate.with_reference(basis.reference)
     omissions = (
         *unused_so_far(basis, sky),
@@ -108,7 +108,6 @@ def calibrate_dump(
         *unused_rows(dump, last.tasks, last.observed, settings.run.exposure_margin_s),
     )
     said = assessed(basis, first, last, found, omissions)
-    computed = [*sky.computed, *(flag for head in heads for flag in head.computed), *matchings]
     return DumpCalibration(
         estimate=found,
         verdict=said.verdict,
@@ -125,6 +124,6 @@ def calibrate_dump(
         settings=errors,
         omissions=omissions,
         rows=rows_used(dump, found, last.strips),
-        n_computed=sum(computed),
-        n_reused=len(computed) - sum(computed),
+        n_computed=runner.computed[True],
+        n_reused=runner.computed[False],
     )

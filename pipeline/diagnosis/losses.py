@@ -292,7 +292,17 @@ def lost_targets(
     if displaced:
         yield displaced_ccds(displaced, left, OF_TARGETS.what, refutes=no_majority)
     yield from _lost_strips(images, ledger, entries, explained)
-    yield from _excluded(entries)
+    for entry in entries:
+        if entry.reason is Reason.CHIP_TOO_SMALL:
+            target = replace(entry.subject, ccd=-1)
+            yield Finding(
+                cause="pixel size of the chip",
+                item=target.words,
+                subjects=(target,),
+                text=f"{entry.text}.",
+                file="targets.csv",
+                explains=(entry.subject,),
+            )
 
 
 def _lost_strips(
@@ -310,7 +320,14 @@ def _lost_strips(
             continue
         flat = [is_flat(images[strip_id], ccd) for ccd in images[strip_id].ccds]
         if not shown and not all(flat):
-            yield _lost_ground(sum(map(len, lost.values())))
+            n = sum(map(len, lost.values()))
+            yield Finding(
+                cause="orbit, times or coordinates",
+                item="all strips of the ground",
+                text=f"none of {n} targets found: check times and frame of the orbit, file and utc_first_row "
+                "in strips.csv, targets.csv; or cloud.",
+                file="orbit, strips.csv",
+            )
             return
         yield lost_strip(subject, targets, all_flat=all(flat))
 
@@ -394,31 +411,6 @@ def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) ->
         file="strips.csv",
         explains=tuple(targets),
     )
-
-
-def _lost_ground(n: int) -> Finding:
-    return Finding(
-        cause="orbit, times or coordinates",
-        item="all strips of the ground",
-        text=f"none of {n} targets found: check times and frame of the orbit, file and utc_first_row "
-        "in strips.csv, targets.csv; or cloud.",
-        file="orbit, strips.csv",
-    )
-
-
-def _excluded(entries: Iterable[Entry]) -> Iterator[Finding]:
-    """Targets that their own chips exclude."""
-    for entry in entries:
-        if entry.reason is Reason.CHIP_TOO_SMALL:
-            target = replace(entry.subject, ccd=-1)
-            yield Finding(
-                cause="pixel size of the chip",
-                item=target.words,
-                subjects=(target,),
-                text=f"{entry.text}.",
-                file="targets.csv",
-                explains=(entry.subject,),
-            )
 
 
 def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:

@@ -20,7 +20,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
-from boresight.geometry.line_camera import LineCamera, LineSensor
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Bools, Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import NOTHING
@@ -277,23 +277,19 @@ def examined(
     inputs: Sequence[MovedInput],
 ) -> Reliability:
     """The hypotheses about the inputs of a dump, held against an estimate that was made with `errors`."""
+    camera = basis.dump.line_camera
+    ccds = camera.ccds if isinstance(camera, LineCamera) else ()  # look angles are not rotated by CCD
     return examine(
         estimate,
         strips,
         errors,
-        pixel_rad=basis.dump.line_camera.pixel_rad,
+        pixel_rad=camera.pixel_rad,
         star_camera=basis.dump.star_camera,
         inputs=inputs,
-        pivots=_pivots(basis.dump.line_camera),
+        pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
         target_files=basis.dump.target_files,
         limits=basis.settings.verdict.of_reliability,
     )
-
-
-def _pivots(camera: LineSensor) -> dict[tuple[str, int], float]:
-    """Samples about which CCDs are rotated; none where the camera states look angles."""
-    ccds = camera.ccds if isinstance(camera, LineCamera) else ()
-    return {("", n): ccd.principal_sample for n, ccd in enumerate(ccds)}
 
 
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:

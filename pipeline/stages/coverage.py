@@ -22,11 +22,8 @@ from boresight.pipeline.files.strip_table import Strip
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
 
-    Carrier = tuple[HeadSightings, Ints] | Entry  # head, rows (K,) of exposures; or why there is none
-
 __all__ = [
     "attitudes_in_s",
-    "carriers",
     "covered_strips",
     "covers",
     "rows_not_covered",
@@ -37,32 +34,28 @@ __all__ = [
 ]
 
 
-def carriers(dump: Dump, heads: Sequence[HeadSightings], margin_s: float) -> dict[str, Carrier]:
-    """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
-    reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
-    without that nothing ties its matrix to theirs.
-    """
-    found: dict[str, Carrier] = {}
-    strips = (*dump.strips, *dump.sky_strips)
-    by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
-    able = heads if any(not isinstance(rows, Entry) for rows in by_reference) else heads[:1]
-    for strip, own in zip(strips, by_reference):
-        if not isinstance(own, Entry):
-            found[strip.strip_id] = (heads[0], own)
-            continue
-        others = [(one, attitudes_around(dump, strip, one, margin_s)) for one in able[1:]]
-        covering = ((one, rows) for one, rows in others if not isinstance(rows, Entry))
-        found[strip.strip_id] = next(covering, own)
-    return found
-
-
 def covered_strips(
-    strips: Sequence[Strip], covering: Mapping[str, Carrier]
+    dump: Dump, strips: Sequence[Strip], heads: Sequence[HeadSightings], margin_s: float
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
-    """Strips with head and rows (K,) of exposures that `carriers` found, and omissions of the others."""
-    pairs = [(strip, covering[strip.strip_id]) for strip in strips]
-    omitted = [carrier for _, carrier in pairs if isinstance(carrier, Entry)]
-    return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Entry)], omitted
+    """Some strips of a dump, each with the first head that covers it and the rows (K,) of its exposures; and
+    why the reference head, the first of `heads`, does not cover the others. Further heads carry only where it
+    covers one strip of the dump at least: without that nothing ties their matrices to its own.
+    """
+    every = (*dump.strips, *dump.sky_strips)
+    around = (attitudes_around(dump, strip, heads[0], margin_s) for strip in every)
+    able = heads if any(not isinstance(rows, Entry) for rows in around) else heads[:1]
+    covered, omitted = [], []
+    for strip in strips:
+        reasons = []
+        for head in able:
+            rows = attitudes_around(dump, strip, head, margin_s)
+            if not isinstance(rows, Entry):
+                covered.append((strip, head, rows))
+                break
+            reasons.append(rows)
+        else:
+            omitted.append(reasons[0])
+    return covered, omitted
 
 
 def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
@@ -118,8 +111,8 @@ def rows_not_covered(times: Floats, first: float, last: float) -> str:
 def _margin_that_covers(head: HeadSightings, first: float, last: float) -> float:
     """Seconds from a strip within which a head has attitudes before and after it; 0 where it has not."""
     source = head.head.source
-    near: Floats = np.array([one.t_s for one in head.stars])
-    t_s = source.rows.t_s if isinstance(source, SolvedAttitudes) else near
+    seen = [exposure.t_s for exposure in head.stars]
+    t_s = source.rows.t_s if isinstance(source, SolvedAttitudes) else np.array(seen)
     before, after = t_s[t_s <= first], t_s[t_s >= last]
     return float(max(first - before[-1], after[0] - last)) if len(before) and len(after) else 0.0
 

@@ -47,7 +47,6 @@ class HeadSightings:
     stars: tuple[StarSightings, ...] = array("K", "in order of time; none where the head solved attitudes")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     omissions: tuple[Entry, ...] = scalar("what cannot be used, with the reasons")
-    computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")
 
 
 def sight_head(
@@ -58,7 +57,7 @@ def sight_head(
         return _solved(dump, head, head.source, settings.run.exposure_margin_s)
     folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
     tasks, uncovered = star_tasks(dump, head.source, settings.stars)
-    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    outcomes = runner.run(sight_exposure, tasks, folder=folder)
     stars = [one for one in outcomes if isinstance(one, StarSightings)]
     stars.sort(key=lambda one: (one.t_s, one.exposure_id))  # the order in which sums are made
     failed = [one for one in outcomes if isinstance(one, Entry)]
@@ -67,7 +66,6 @@ def sight_head(
         stars=tuple(stars),
         attitudes=fit_exposures(stars, fit),
         omissions=(*uncovered, *failed),
-        computed=tuple(computed),
     )
 
 
@@ -100,7 +98,6 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
         stars=tuple(map(exposure_without_stars, names, t_s.tolist())),
         attitudes=solved_attitudes(R_si, white if rows.covariance_s is None else rows.covariance_s[at]),
         omissions=tuple(omissions),
-        computed=(),
     )
 
 

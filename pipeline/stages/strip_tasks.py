@@ -26,7 +26,6 @@ from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
-    carriers,
     covered_strips,
     stated_mountings,
     strip_sightings,
@@ -71,12 +70,12 @@ def strip_tasks(
     """
     tasks = []
     points = {one.strip_id: one for one in dump.points}
-    run = settings.run
-    covered, omitted = covered_strips(dump.strips, carriers(dump, heads, run.exposure_margin_s))
+    margin = settings.run.exposure_margin_s
+    covered, omitted = covered_strips(dump, dump.strips, heads, margin)
     for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
-        margin, R_si, cov_s = run.exposure_margin_s, attitudes_in_s(head, near, heads[0], mountings), None
+        R_si, cov_s = attitudes_in_s(head, near, heads[0], mountings), None
         if dump.heads[0].gyro is not None and dump.heads[0].gyro_around(times, dump.orbit) is None:
             reason = f"its gyro has no rows, or a gap, between the attitudes around strip {strip.strip_id}"
             omitted.append(Entry(dump.heads[0].subject, Reason.NOT_COVERED, f"{reason}: not used there"))
