@@ -281,7 +281,7 @@ def lost_targets(
     not matched.
     """
     left = ledger.take(~ledger.within(explained))
-    dead = _dead_ccds(images, left)
+    dead = _flat_ccds(images, left.take(left.is_of(Reason.ONE_GREY_VALUE)).cells())
     for ccd, strips in dead.items():
         cells = [Subject(Kind.CCD, strip=strip, ccd=ccd) for strip in strips]
         yield _dead_ccd(ccd, strips, left.subjects(~left.found & left.within(cells)))
@@ -332,13 +332,15 @@ def _lost_strips(
         yield lost_strip(subject, targets, all_flat=all(flat))
 
 
-def _dead_ccds(images: Mapping[str, StripFiles], ledger: Ledger) -> dict[int, list[str]]:
-    """Strips in which the image of a CCD has no content, by CCD, as targets that show one grey value tell."""
-    dead: dict[int, list[str]] = {}
-    for strip_id, ccd in ledger.take(ledger.is_of(Reason.ONE_GREY_VALUE)).cells():
-        if ccd in images[strip_id].ccds and is_flat(images[strip_id], ccd):
-            dead.setdefault(ccd, []).append(strip_id)
-    return dead
+def _flat_ccds(
+    images: Mapping[str, StripFiles], cells: Iterable[tuple[str, int]], most: float = FLAT_COUNTS
+) -> dict[int, list[str]]:
+    """Those strips, by CCD, of some cells (strip, CCD) in which the image has no content."""
+    flat: dict[int, list[str]] = {}
+    for strip_id, ccd in cells:
+        if ccd in images[strip_id].ccds and is_flat(images[strip_id], ccd, most):
+            flat.setdefault(ccd, []).append(strip_id)
+    return flat
 
 
 def lost_stars(
@@ -346,11 +348,9 @@ def lost_stars(
 ) -> Iterator[Finding]:
     """CCDs that lack too many bright stars of the sky without those that `explained` concern."""
     left = ledger.take(~ledger.within(explained))
-    cells, dark = left.cells(), dict[int, list[str]]()
-    for strip_id in left.strips:
-        for ccd in images[strip_id].ccds:
-            if not cells.get((strip_id, ccd), (0, 0))[0] and is_flat(images[strip_id], ccd, FLAT_SKY_COUNTS):
-                dark.setdefault(ccd, []).append(strip_id)
+    every = [(strip_id, ccd) for strip_id in left.strips for ccd in images[strip_id].ccds]
+    seen = {cell for cell, (found, _) in left.cells().items() if found}
+    dark = _flat_ccds(images, [cell for cell in every if cell not in seen], FLAT_SKY_COUNTS)
     for ccd, strips in dark.items():
         yield _dead_ccd(ccd, strips)
     displaced = [ccd for ccd in lost_ccds(left, OF_STARS) if ccd not in dark]

@@ -36,7 +36,7 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
 from boresight.pipeline.run.executor import InOrder
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.exposure import star_tasks
@@ -295,9 +295,8 @@ def examined(
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:
     """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices."""
     runner, settings = StageRunner(None, InOrder()), basis.settings
-    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     heads = [
-        sight_head(dump, head, settings, fit, runner)
+        sight_head(dump, head, settings, runner)
         if isinstance(head.source, SolvedAttitudes)
         else replace(before, head=head)
         for head, before in zip(dump.heads, basis.heads)

@@ -85,23 +85,19 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterato
         )
 
 
-def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> Floats:
-    """Rotations (K, 3), axes of s, of attitudes (K, 3, 3) fitted to stars whose aberration is too large by
-    that of a velocity (K, 3): the line of sight (3,), axes of s, goes back by what the stars went forward.
-    """
-    beta_s = np.einsum("kab,kb->ka", R_si, v_i) / SPEED_OF_LIGHT
-    return -np.cross(line_of_sight_s, beta_s)
-
-
 def _turns(
     strips: Sequence[StripSightings], velocity: Callable[[Floats], Floats], line_of_sight_s: Floats
 ) -> dict[str, Floats]:
-    """The same strip by strip, by a velocity at each instant."""
-    return {
-        strip.strip_id: _turned_by_velocity(strip.fitted.R_si, velocity(strip.times_s), line_of_sight_s)
-        for strip in strips
-        if strip.exposures
-    }
+    """Rotations (K, 3), axes of s, of the attitudes of each strip, fitted to stars whose aberration is too
+    large by that of a velocity at each instant: the line of sight (3,), axes of s, goes back by what the
+    stars went forward.
+    """
+    turns = {}
+    for strip in strips:
+        if strip.exposures:
+            beta_s = np.einsum("kab,kb->ka", strip.fitted.R_si, velocity(strip.times_s)) / SPEED_OF_LIGHT
+            turns[strip.strip_id] = -np.cross(line_of_sight_s, beta_s)
+    return turns
 
 
 def _velocities(dump: Dump) -> Mapping[str, Callable[[Floats], Floats]]:

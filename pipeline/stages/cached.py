@@ -127,12 +127,9 @@ def log_unit(stage: str, outcome: Any, computed: bool) -> None:
     """Log the outcome of one exposure or strip of a stage, and each reason why something is not used."""
     if not log.isEnabledFor(logging.DEBUG):
         return
-    found = "" if computed else " (from an earlier run)"
-    for n, line in enumerate(_lines(outcome)):
-        log.debug("%s", printable(f"{stage} {line}{found}" if n == 0 else f"    {line}"))
-
-
-def _lines(outcome: Any) -> list[str]:
+    lines = outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]
     if isinstance(outcome, Entry):
-        return [f"{outcome.subject.name}: not used, {outcome.text}"]
-    return outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]
+        lines = [f"{outcome.subject.name}: not used, {outcome.text}"]
+    found = "" if computed else " (from an earlier run)"
+    for n, line in enumerate(lines):
+        log.debug("%s", printable(f"{stage} {line}{found}" if n == 0 else f"    {line}"))

@@ -21,6 +21,8 @@ from boresight.pipeline.files.strip_table import Strip
 
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
+    from boresight.pipeline.stages.sky_strip import SkyTask
+    from boresight.pipeline.stages.strip import StripTask
 
 __all__ = [
     "attitudes_in_s",
@@ -30,7 +32,6 @@ __all__ = [
     "rows_of_heads",
     "stated_mountings",
     "strip_sightings",
-    "turn_to_reference",
 ]
 
 
@@ -63,11 +64,6 @@ def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
     return {one.head.name: one.head.R_cs0 for one in heads}
 
 
-def turn_to_reference(head: str, reference: str, mountings: Mapping[str, Rotation]) -> Rotation:
-    """Rotation from the frame of a head to that of the reference head, by the matrices of both."""
-    return mountings[reference].inv() * mountings[head]
-
-
 def attitudes_in_s(
     head: HeadSightings, rows: Ints, reference: HeadSightings, mountings: Mapping[str, Rotation]
 ) -> Rotation:
@@ -75,7 +71,7 @@ def attitudes_in_s(
     R_hi = Rotation.from_matrix(head.attitudes.R_si[rows])
     if head is reference:
         return R_hi
-    return turn_to_reference(head.head.name, reference.head.name, mountings) * R_hi
+    return mountings[reference.head.name].inv() * mountings[head.head.name] * R_hi
 
 
 def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Entry:
@@ -175,24 +171,22 @@ def rows_of_heads(
 
 
 def strip_sightings(
-    strip_id: str,
+    task: StripTask | SkyTask,
     sightings: GroundSightings,
-    t_attitude_s: Floats,
     nominal: NominalMotion,
     heads: Sequence[HeadSightings],
-    carrier: str = "",
     *,
     earth: str = "",
 ) -> StripSightings:
     """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
-    where another head, `carrier`, covers the strip. `earth` is the prediction of Earth orientation.
+    where another head carries the strip. `earth` is the prediction of Earth orientation.
     """
-    reference = heads[0]
+    reference, t_attitude_s = heads[0], task.t_attitude_s
     by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
-    own = carrier in ("", reference.head.name)
+    own = task.carrier in ("", reference.head.name)
     rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
     return StripSightings(
-        strip_id=strip_id,
+        strip_id=task.strip.strip_id,
         exposures=tuple(reference.stars[k] for k in rows),
         ground=sightings,
         R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
@@ -201,7 +195,7 @@ def strip_sightings(
         noise=reference.head.noise,
         others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
         gyro=reference.head.gyro_around(t_attitude_s, nominal),
-        interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
+        interpolation=task.interpolation,
         earth=earth,
     )
 

@@ -24,7 +24,6 @@ from boresight.pipeline.stages.coverage import (
     covered_strips,
     stated_mountings,
     strip_sightings,
-    turn_to_reference,
 )
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import (
@@ -62,7 +61,7 @@ class SkySide:
         def turned(task: SkyTask) -> SkyTask:
             if task.carrier == reference:
                 return task
-            before, now = (turn_to_reference(task.carrier, reference, each) for each in (stated, mountings))
+            before, now = (each[reference].inv() * each[task.carrier] for each in (stated, mountings))
             return replace(task, R_si=now * before.inv() * task.R_si)
 
         return replace(self, tasks=tuple(map(turned, self.tasks)))
@@ -107,14 +106,7 @@ def named_sightings(
 ) -> list[StripSightings]:
     """The strips with at least one named star."""
     return [
-        strip_sightings(
-            task.strip.strip_id,
-            sky_sightings(task, one),
-            task.t_attitude_s,
-            task.nominal,
-            heads,
-            task.carrier,
-        )
+        strip_sightings(task, sky_sightings(task, one), task.nominal, heads)
         for task, one in zip(side.tasks, named)
         if len(one.rows)
     ]

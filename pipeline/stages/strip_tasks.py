@@ -22,7 +22,7 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
@@ -113,13 +113,7 @@ def matched_strips(
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
     return [
         strip_sightings(
-            task.strip.strip_id,
-            ground_sightings(of_strip, task),
-            task.t_attitude_s,
-            task.orbit,
-            heads,
-            task.carrier,
-            earth=task.orbit.earth.prediction,
+            task, ground_sightings(of_strip, task), task.orbit, heads, earth=task.orbit.earth.prediction
         )
         for task, of_strip in zip(tasks, matched)
         if len(of_strip.target_id)
@@ -152,9 +146,8 @@ def before_launch(
     """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,
     with the pre-launch matrices, and an omission for each other one.
     """
-    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     runner = StageRunner(None, executor)
-    heads = [sight_head(dump, head, settings, fit, runner) for head in dump.heads]
+    heads = [sight_head(dump, head, settings, runner) for head in dump.heads]
     sigma_rad, mountings = dump.sigma_installation_rad, stated_mountings(heads)
     return heads, *strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)
 
