@@ -76,14 +76,11 @@ OF_TARGETS = LossLimits(what="targets", share=0.3, probability=1e-4, fewest_stri
 OF_STARS = LossLimits(what="stars", share=0.04, probability=1e-3, fewest_strips=1)
 
 
-@record(kw_only=True)
+@record
 class Group:
     """Observations that one cause would take away, and those beside them that it would leave."""
 
-    cause: str = scalar("what is lost")
-    item: str = scalar("the group in words")
-    subjects: tuple[Subject, ...] = scalar("CCDs or strips that it lies in; empty: all")
-    advice: str = scalar("what to look at")
+    loss: Finding = scalar("that they are lost, without the numbers; its text: what to look at")
     inside: Bools = scalar("(N,) mask of the ledger")
     beside: Bools = scalar("(N,) mask of the ledger")
 
@@ -133,16 +130,10 @@ def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
             return
         group = groups[best]
         kept, rest = found[group.inside & left], found[group.beside & left]
-        yield Finding(
-            cause=group.cause,
-            item=group.item,
-            subjects=group.subjects,
-            text=f"{kept.sum()} of {len(kept)} {limits.what} found, of the other half {rest.sum()} of "
-            f"{len(rest)}: {group.advice}.",
-            file="strips.csv",
-            field="file",
-            p_value=tested[best],
+        counts = (
+            f"{kept.sum()} of {len(kept)} {limits.what} found, of the other half {rest.sum()} of {len(rest)}"
         )
+        yield replace(group.loss, text=f"{counts}: {group.loss.text}.", p_value=tested[best])
         left = left & ~group.inside  # what it explains is not told again
 
 
@@ -205,14 +196,15 @@ class Split:
             low = here & (value < edge if self.edge is not None else value <= edge)
             whole = subjects[0].words if subjects else ""
             for n, inside in enumerate((low, here & ~low)):
-                yield Group(
+                loss = Finding(
                     cause=self.causes[n],
                     item=self.items[n].format(whole=whole, edge=edge),
                     subjects=subjects,
-                    advice=self.advice[n],
-                    inside=inside,
-                    beside=here & ~inside,
+                    text=self.advice[n],
+                    file="strips.csv",
+                    field="file",
                 )
+                yield Group(loss, inside, here & ~inside)
 
 
 SPLITS = (

@@ -197,16 +197,16 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
         rows = np.array([row.get(name, 0) for name in ground.target_id.tolist()], dtype=np.int64)
         return -survey.places.take(rows).motions()
 
-    moves = {"epoch": by_epoch} | {one: partial(_by_precession, one) for one in EQUINOXES}
-    for name, move in moves.items():
-        of_equinox = name != "epoch"
+    moves: list[tuple[str, str, Callable[[GroundSightings], Floats]]]
+    moves = [("equinox", "equinox (ICRS is expected)", partial(_by_precession, n)) for n in EQUINOXES]
+    for what, field, move in [("epoch", "ref_epoch, pmra, pmdec", by_epoch), *moves]:
         yield MovedInput(
-            cause=f"catalogue of the stars, {'equinox' if of_equinox else name}",
+            cause=f"catalogue of the stars, {what}",
             item="all scans",
             unit="years",
             words=("too late", "too early"),
             file=dump.star_catalogue.file,
-            field="equinox (ICRS is expected)" if of_equinox else "ref_epoch, pmra, pmdec",
+            field=field,
             most=200.0,
             usual=25.0,
             directions_i={one.strip_id: one.ground.is_star[:, None] * move(one.ground) for one in strips},
