@@ -39,7 +39,7 @@ def test_attitudes_turn_with_a_velocity_as_by_the_aberration_that_a_head_left_in
     expected = (turned * R_si.inv()).as_rotvec()
     # Of second order in v/c, 6e-10 rad, and the annual part's own change: far below 1e-3 of 5 arc-seconds.
     fitted = SimpleNamespace(R_si=R_si.as_matrix())
-    strip = SimpleNamespace(strip_id="s", exposures=t_s, times_s=t_s, fitted=fitted)
+    strip = SimpleNamespace(strip_id="s", exposures=(1, 2, 3), times_s=t_s, fitted=fitted)
     turns = _turns([strip], lambda t_s: v_i, u_s)
     assert np.abs(turns["s"] - expected).max() < 1e-3 * 5.0 * ARCSEC
 
