@@ -44,7 +44,7 @@ from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
@@ -305,8 +305,7 @@ def noise(options: argparse.Namespace) -> None:
     strips = options.seeds
     dump = open_dump(ROOT / "fixtures" / "sky")
     settings = Settings(sky_strips=StripStarSettings(false_alarms_per_strip=NOISE_PEAKS))
-    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
-    reference = sight_head(dump, dump.heads[0], settings, fit, StageRunner())
+    reference = sight_head(dump, dump.heads[0], settings, StageRunner())
     task = find_in_sky_strips(dump, [reference], settings, StageRunner()).tasks[0]
     survey, sigma = all_hipparcos(), dump.sigma_installation_rad
     detections, named, chance = 0, 0, 0.0

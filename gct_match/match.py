@@ -25,12 +25,11 @@ from boresight.gct_match.predict.template import Template, chip_points, chip_sid
 from boresight.gct_match.predict.trajectories import displacements
 from boresight.gct_match.records import Chip, StripMatches, Target, TargetMatch, not_matched
 from boresight.gct_match.search.coarse import read_window
-from boresight.gct_match.search.common_rotation import search_common_rotation
+from boresight.gct_match.search.common_rotation import Each, search_common_rotation
 from boresight.gct_match.search.search_plan import SearchPlan, plan_search
 from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.gct_match.texture import expected_sigma_px
-from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.pushbroom import Pushbroom

@@ -6,7 +6,8 @@ leap seconds, occurs only in text. UTC before 1972 (not a whole number of second
 `ValueError`.
 
 Scales: TT = TAI + 32.184 s; GPS time = TAI - 19 s; UTC = TAI - (10 ... 37 s) by the table of leap seconds in
-ERFA.
+ERFA; NAIF's ephemeris time (ET) is barycentric dynamical time (TDB) past J2000 by the formula of SPICE, so
+that instants agree to the rounding of ET, whose double resolves 0.1 µs in this century.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from boresight.geometry.constants import DAY_S
 
-__all__ = ["GPS_MINUS_TAI_S", "TT_MINUS_TAI_S", "Epoch", "tai_minus_utc_s"]
+__all__ = [
+    "GPS_MINUS_TAI_S",
+    "TT_MINUS_TAI_S",
+    "Epoch",
+    "ephemeris_time",
+    "seconds_from_ephemeris_time",
+    "tai_minus_utc_s",
+]
 
 Array = NDArray[np.float64]
 
@@ -127,6 +135,21 @@ def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
     return np.asarray(offsets[index], dtype=float)
 
 
+def ephemeris_time(epoch: Epoch, t_s: ArrayLike) -> Array:
+    """Ephemeris time (N,), s, of TAI seconds since the epoch (N,)."""
+    tt = epoch.tai_s + np.asarray(t_s, dtype=float) + TT_MINUS_TAI_S
+    return np.asarray(tt + _tdb_minus_tt(tt))
+
+
+def seconds_from_ephemeris_time(epoch: Epoch, et: ArrayLike) -> Array:
+    """TAI seconds since the epoch (N,) of ephemeris times (N,), s; exact to the rounding of `et`."""
+    et = np.asarray(et, dtype=float)
+    tt = et
+    for _ in range(3):  # the difference changes by 3e-10 of the time
+        tt = et - _tdb_minus_tt(tt)
+    return np.asarray((et - epoch.tai_s) - TT_MINUS_TAI_S - _tdb_minus_tt(tt))
+
+
 @cache
 def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """MJD of the first day on which each TAI - UTC holds, and that TAI - UTC."""
@@ -197,3 +220,11 @@ def _utc_from_tai(tai_s: int, nanosecond: int) -> str:
     hour, second = divmod(second, 3600)
     minute, second = divmod(second, 60)
     return f"{date.isoformat()}T{hour:02d}:{minute:02d}:{second + int(in_leap_second):02d}.{nanosecond:09d}"
+
+
+def _tdb_minus_tt(tt: Array) -> Array:
+    """K sin E, E = M + EB sin M, M = M0 + M1 t, s, with the constants of NAIF's leap-second kernels (Time
+    Required Reading): 1.657 ms and yearly.
+    """
+    M = 6.239996 + 1.99096871e-7 * tt
+    return np.asarray(1.657e-3 * np.sin(M + 1.671e-2 * np.sin(M)))

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.geometry.constants import Ellipsoid
-from boresight.geometry.spherical import unit_vectors
 
 __all__ = [
     "columns_at_height",
@@ -20,6 +19,7 @@ __all__ = [
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
+    "unit_vectors",
     "vertical_at",
 ]
 
@@ -54,6 +54,12 @@ def ecef_from_geodetic(
         np.asarray(lat_rad, float), np.asarray(lon_rad, float), np.asarray(height_m, float)
     )
     return np.asarray(erfa.gd2gce(ellipsoid.semi_major_m, ellipsoid.flattening, lon, lat, height))
+
+
+def unit_vectors(longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> Array:
+    """Unit vectors (..., 3) at longitude and latitude (...), or at right ascension and declination."""
+    lon, lat = np.asarray(longitude_rad, float), np.asarray(latitude_rad, float)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def ellipsoid_normals(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:

@@ -3,23 +3,36 @@
 Space motion since the catalogue's epoch (a straight line in space, radial velocity included), parallax, light
 deflection by the Sun, and aberration by the satellite's barycentric velocity: the Earth's (ERFA's `epv00`)
 plus its own. All by ERFA's astrometry routines. Not modelled: deflection by planets (0.02" at Jupiter's limb)
-and by the Earth (0.0006" at its limb).
+and by the Earth (0.0006" at its limb). Aberration that a star camera has left in its attitudes is taken out.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Literal
 
 import erfa
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from boresight.geometry.constants import SPEED_OF_LIGHT
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar, shape_of
 
-__all__ = ["StarPlaces", "SurveyedStars", "apparent_star_directions", "catalogue_directions"]
+__all__ = [
+    "AberrationRemoved",
+    "StarPlaces",
+    "SurveyedStars",
+    "apparent_star_directions",
+    "catalogue_directions",
+    "earth_velocity_i",
+    "with_all_aberration",
+]
 
 Array = NDArray[np.float64]
+AberrationRemoved = Literal["none", "annual", "annual and orbital"]  # from attitudes of a star camera
+_AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 
 
 @record(kw_only=True)
@@ -107,6 +120,49 @@ def catalogue_directions(u_i: Array, epoch: Epoch, t_s: float, p_i: Array, v_i: 
     """
     ra, dec = erfa.aticq(*erfa.c2s(u_i), _observer(epoch, t_s, p_i, v_i))
     return np.asarray(erfa.s2c(ra, dec))
+
+
+def earth_velocity_i(epoch: Epoch, t_s: Floats) -> Floats:
+    """Velocity (N, 3) of the Earth about the barycentre at instants (N,), GCRS axes, m/s."""
+    return np.asarray(erfa.epv00(*epoch.tt_jd(t_s))[1]["v"] * _AU_PER_DAY)
+
+
+def with_all_aberration(
+    R_si: Rotation,
+    removed: AberrationRemoved,
+    epoch: Epoch,
+    t_s: Floats,
+    v_i: Floats,
+    *,
+    line_of_sight_s: Floats,
+) -> Rotation:
+    """Attitudes (N,) as if the head had used apparent directions with annual and orbital aberration.
+
+    A head that compares measured directions with catalogue directions in which an aberration is missing
+    reports the attitude that takes the incomplete direction b of its line of sight to that line in the head's
+    own axes, which need not be their z. The complete apparent direction there is a, so the attitude in the
+    sense of this package is the reported one times the smallest rotation that takes a to b. Stars at an angle
+    ρ from the line of sight agree with that to ρ²/4 of the effect.
+
+    `R_si` (N,), GCRS to star camera, is what the head reports at instants `t_s` (N,), TAI seconds since
+    `epoch`, having allowed for the aberration `removed`; `v_i` (N, 3) is the geocentric velocity of the
+    satellite, GCRS, m/s, and `line_of_sight_s` (3,) the unit vector along the middle of the head's field of
+    view, axes of its attitudes.
+    """
+    if removed == "annual and orbital":
+        return R_si
+    velocity = v_i
+    if removed == "none":
+        velocity = v_i + earth_velocity_i(epoch, t_s)
+    beta = velocity / SPEED_OF_LIGHT
+    b = R_si.inv().apply(line_of_sight_s)
+    inverse_gamma = np.sqrt(1.0 - np.einsum("ni,ni->n", beta, beta))
+    a = erfa.ab(b, beta, np.ones(len(b)), inverse_gamma)
+    normal = np.cross(a, b)
+    sine = np.linalg.norm(normal, axis=1, keepdims=True)
+    angle = np.arcsin(np.minimum(sine, 1.0))
+    rotvec = np.divide(normal * angle, sine, out=np.zeros_like(normal), where=sine > 0.0)
+    return R_si * Rotation.from_rotvec(rotvec)
 
 
 def _seen_by(observer: NDArray[np.void], stars: StarPlaces, years: Array) -> Array:

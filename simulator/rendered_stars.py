@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import array, record, scalar
-from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
 from boresight.simulator.mission_records import TrueExposure

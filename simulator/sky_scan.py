@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import record, scalar
-from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_star_directions
 from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude

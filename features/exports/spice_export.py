@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.exports.notes import one_line
 from boresight.features.exports.quaternions import continuous_quaternions
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
-from boresight.geometry.epoch import Epoch
+from boresight.geometry.epoch import Epoch, ephemeris_time, seconds_from_ephemeris_time
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, record, scalar
 

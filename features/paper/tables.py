@@ -34,8 +34,8 @@ from boresight.features.paper.vector_experiments import (
     table5,
     table5_readings,
 )
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.record import Floats
-from boresight.geometry.spherical import unit_vectors
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.simulator.campaign import CameraPair

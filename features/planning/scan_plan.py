@@ -22,6 +22,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
@@ -32,7 +33,6 @@ from boresight.geometry.sightings import (
     isotropic_covariance,
     solved_attitudes,
 )
-from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.simulator.motion import acceleration

@@ -15,7 +15,7 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.ledger import Entry, Reason
+from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
@@ -193,9 +193,11 @@ def _what_is_not_seen(
 ) -> Iterator[str]:
     """Star images, strips and targets of which nothing can be used."""
     for head in heads:
-        if head.computed and not head.stars:
+        of_exposures = [entry for entry in head.omissions if entry.subject.kind is Kind.EXPOSURE]
+        not_identified = [entry for entry in of_exposures if entry.reason is not Reason.NOT_COVERED]
+        if not_identified and not head.stars:
             yield (
-                f"none of {len(head.computed)} exposures of {head.head.name} is identified: check "
+                f"none of {len(not_identified)} exposures of {head.head.name} is identified: check "
                 "focal_length_mm (`boresight identify IMAGE` measures it), pixel_size_um, distortion and "
                 "bit_depth, and that images are not mirrored"
             )

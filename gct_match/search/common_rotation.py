@@ -10,9 +10,10 @@ The error of the installation matrix is one small rotation for the whole strip.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +31,14 @@ from boresight.gct_match.search.edge_search import (
 from boresight.gct_match.search.search_plan import Box, SearchPlan, Window, extents
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.each import Each
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.strip_image import StripImage
 
-__all__ = ["search_common_rotation", "vote_tolerance_px"]
+__all__ = ["Each", "search_common_rotation", "vote_tolerance_px"]
 
+Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # as `map`, perhaps by many at once
 _SUPPORTERS = 4  # targets that determine a rotation even if one of them agrees by accident
 
 

@@ -52,7 +52,7 @@ from boresight.pipeline.stages.sky_side import named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
 from boresight.pipeline.stages.strip_tasks import matched_strips
 
-__all__ = ["assessed"]
+__all__ = ["Assessment", "assessed"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,8 @@ def assessed(
     else:
         explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
     if of_attitudes:  # which move all CCDs of a strip alike: what refutes by some of them stands
-        explanations = [one for one in explanations if one.refutes and _is_of_ccds(one)]
+        explanations = [one for one in explanations if one.refutes and one.subjects]
+        explanations = [one for one in explanations if all(it.kind is Kind.CCD for it in one.subjects)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
     if (noise := reliability.scatter) and {one.strip for one in noise.subjects} & lost - {""}:
         verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))
@@ -109,10 +110,6 @@ def assessed(
         *earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
     ]
     return Assessment(verdict.with_findings(findings), earth, sighted, inputs)
-
-
-def _is_of_ccds(finding: Finding) -> bool:
-    return bool(finding.subjects) and all(one.kind is Kind.CCD for one in finding.subjects)
 
 
 def _sighted(

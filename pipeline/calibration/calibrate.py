@@ -13,16 +13,14 @@ id, so the result is the same bit for bit.
 from __future__ import annotations
 
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.moved_input import MovedInput
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import inner, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
-from boresight.pipeline.calibration.assessment import assessed
-from boresight.pipeline.calibration.rounds import first_and_last_round, unused_so_far
-from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
+from boresight.pipeline.calibration.assessment import Assessment, assessed
+from boresight.pipeline.calibration.rounds import Round, first_and_last_round, unused_so_far
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.repeats import targets_once
@@ -31,9 +29,9 @@ from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.cached import Progress, StageRunner
-from boresight.pipeline.stages.head import Basis, sight_head
+from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
-from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
+from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
 
 __all__ = ["DumpCalibration", "calibrate_dump"]
@@ -44,32 +42,29 @@ class DumpCalibration:
     """Everything that a calibration found, ready to be written or drawn."""
 
     estimate: InstallationEstimate = scalar("installation matrix with covariance and statistics")
-    verdict: Verdict = scalar("whether the data contradict themselves")
-    earth_table: EarthTableCheck = scalar("how well the Earth orientation is known at the dump's date")
-    stars: tuple[StarSightings, ...] = array("K", "all identified exposures, in order of time")
-    attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
-    tasks: tuple[StripTask, ...] = array("S", "strips of the last matching")
-    matched: tuple[MatchedTargets, ...] = array("S", "targets matched in the same strips")
-    sky: SkySide = scalar("strips of the sky with their detections")
-    named: tuple[NamedStars, ...] = scalar("named stars of the same strips")
-    strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
-    sighted: tuple[StripSightings, ...] = scalar("the same, with what was measured and left out")
-    inputs: tuple[MovedInput, ...] = scalar("what further inputs do to the sighted strips, by prediction")
+    reference: HeadSightings = scalar("star camera that defines frame s")
+    last: Round = scalar("last matching and estimation")
+    assessment: Assessment = scalar("what is said of the estimate")
     settings: CalibrationSettings = scalar("of the estimate, with the dump's stated errors")
     omissions: tuple[Entry, ...] = scalar("everything that is not used, with reasons")
     rows: tuple[Rows, ...] = scalar("how many rows of each table the estimate depends on")
     n_computed: int = scalar("exposures and strips that were computed in this run")
     n_reused: int = scalar("those that were read from the store")
 
+    stars = inner[tuple[StarSightings, ...]]("reference.stars", "identified exposures, in order of time")
+    attitudes = inner[ExposureAttitudes]("reference.attitudes", "attitudes of the same exposures")
+    tasks = inner[tuple[StripTask, ...]]("last.tasks", "strips of the last matching")
+    matched = inner[tuple[MatchedTargets, ...]]("last.matched", "targets matched in the same strips")
+    sky = inner[SkySide]("last.sky", "strips of the sky with their detections")
+    named = inner[tuple[NamedStars, ...]]("last.named", "named stars of the same strips")
+    observed = inner[tuple[MatchedTargets, ...]]("last.observed", "targets and named stars")
+    strips = inner[tuple[StripSightings, ...]]("last.strips", "of the estimate, ground first")
+    verdict = inner[Verdict]("assessment.verdict", "whether the data contradict themselves")
+
     @property
     def camera(self) -> LineSensor:
         """Model of the remote-sensing camera."""
         return self.tasks[0].camera if self.tasks else self.sky.tasks[0].camera
-
-    @property
-    def observed(self) -> tuple[MatchedTargets, ...]:
-        """Targets of the strips of the ground, and named stars of those of the sky."""
-        return (*self.matched, *map(as_matched, self.named))
 
     @property
     def ground_strips(self) -> tuple[StripSightings, ...]:
@@ -95,11 +90,11 @@ def calibrate_dump(
     dump = targets_once(dump, settings.match)
     runner = StageRunner(store, executor or InOrder(), progress)
     errors = calibration_settings(settings, dump.errors, dump.line_camera)
-    heads = tuple(sight_head(dump, head, settings, errors.attitudes, runner) for head in dump.heads)
+    heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
     sky = find_in_sky_strips(dump, heads, settings, runner)
     surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
     basis = Basis(dump, heads, settings, errors, runner)
-    first, last, matchings = first_and_last_round(basis, sky)
+    first, last = first_and_last_round(basis, sky)
     found = last.estimate.with_reference(basis.reference)
     omissions = (
         *unused_so_far(basis, sky),
@@ -107,24 +102,14 @@ def calibrate_dump(
         *found.rejected,
         *unused_rows(dump, last.tasks, last.observed, settings.run.exposure_margin_s),
     )
-    said = assessed(basis, first, last, found, omissions)
-    computed = [*sky.computed, *(flag for head in heads for flag in head.computed), *matchings]
     return DumpCalibration(
         estimate=found,
-        verdict=said.verdict,
-        earth_table=said.earth_table,
-        stars=heads[0].stars,
-        attitudes=heads[0].attitudes,
-        tasks=last.tasks,
-        matched=last.matched,
-        sky=last.sky,
-        named=last.named,
-        strips=last.strips,
-        sighted=said.sighted,
-        inputs=said.inputs,
+        reference=heads[0],
+        last=last,
+        assessment=assessed(basis, first, last, found, omissions),
         settings=errors,
         omissions=omissions,
         rows=rows_used(dump, found, last.strips),
-        n_computed=sum(computed),
-        n_reused=len(computed) - sum(computed),
+        n_computed=runner.computed[True],
+        n_reused=runner.computed[False],
     )

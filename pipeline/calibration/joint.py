@@ -142,7 +142,9 @@ def calibrate_jointly(
     sigma = np.concatenate([dump.sigma_installation_rad for dump in of_cameras.values()])
     pixel_rad = {name: dump.line_camera.pixel_rad for name, dump in of_cameras.items()}
     sighted = [
-        _renamed(strip, named, epoch, target_names) for named, found in calibrated for strip in found.sighted
+        _renamed(strip, named, epoch, target_names)
+        for named, found in calibrated
+        for strip in found.assessment.sighted
     ]
     reliability = examine(
         estimate,
@@ -182,7 +184,7 @@ def _joined_inputs(calibrated: Sequence[tuple[NamedDump, DumpCalibration]]) -> l
     """What inputs of the same kind do in all dumps, strips with the names of their dumps."""
     joined: dict[tuple[str, str], MovedInput] = {}
     for named, found in calibrated:
-        for one in found.inputs:
+        for one in found.assessment.inputs:
             before = joined.get((one.cause, one.item), replace(one, directions_i={}, turns_s={}))
             directions, turns = (
                 {f"{named.name}/{strip_id}": change for strip_id, change in own.items()}

@@ -9,7 +9,7 @@ predicted less well than a later matching predicts them, or where a target was r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,49 +52,42 @@ __all__ = [
 Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
 
 
-def match_strips(
-    tasks: Sequence[StripTask], runner: StageRunner, folder: str
-) -> tuple[list[MatchedTargets], list[bool]]:
-    """Targets matched in strips, and which strips were computed now."""
-    outcomes, flags = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
+def match_strips(tasks: Sequence[StripTask], runner: StageRunner, folder: str) -> list[MatchedTargets]:
+    """Targets matched in strips."""
+    outcomes = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
     return [
         with_points(no_matches(one) if isinstance(one, Entry) else one, task.points)
         for task, one in zip(tasks, outcomes)
-    ], flags
+    ]
 
 
 def match_first(
     tasks: Sequence[StripTask],
     start_from: Callable[[StripTask, MatchedTargets], Start | None],
     runner: StageRunner,
-) -> tuple[list[StripTask], list[MatchedTargets], list[bool]]:
-    """Tasks as they were matched, targets matched in them, and which units of work were computed now.
+) -> tuple[list[StripTask], list[MatchedTargets]]:
+    """Tasks as they were matched, and targets matched in them.
 
     `start_from` gives the matrix that one strip determines.
     """
     if not any(task.targets for task in tasks[1:]):  # nothing that a better matrix would find
-        return list(tasks), *match_strips(tasks, runner, "matching-0")
+        return list(tasks), match_strips(tasks, runner, "matching-0")
     matched: list[MatchedTargets] = []
-    computed: list[bool] = []
     start = None
     while start is None and len(matched) < len(tasks):
         task = tasks[len(matched)]
-        found, flags = match_strips([task], runner, "matching-0")
-        matched, computed = matched + found, computed + flags
-        start = start_from(task, found[0])
+        matched += match_strips([task], runner, "matching-0")
+        start = start_from(task, matched[-1])
     n = len(matched)
     if start is None or n == len(tasks):
-        return list(tasks), matched, computed
+        return list(tasks), matched
     R_cs, sigma = start
     near = [replace(task, R_cs=R_cs, sigma_installation_rad=sigma, is_known=True) for task in tasks[n:]]
-    found, flags = match_strips(near, runner, "matching-1")
-    used, matched, computed = [*tasks[:n], *near], matched + found, computed + flags
+    used, matched = [*tasks[:n], *near], matched + match_strips(near, runner, "matching-1")
     if missed := [k for k, one in enumerate(matched) if k >= n and not len(one.target_id)]:
-        found, flags = match_strips([tasks[k] for k in missed], runner, "matching-0")
-        computed += flags
-        for k, one in zip(missed, found):
+        for k, one in zip(missed, match_strips([tasks[k] for k in missed], runner, "matching-0")):
             used[k], matched[k] = tasks[k], one
-    return used, matched, computed
+    return used, matched
 
 
 def match_again(
@@ -103,19 +96,18 @@ def match_again(
     settled_px: float,
     runner: StageRunner,
     folder: str,
-) -> tuple[list[MatchedTargets], list[bool]]:
-    """Targets matched in strips, and which strips were computed now.
+) -> list[MatchedTargets]:
+    """Targets matched in strips.
 
     Settled strips of the matching `before`, in any order, stay as they are (`is_settled`).
     """
     settled = {one.strip_id: one for one in before if is_settled(one, settled_px)}
     open_tasks = [task for task in tasks if task.strip.strip_id not in settled]
-    found, flags = match_strips(open_tasks, runner, folder) if open_tasks else ([], [])
-    again = {one.strip_id: one for one in found}
+    again = {one.strip_id: one for one in match_strips(open_tasks, runner, folder)} if open_tasks else {}
     return [
         predicted_again(settled[name], task) if (name := task.strip.strip_id) in settled else again[name]
         for task in tasks
-    ], flags
+    ]
 
 
 def is_settled(matched: MatchedTargets, settled_px: float) -> bool:
@@ -137,7 +129,6 @@ class Round:
     named: tuple[NamedStars, ...] = scalar("named stars of the strips of the sky")
     strips: tuple[StripSightings, ...] = scalar("those that the estimate is made from, ground first")
     omissions: tuple[Entry, ...] = scalar("strips, targets and stars that are not used")
-    computed: tuple[bool, ...] = scalar("which matchings had to be computed")
 
     @property
     def observed(self) -> tuple[MatchedTargets, ...]:
@@ -145,23 +136,20 @@ class Round:
         return (*self.matched, *map(as_matched, self.named))
 
 
-def first_and_last_round(basis: Basis, sky: SkySide) -> tuple[Round, Round, list[bool]]:
-    """The first round, from the pre-launch matrix, and the last, each from the estimate before it; and which
-    matchings of all rounds had to be computed. `DataNotSufficientError` where the data do not determine all
-    three angles.
+def first_and_last_round(basis: Basis, sky: SkySide) -> tuple[Round, Round]:
+    """The first round, from the pre-launch matrix, and the last, each from the estimate before it.
+    `DataNotSufficientError` where the data do not determine all three angles.
     """
     start = basis.dump.R_cs0, basis.dump.sigma_installation_rad
     mountings = stated_mountings(basis.heads)
     first = last = _one_round(1, None, basis, sky, start, mountings)
-    computed = list(first.computed)
     for number in range(2, basis.settings.run.rounds + 1):
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
         start = last.estimate.R_cs, _rematch_sigma(last.estimate, basis.settings)
         mountings |= {one.name: one.R_cs for one in last.estimate.with_reference(basis.reference).heads}
         last = _one_round(number, last, basis, sky, start, mountings)
-        computed += last.computed
-    return first, last, computed
+    return first, last
 
 
 def _one_round(
@@ -169,13 +157,13 @@ def _one_round(
     before: Round | None,
     basis: Basis,
     sky: SkySide,
-    start: tuple[Rotation, Floats],
+    start: Start,
     mountings: Mapping[str, Rotation],
 ) -> Round:
-    """Round `number` from the matrix `start`, its 1-sigma (3,), those of all heads; `before`: the last."""
+    """Round `number` from the matrix `start` and those of all heads; `before`: the one before it, if any."""
     dump, heads, settings = basis.dump, basis.heads, basis.settings
 
-    def start_from(task: StripTask, matched: MatchedTargets) -> tuple[Rotation, Floats] | None:
+    def start_from(task: StripTask, matched: MatchedTargets) -> Start | None:
         strips = matched_strips([task], [matched], heads)
         alone = calibrate_strips(strips, dump.R_cs0, basis.errors) if strips else None
         if not isinstance(alone, InstallationEstimate):
@@ -183,14 +171,13 @@ def _one_round(
         return alone.R_cs, _rematch_sigma(alone, settings)
 
     tasks, uncovered = strip_tasks(dump, heads, *start, mountings, settings)
-    if number == 1:
-        tasks, matched, flags = match_first(tasks, start_from, basis.runner)
+    if before is None:
+        tasks, matched = match_first(tasks, start_from, basis.runner)
     else:
-        known, folder = before.matched if before else (), f"matching-{number}"
-        tasks = [replace(task, is_known=True) for task in tasks]
-        matched, flags = match_again(tasks, known, settings.run.settled_px, basis.runner, folder)
+        tasks, settled_px = [replace(task, is_known=True) for task in tasks], settings.run.settled_px
+        matched = match_again(tasks, before.matched, settled_px, basis.runner, f"matching-{number}")
     sky = sky.aligned(heads, mountings)
-    named = name_in_sky_strips(dump, sky, *start, known=number > 1)
+    named = name_in_sky_strips(dump, sky, *start, known=before is not None)
     strips = [*matched_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
     estimate = calibrate_strips(strips, dump.R_cs0, basis.errors)
     unmatched = [omission for one in matched for omission in one.omissions]
@@ -203,6 +190,11 @@ def _one_round(
         if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known_so_far, *unmatched])
+    without_targets = [
+        Entry(Subject(Kind.STRIP, strip=one.strip_id), Reason.NO_TARGET, "no target was matched in it")
+        for one in matched
+        if not len(one.target_id)
+    ]
     return Round(
         estimate=estimate,
         tasks=tuple(tasks),
@@ -210,8 +202,7 @@ def _one_round(
         sky=sky,
         named=tuple(named),
         strips=tuple(strips),
-        omissions=(*uncovered, *unmatched, *_without_targets(matched), *unnamed),
-        computed=tuple(flags),
+        omissions=(*uncovered, *unmatched, *without_targets, *unnamed),
     )
 
 
@@ -223,11 +214,3 @@ def unused_so_far(basis: Basis, sky: SkySide) -> list[Entry]:
 
 def _rematch_sigma(estimate: InstallationEstimate, settings: Settings) -> Floats:
     return np.sqrt(np.diag(estimate.cov_theta) + settings.run.rematch_sigma_rad**2)
-
-
-def _without_targets(matched: Iterable[MatchedTargets]) -> list[Entry]:
-    return [
-        Entry(Subject(Kind.STRIP, strip=m.strip_id), Reason.NO_TARGET, "no target was matched in it")
-        for m in matched
-        if not len(m.target_id)
-    ]

@@ -76,14 +76,11 @@ OF_TARGETS = LossLimits(what="targets", share=0.3, probability=1e-4, fewest_stri
 OF_STARS = LossLimits(what="stars", share=0.04, probability=1e-3, fewest_strips=1)
 
 
-@record(kw_only=True)
+@record
 class Group:
     """Observations that one cause would take away, and those beside them that it would leave."""
 
-    cause: str = scalar("what is lost")
-    item: str = scalar("the group in words")
-    subjects: tuple[Subject, ...] = scalar("CCDs or strips that it lies in; empty: all")
-    advice: str = scalar("what to look at")
+    loss: Finding = scalar("that they are lost, without the numbers; its text: what to look at")
     inside: Bools = scalar("(N,) mask of the ledger")
     beside: Bools = scalar("(N,) mask of the ledger")
 
@@ -133,16 +130,10 @@ def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
             return
         group = groups[best]
         kept, rest = found[group.inside & left], found[group.beside & left]
-        yield Finding(
-            cause=group.cause,
-            item=group.item,
-            subjects=group.subjects,
-            text=f"{kept.sum()} of {len(kept)} {limits.what} found, of the other half {rest.sum()} of "
-            f"{len(rest)}: {group.advice}.",
-            file="strips.csv",
-            field="file",
-            p_value=tested[best],
+        counts = (
+            f"{kept.sum()} of {len(kept)} {limits.what} found, of the other half {rest.sum()} of {len(rest)}"
         )
+        yield replace(group.loss, text=f"{counts}: {group.loss.text}.", p_value=tested[best])
         left = left & ~group.inside  # what it explains is not told again
 
 
@@ -205,14 +196,15 @@ class Split:
             low = here & (value < edge if self.edge is not None else value <= edge)
             whole = subjects[0].words if subjects else ""
             for n, inside in enumerate((low, here & ~low)):
-                yield Group(
+                loss = Finding(
                     cause=self.causes[n],
                     item=self.items[n].format(whole=whole, edge=edge),
                     subjects=subjects,
-                    advice=self.advice[n],
-                    inside=inside,
-                    beside=here & ~inside,
+                    text=self.advice[n],
+                    file="strips.csv",
+                    field="file",
                 )
+                yield Group(loss, inside, here & ~inside)
 
 
 SPLITS = (
@@ -281,7 +273,7 @@ def lost_targets(
     not matched.
     """
     left = ledger.take(~ledger.within(explained))
-    dead = _dead_ccds(images, left)
+    dead = _flat_ccds(images, left.take(left.is_of(Reason.ONE_GREY_VALUE)).cells())
     for ccd, strips in dead.items():
         cells = [Subject(Kind.CCD, strip=strip, ccd=ccd) for strip in strips]
         yield _dead_ccd(ccd, strips, left.subjects(~left.found & left.within(cells)))
@@ -292,7 +284,17 @@ def lost_targets(
     if displaced:
         yield displaced_ccds(displaced, left, OF_TARGETS.what, refutes=no_majority)
     yield from _lost_strips(images, ledger, entries, explained)
-    yield from _excluded(entries)
+    for entry in entries:
+        if entry.reason is Reason.CHIP_TOO_SMALL:
+            target = replace(entry.subject, ccd=-1)
+            yield Finding(
+                cause="pixel size of the chip",
+                item=target.words,
+                subjects=(target,),
+                text=f"{entry.text}.",
+                file="targets.csv",
+                explains=(entry.subject,),
+            )
 
 
 def _lost_strips(
@@ -321,13 +323,15 @@ def _lost_strips(
         yield lost_strip(subject, targets, all_flat=all(flat))
 
 
-def _dead_ccds(images: Mapping[str, StripFiles], ledger: Ledger) -> dict[int, list[str]]:
-    """Strips in which the image of a CCD has no content, by CCD, as targets that show one grey value tell."""
-    dead: dict[int, list[str]] = {}
-    for strip_id, ccd in ledger.take(ledger.is_of(Reason.ONE_GREY_VALUE)).cells():
-        if ccd in images[strip_id].ccds and is_flat(images[strip_id], ccd):
-            dead.setdefault(ccd, []).append(strip_id)
-    return dead
+def _flat_ccds(
+    images: Mapping[str, StripFiles], cells: Iterable[tuple[str, int]], most: float = FLAT_COUNTS
+) -> dict[int, list[str]]:
+    """Those strips, by CCD, of some cells (strip, CCD) in which the image has no content."""
+    flat: dict[int, list[str]] = {}
+    for strip_id, ccd in cells:
+        if ccd in images[strip_id].ccds and is_flat(images[strip_id], ccd, most):
+            flat.setdefault(ccd, []).append(strip_id)
+    return flat
 
 
 def lost_stars(
@@ -335,11 +339,9 @@ def lost_stars(
 ) -> Iterator[Finding]:
     """CCDs that lack too many bright stars of the sky without those that `explained` concern."""
     left = ledger.take(~ledger.within(explained))
-    cells, dark = left.cells(), dict[int, list[str]]()
-    for strip_id in left.strips:
-        for ccd in images[strip_id].ccds:
-            if not cells.get((strip_id, ccd), (0, 0))[0] and is_flat(images[strip_id], ccd, FLAT_SKY_COUNTS):
-                dark.setdefault(ccd, []).append(strip_id)
+    every = [(strip_id, ccd) for strip_id in left.strips for ccd in images[strip_id].ccds]
+    seen = {cell for cell, (found, _) in left.cells().items() if found}
+    dark = _flat_ccds(images, [cell for cell in every if cell not in seen], FLAT_SKY_COUNTS)
     for ccd, strips in dark.items():
         yield _dead_ccd(ccd, strips)
     displaced = [ccd for ccd in lost_ccds(left, OF_STARS) if ccd not in dark]
@@ -400,21 +402,6 @@ def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) ->
         file="strips.csv",
         explains=tuple(targets),
     )
-
-
-def _excluded(entries: Iterable[Entry]) -> Iterator[Finding]:
-    """Targets that their own chips exclude."""
-    for entry in entries:
-        if entry.reason is Reason.CHIP_TOO_SMALL:
-            target = replace(entry.subject, ccd=-1)
-            yield Finding(
-                cause="pixel size of the chip",
-                item=target.words,
-                subjects=(target,),
-                text=f"{entry.text}.",
-                file="targets.csv",
-                explains=(entry.subject,),
-            )
 
 
 def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:

@@ -20,7 +20,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
-from boresight.geometry.line_camera import LineCamera, LineSensor
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Bools, Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import NOTHING
@@ -36,7 +36,7 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
 from boresight.pipeline.run.executor import InOrder
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.exposure import star_tasks
@@ -277,31 +277,26 @@ def examined(
     inputs: Sequence[MovedInput],
 ) -> Reliability:
     """The hypotheses about the inputs of a dump, held against an estimate that was made with `errors`."""
+    camera = basis.dump.line_camera
+    ccds = camera.ccds if isinstance(camera, LineCamera) else ()  # look angles are not rotated by CCD
     return examine(
         estimate,
         strips,
         errors,
-        pixel_rad=basis.dump.line_camera.pixel_rad,
+        pixel_rad=camera.pixel_rad,
         star_camera=basis.dump.star_camera,
         inputs=inputs,
-        pivots=_pivots(basis.dump.line_camera),
+        pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
         target_files=basis.dump.target_files,
         limits=basis.settings.verdict.of_reliability,
     )
 
 
-def _pivots(camera: LineSensor) -> dict[tuple[str, int], float]:
-    """Samples about which CCDs are rotated; none where the camera states look angles."""
-    ccds = camera.ccds if isinstance(camera, LineCamera) else ()
-    return {("", n): ccd.principal_sample for n, ccd in enumerate(ccds)}
-
-
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:
     """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices."""
     runner, settings = StageRunner(None, InOrder()), basis.settings
-    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     heads = [
-        sight_head(dump, head, settings, fit, runner)
+        sight_head(dump, head, settings, runner)
         if isinstance(head.source, SolvedAttitudes)
         else replace(before, head=head)
         for head, before in zip(dump.heads, basis.heads)

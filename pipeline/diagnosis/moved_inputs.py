@@ -21,6 +21,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.geometry.starlight import earth_velocity_i
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
@@ -28,7 +29,6 @@ from boresight.pipeline.stages.strip import StripTask
 
 __all__ = ["moved_inputs"]
 
-AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
@@ -89,35 +89,27 @@ def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterato
         )
 
 
-def _turned_by_velocity(R_si: Floats, v_i: Floats, line_of_sight_s: Floats) -> Floats:
-    """Rotations (K, 3), axes of s, of attitudes (K, 3, 3) fitted to stars whose aberration is too large by
-    that of a velocity (K, 3): the line of sight (3,), axes of s, goes back by what the stars went forward.
-    """
-    beta_s = np.einsum("kab,kb->ka", R_si, v_i) / SPEED_OF_LIGHT
-    return -np.cross(line_of_sight_s, beta_s)
-
-
 def _turns(
     strips: Sequence[StripSightings], velocity: Callable[[Floats], Floats], line_of_sight_s: Floats
 ) -> dict[str, Floats]:
-    """The same strip by strip, by a velocity at each instant."""
-    return {
-        strip.strip_id: _turned_by_velocity(strip.fitted.R_si, velocity(strip.times_s), line_of_sight_s)
-        for strip in strips
-        if strip.exposures
-    }
+    """Rotations (K, 3), axes of s, of the attitudes of each strip, fitted to stars whose aberration is too
+    large by that of a velocity at each instant: the line of sight (3,), axes of s, goes back by what the
+    stars went forward.
+    """
+    turns = {}
+    for strip in strips:
+        if strip.exposures:
+            beta_s = np.einsum("kab,kb->ka", strip.fitted.R_si, velocity(strip.times_s)) / SPEED_OF_LIGHT
+            turns[strip.strip_id] = -np.cross(line_of_sight_s, beta_s)
+    return turns
 
 
 def _velocities(dump: Dump) -> Mapping[str, Callable[[Floats], Floats]]:
     """Velocities (K, 3) m/s, GCRS, whose aberration an attitude may contain, by the part's name."""
-
-    def annual(t_s: Floats) -> Floats:
-        return np.asarray(erfa.epv00(*dump.epoch.tt_jd(t_s))[1]["v"] * AU_PER_DAY)
-
-    def orbital(t_s: Floats) -> Floats:
-        return dump.orbit.states_i(t_s)[1]
-
-    return {"annual": annual, "orbital": orbital}
+    return {
+        "annual": partial(earth_velocity_i, dump.epoch),
+        "orbital": lambda t_s: dump.orbit.states_i(t_s)[1],
+    }
 
 
 def _aberration_of_head(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
@@ -209,16 +201,16 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
         rows = np.array([row.get(name, 0) for name in ground.target_id.tolist()], dtype=np.int64)
         return -survey.places.take(rows).motions()
 
-    moves = {"epoch": by_epoch} | {one: partial(_by_precession, one) for one in EQUINOXES}
-    for name, move in moves.items():
-        of_equinox = name != "epoch"
+    moves: list[tuple[str, str, Callable[[GroundSightings], Floats]]]
+    moves = [("equinox", "equinox (ICRS is expected)", partial(_by_precession, n)) for n in EQUINOXES]
+    for what, field, move in [("epoch", "ref_epoch, pmra, pmdec", by_epoch), *moves]:
         yield MovedInput(
-            cause=f"catalogue of the stars, {'equinox' if of_equinox else name}",
+            cause=f"catalogue of the stars, {what}",
             item="all scans",
             unit="years",
             words=("too late", "too early"),
             file=dump.star_catalogue.file,
-            field="equinox (ICRS is expected)" if of_equinox else "ref_epoch, pmra, pmdec",
+            field=field,
             most=200.0,
             usual=25.0,
             directions_i={one.strip_id: one.ground.is_star[:, None] * move(one.ground) for one in strips},

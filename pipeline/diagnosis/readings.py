@@ -371,8 +371,6 @@ def _reversed(axis: int, side: SkySide) -> SkySide:
     return replace(side, found=(replace(stars, xy_px=xy_px),))
 
 
-# Of images of a strip of the sky: words, and the axis.
-ORDERS = (("with the order of columns reversed", 0), ("with the order of rows reversed", 1))
 MIRRORED = Reading[Image](
     "order of an image",
     Subject(Kind.EXPOSURE).words,
@@ -399,7 +397,9 @@ def orders_of(strip: Strip) -> list[Reading[SkySide]]:
     cause, words, subjects = "order of an image", strip.subject.words, (strip.subject,)
     return [
         Reading(cause, words, subjects, "strips.csv", "file", changed, partial(_reversed, axis))
-        for changed, axis in ORDERS
+        for axis, changed in enumerate(
+            ("with the order of columns reversed", "with the order of rows reversed")
+        )
     ]
 
 

@@ -117,7 +117,10 @@ def unseen_targets(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[Mat
     contradicted, others = list[Entry](), list[Entry]()
     for n in np.argsort(off_m.min(axis=0), kind="stable").tolist():
         (target, chip), nearest = unseen[n], int(np.argmin(off_m[:, n]))
-        reason = _beside(float(off_m[nearest, n]), tasks[nearest].strip.strip_id)
+        far_m, strip_id = float(off_m[nearest, n]), tasks[nearest].strip.strip_id
+        reason = f"it lies {far_m / 1e3:.3g} km from the nearest strip, {strip_id}"
+        if far_m == 0.0:
+            reason = f"it lies in a gap between the CCDs of strip {strip_id}"
         looked_at = len(contradicted) + len(others) < MOST_CHIPS
         why, slip = contradiction(target, chip, dump.chips) if looked_at else ("", "")
         if why:
@@ -130,12 +133,6 @@ def unseen_targets(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[Mat
 def _of_chip(chip: ChipFile, reason: Reason, detail: str, slip: str = "") -> Entry:
     """Entry of the target that a chip shows."""
     return Entry(Subject(Kind.TARGET, id=chip.target_id), reason, detail, chip.file, slip=slip)
-
-
-def _beside(off_m: float, strip_id: str) -> str:
-    if off_m == 0.0:
-        return f"it lies in a gap between the CCDs of strip {strip_id}"
-    return f"it lies {off_m / 1e3:.3g} km from the nearest strip, {strip_id}"
 
 
 def unneeded_exposures(dump: Dump, margin_s: float) -> list[Entry]:

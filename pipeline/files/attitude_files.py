@@ -2,7 +2,7 @@
 or Attitude Comprehensive Message (ACM 2.0, KVN and XML).
 
 The result are rotations R_si from GCRS to the star camera, as the file has them; what aberration the head has
-left in is put right by `geometry.attitude_aberration`.
+left in is put right by `geometry.starlight`.
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ import numpy as np
 from boresight.gct_match.records import GroundReference
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.ledger import Entry
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats
-from boresight.geometry.spherical import unit_vectors
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import check_bytes

@@ -26,8 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.ephemeris_time import seconds_from_ephemeris_time
-from boresight.geometry.epoch import Epoch
+from boresight.geometry.epoch import Epoch, seconds_from_ephemeris_time
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows, check_rows

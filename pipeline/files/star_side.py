@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation, NominalMotion
-from boresight.geometry.attitude_aberration import AberrationRemoved, with_all_aberration
 from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
@@ -28,6 +27,7 @@ from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
 from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import AberrationRemoved, with_all_aberration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes

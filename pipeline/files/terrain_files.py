@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats, array, record
-from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
 from boresight.geometry.terrain_tiles import Raster, joined
 from boresight.pipeline.errors import RawDataError

@@ -20,7 +20,7 @@ from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.ground_map import MapScene
 from boresight.pipeline.report.saved import EVIDENCE
-from boresight.pipeline.stages.match_pictures import MatchPictures, Places, match_pictures
+from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
 from boresight.pipeline.stages.strip import StripTask, read_chip
 
 __all__ = ["pictures_at", "unmatched_pictures"]
@@ -80,5 +80,5 @@ def pictures_at(
     gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
     residual = (found - (gain * expected + offset)).astype(np.float32)
     in_surface, unknown = np.array([x0 - left, y0 - top], dtype=float), np.full(2, np.nan)
-    places = Places(in_chip=xy_px - (x0, y0), in_surface=in_surface, off_px=unknown)
-    return match_pictures(expected, found, residual, surface_px, places)
+    images = expected, found, residual, surface_px
+    return match_pictures(*images, in_chip=xy_px - (x0, y0), in_surface=in_surface, off_px=unknown)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
 from boresight.calib.noise_spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
-from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
@@ -71,7 +70,7 @@ def head_track(dump: Dump, head: Head, settings: Settings) -> tuple[HeadTrack, F
         R_hi = head.source.with_all_aberration(at, dump.epoch, dump.orbit)
         warm = None if temperature is None else temperature[at]
         return HeadTrack(name=head.name, t_s=t_s, R_hi=R_hi, R_oi=dump.orbit.R_oi(t_s)), warm
-    sighted = sight_head(dump, head, settings, CalibrationSettings().attitudes, StageRunner())
+    sighted = sight_head(dump, head, settings, StageRunner())
     usable = sighted.attitudes.usable
     t_s = np.array([exposure.t_s for exposure in sighted.stars])[usable]
     if len(t_s) < 2:

@@ -93,7 +93,7 @@ def write_installation(result: Path, calibration: DumpCalibration, settings: Set
         (calibration.settings, settings),
         [ground_m_per_rad(calibration.strips, calibration.camera)],
     )
-    content["earth_orientation"] = plain(calibration.earth_table)
+    content["earth_orientation"] = plain(calibration.assessment.earth_table)
     write_json(result / "installation.json", content)
 
 

@@ -8,6 +8,7 @@ A failure ends its own task, whose reason names the exception, and not the run.
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -49,16 +50,19 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class StageRunner:
-    """Runs stages: store of finished units (None: none is kept), executor, progress callback."""
+    """Runs stages: store of finished units (None: none is kept), executor, progress callback; and counts the
+    units that were computed (True) or read from the store.
+    """
 
     store: UnitStore | None = None
     executor: Executor = field(default_factory=InOrder)
     progress: Progress = lambda stage, done, total: None
+    computed: Counter[bool] = field(default_factory=Counter)
 
     def run(
         self, stage: Callable[..., Any], tasks: Sequence[Task], *, folder: str, in_parts: bool = False
-    ) -> tuple[list[Any], list[bool]]:
-        """Outcomes of the function `stage` in the order of its tasks, and which had to be computed.
+    ) -> list[Any]:
+        """Outcomes of the function `stage` in the order of its tasks.
 
         An outcome is of a type that `stage` is declared to return, `Entry` among them: this is also what
         an unforeseen error becomes. `folder` is that of the entries in the store. With `in_parts` the stage
@@ -68,6 +72,7 @@ class StageRunner:
         def ended(n: int, unit: Unit) -> None:
             for content in unit.contents:
                 remember_digest(*content)
+            self.computed[unit.computed] += 1
             log_unit(folder, unit.outcome, unit.computed)
             self.progress(folder, n, len(tasks))
 
@@ -76,7 +81,7 @@ class StageRunner:
             program_digest(stage.__module__, __name__)  # once, for all processes that are forked from here
         more = (self.executor.share(len(tasks)),) if in_parts else ()
         done = self.executor.map(Cached(stage, self.store, folder, more), tasks, ended)
-        return [unit.outcome for unit in done], [unit.computed for unit in done]
+        return [unit.outcome for unit in done]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +127,9 @@ def log_unit(stage: str, outcome: Any, computed: bool) -> None:
     """Log the outcome of one exposure or strip of a stage, and each reason why something is not used."""
     if not log.isEnabledFor(logging.DEBUG):
         return
-    found = "" if computed else " (from an earlier run)"
-    for n, line in enumerate(_lines(outcome)):
-        log.debug("%s", printable(f"{stage} {line}{found}" if n == 0 else f"    {line}"))
-
-
-def _lines(outcome: Any) -> list[str]:
+    lines = outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]
     if isinstance(outcome, Entry):
-        return [f"{outcome.subject.name}: not used, {outcome.text}"]
-    return outcome.told() if hasattr(outcome, "told") else [type(outcome).__name__]
+        lines = [f"{outcome.subject.name}: not used, {outcome.text}"]
+    found = "" if computed else " (from an earlier run)"
+    for n, line in enumerate(lines):
+        log.debug("%s", printable(f"{stage} {line}{found}" if n == 0 else f"    {line}"))

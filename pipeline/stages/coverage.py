@@ -21,58 +21,47 @@ from boresight.pipeline.files.strip_table import Strip
 
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
-
-    Carrier = tuple[HeadSightings, Ints] | Entry  # head, rows (K,) of exposures; or why there is none
+    from boresight.pipeline.stages.sky_strip import SkyTask
+    from boresight.pipeline.stages.strip import StripTask
 
 __all__ = [
     "attitudes_in_s",
-    "carriers",
     "covered_strips",
     "covers",
     "rows_not_covered",
     "rows_of_heads",
     "stated_mountings",
     "strip_sightings",
-    "turn_to_reference",
 ]
 
 
-def carriers(dump: Dump, heads: Sequence[HeadSightings], margin_s: float) -> dict[str, Carrier]:
-    """For each strip, by its id, the first head that covers it and the rows (K,) of its exposures, or why the
-    reference head, the first of `heads`, does not. Others carry only where it covers one strip at least:
-    without that nothing ties its matrix to theirs.
-    """
-    found: dict[str, Carrier] = {}
-    strips = (*dump.strips, *dump.sky_strips)
-    by_reference = [attitudes_around(dump, strip, heads[0], margin_s) for strip in strips]
-    able = heads if any(not isinstance(rows, Entry) for rows in by_reference) else heads[:1]
-    for strip, own in zip(strips, by_reference):
-        if not isinstance(own, Entry):
-            found[strip.strip_id] = (heads[0], own)
-            continue
-        others = [(one, attitudes_around(dump, strip, one, margin_s)) for one in able[1:]]
-        covering = ((one, rows) for one, rows in others if not isinstance(rows, Entry))
-        found[strip.strip_id] = next(covering, own)
-    return found
-
-
 def covered_strips(
-    strips: Sequence[Strip], covering: Mapping[str, Carrier]
+    dump: Dump, strips: Sequence[Strip], heads: Sequence[HeadSightings], margin_s: float
 ) -> tuple[list[tuple[Strip, HeadSightings, Ints]], list[Entry]]:
-    """Strips with head and rows (K,) of exposures that `carriers` found, and omissions of the others."""
-    pairs = [(strip, covering[strip.strip_id]) for strip in strips]
-    omitted = [carrier for _, carrier in pairs if isinstance(carrier, Entry)]
-    return [(strip, *carrier) for strip, carrier in pairs if not isinstance(carrier, Entry)], omitted
+    """Some strips of a dump, each with the first head that covers it and the rows (K,) of its exposures; and
+    why the reference head, the first of `heads`, does not cover the others. Further heads carry only where it
+    covers one strip of the dump at least: without that nothing ties their matrices to its own.
+    """
+    every = (*dump.strips, *dump.sky_strips)
+    around = (attitudes_around(dump, strip, heads[0], margin_s) for strip in every)
+    able = heads if any(not isinstance(rows, Entry) for rows in around) else heads[:1]
+    covered, omitted = [], []
+    for strip in strips:
+        reasons = []
+        for head in able:
+            rows = attitudes_around(dump, strip, head, margin_s)
+            if not isinstance(rows, Entry):
+                covered.append((strip, head, rows))
+                break
+            reasons.append(rows)
+        else:
+            omitted.append(reasons[0])
+    return covered, omitted
 
 
 def stated_mountings(heads: Sequence[HeadSightings]) -> dict[str, Rotation]:
     """The matrices of the heads before launch, by name."""
     return {one.head.name: one.head.R_cs0 for one in heads}
-
-
-def turn_to_reference(head: str, reference: str, mountings: Mapping[str, Rotation]) -> Rotation:
-    """Rotation from the frame of a head to that of the reference head, by the matrices of both."""
-    return mountings[reference].inv() * mountings[head]
 
 
 def attitudes_in_s(
@@ -82,7 +71,7 @@ def attitudes_in_s(
     R_hi = Rotation.from_matrix(head.attitudes.R_si[rows])
     if head is reference:
         return R_hi
-    return turn_to_reference(head.head.name, reference.head.name, mountings) * R_hi
+    return mountings[reference.head.name].inv() * mountings[head.head.name] * R_hi
 
 
 def attitudes_around(dump: Dump, strip: Strip, head: HeadSightings, margin_s: float) -> Ints | Entry:
@@ -118,8 +107,8 @@ def rows_not_covered(times: Floats, first: float, last: float) -> str:
 def _margin_that_covers(head: HeadSightings, first: float, last: float) -> float:
     """Seconds from a strip within which a head has attitudes before and after it; 0 where it has not."""
     source = head.head.source
-    near: Floats = np.array([one.t_s for one in head.stars])
-    t_s = source.rows.t_s if isinstance(source, SolvedAttitudes) else near
+    seen = [exposure.t_s for exposure in head.stars]
+    t_s = source.rows.t_s if isinstance(source, SolvedAttitudes) else np.array(seen)
     before, after = t_s[t_s <= first], t_s[t_s >= last]
     return float(max(first - before[-1], after[0] - last)) if len(before) and len(after) else 0.0
 
@@ -182,24 +171,22 @@ def rows_of_heads(
 
 
 def strip_sightings(
-    strip_id: str,
+    task: StripTask | SkyTask,
     sightings: GroundSightings,
-    t_attitude_s: Floats,
     nominal: NominalMotion,
     heads: Sequence[HeadSightings],
-    carrier: str = "",
     *,
     earth: str = "",
 ) -> StripSightings:
     """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
-    where another head, `carrier`, covers the strip. `earth` is the prediction of Earth orientation.
+    where another head carries the strip. `earth` is the prediction of Earth orientation.
     """
-    reference = heads[0]
+    reference, t_attitude_s = heads[0], task.t_attitude_s
     by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
-    own = carrier in ("", reference.head.name)
+    own = task.carrier in ("", reference.head.name)
     rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
     return StripSightings(
-        strip_id=strip_id,
+        strip_id=task.strip.strip_id,
         exposures=tuple(reference.stars[k] for k in rows),
         ground=sightings,
         R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
@@ -208,7 +195,7 @@ def strip_sightings(
         noise=reference.head.noise,
         others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
         gyro=reference.head.gyro_around(t_attitude_s, nominal),
-        interpolation=next((h for h in heads if h.head.name == carrier), reference).head.interpolation,
+        interpolation=task.interpolation,
         earth=earth,
     )
 

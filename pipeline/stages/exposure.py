@@ -67,9 +67,12 @@ def star_tasks(
             reason = "the list of centroids has no star of it"
             omitted.append(exposure.item.because(Reason.NOT_IDENTIFIED, reason))
             continue
-        observer = _observer(dump, exposure)
-        if isinstance(observer, Entry):
-            omitted.append(observer)
+        try:
+            p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
+        except OrbitGapError:
+            utc = dump.epoch.utc_from_seconds(exposure.t_s)[0][:23]
+            reason = f"{dump.orbit_covers}, not its time {utc} (utc_mid)"
+            omitted.append(exposure.item.because(Reason.NOT_COVERED, reason))
             continue
         tasks.append(
             StarTask(
@@ -77,21 +80,11 @@ def star_tasks(
                 camera=source.camera,
                 bit_depth=depth,
                 centroids=centroids,
-                observer=observer,
+                observer=Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0]),
                 settings=settings,
             )
         )
     return tasks, omitted
-
-
-def _observer(dump: Dump, exposure: Exposure) -> Observer | Entry:
-    try:
-        p_i, v_i = dump.orbit.states_i(np.array([exposure.t_s]))
-    except OrbitGapError:
-        utc = dump.epoch.utc_from_seconds(exposure.t_s)[0][:23]
-        reason = f"{dump.orbit_covers}, not its time {utc} (utc_mid)"
-        return exposure.item.because(Reason.NOT_COVERED, reason)
-    return Observer(dump.epoch, exposure.t_s, p_i[0], v_i[0])
 
 
 def exposure_image(exposure: Exposure, camera: StarCamera, bit_depth: int) -> NDArray:
@@ -114,11 +107,14 @@ def sight_exposure(task: StarTask) -> StarSightings | Entry:
 
 def _sighted(task: StarTask, image: NDArray | None = None) -> StarSightings | NotIdentified:
     """The sightings of a task's centroids, else of an image (H, W) in the place of the exposure's own."""
-    name, index = task.exposure.exposure_id, _index_of(task.camera, task.observer)
+    camera, observer = task.camera, task.observer
+    fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
+    index = _star_index(fov_rad, round(float(observer.epoch.julian_year(observer.t_s))))
+    name = task.exposure.exposure_id
     if task.centroids is not None:
-        return sight_centroids(name, task.centroids, task.camera, index, task.observer, task.settings)
-    image = exposure_image(task.exposure, task.camera, task.bit_depth) if image is None else image
-    return sight_stars(name, image, task.camera, index, task.observer, task.settings)
+        return sight_centroids(name, task.centroids, camera, index, observer, task.settings)
+    image = exposure_image(task.exposure, camera, task.bit_depth) if image is None else image
+    return sight_stars(name, image, camera, index, observer, task.settings)
 
 
 def is_identified(task: StarTask, image: NDArray) -> bool:
@@ -130,9 +126,3 @@ def is_identified(task: StarTask, image: NDArray) -> bool:
 def _star_index(fov_rad: float, year: int) -> StarIndex:
     """Index of catalogue triangles for a field of view (rad), read once in each process."""
     return cached_index(hipparcos_stars().places, float(year), fov_rad)
-
-
-def _index_of(camera: StarCamera, observer: Observer) -> StarIndex:
-    year = round(float(observer.epoch.julian_year(observer.t_s)))
-    fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
-    return _star_index(fov_rad, year)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
-from boresight.geometry.attitude_estimate import AttitudeSettings, fit_exposures
+from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.attitude_smoother import smoothed_track
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import Orbit, OrbitGapError
@@ -29,7 +29,7 @@ from boresight.geometry.sightings import (
 )
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
-from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
@@ -47,27 +47,24 @@ class HeadSightings:
     stars: tuple[StarSightings, ...] = array("K", "in order of time; none where the head solved attitudes")
     attitudes: ExposureAttitudes = scalar("attitudes of the same exposures")
     omissions: tuple[Entry, ...] = scalar("what cannot be used, with the reasons")
-    computed: tuple[bool, ...] = scalar("of each unit of work, whether it was computed now or kept")
 
 
-def sight_head(
-    dump: Dump, head: Head, settings: Settings, fit: AttitudeSettings, runner: StageRunner
-) -> HeadSightings:
+def sight_head(dump: Dump, head: Head, settings: Settings, runner: StageRunner) -> HeadSightings:
     """Exposures of a head around the strips of its dump, and their attitudes."""
     if isinstance(head.source, SolvedAttitudes):
         return _solved(dump, head, head.source, settings.run.exposure_margin_s)
     folder = "exposures" if head is dump.heads[0] else f"exposures-{head.name}"
     tasks, uncovered = star_tasks(dump, head.source, settings.stars)
-    outcomes, computed = runner.run(sight_exposure, tasks, folder=folder)
+    outcomes = runner.run(sight_exposure, tasks, folder=folder)
     stars = [one for one in outcomes if isinstance(one, StarSightings)]
     stars.sort(key=lambda one: (one.t_s, one.exposure_id))  # the order in which sums are made
     failed = [one for one in outcomes if isinstance(one, Entry)]
+    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     return HeadSightings(
         head=head,
         stars=tuple(stars),
         attitudes=fit_exposures(stars, fit),
         omissions=(*uncovered, *failed),
-        computed=tuple(computed),
     )
 
 
@@ -100,7 +97,6 @@ def _solved(dump: Dump, head: Head, source: SolvedAttitudes, margin_s: float) ->
         stars=tuple(map(exposure_without_stars, names, t_s.tolist())),
         attitudes=solved_attitudes(R_si, white if rows.covariance_s is None else rows.covariance_s[at]),
         omissions=tuple(omissions),
-        computed=(),
     )
 
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, record, scalar
 
-__all__ = ["NO_PICTURES", "MatchPictures", "Places", "match_pictures", "trace_pictures"]
+__all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
 
 MOST_PX = 160  # a side longer than this is cut about its middle
 # Side of the part of a correlation surface that is kept for the report, px.
@@ -36,25 +36,25 @@ class MatchPictures:
 NO_PICTURES = MatchPictures(b"", b"", b"", b"", 0.0, 1.0)  # of a position that was measured elsewhere
 
 
-@record(kw_only=True)
-class Places:
-    """Where the target's point is in the pictures of one match, (column, row) in their pixels."""
-
-    in_chip: Floats = array("2", "in template and strip; of a target that was not found the predicted place")
-    in_surface: Floats = array("2", "the predicted place in the correlation surface")
-    off_px: Floats = array("2", "place found minus place predicted, px of the strip; NaN: not found")
-
-
 def match_pictures(
-    template: NDArray, found: NDArray, residual: NDArray, surface: NDArray, places: Places
+    template: NDArray,
+    found: NDArray,
+    residual: NDArray,
+    surface: NDArray,
+    *,
+    in_chip: Floats,
+    in_surface: Floats,
+    off_px: Floats,
 ) -> MatchPictures:
     """Pictures of a template (H, W), the strip at its place, a fit's residual and the correlation surface.
+    The target's point is at `in_chip` (2,), column and row, of template and strip, predicted at `in_surface`
+    (2,); of one that was not found both are predicted and `off_px` (2,), found minus predicted, is NaN.
 
     Template and strip are stretched alike (1 % of the pixels black, 1 % white). The difference spans as
     many grey values of the strip from black to white as the strip's own picture.
     """
-    in_chip = places.in_chip - _cut(template, MOST_PX)
-    in_surface = places.in_surface - _cut(surface, SURFACE_PX)
+    in_chip = in_chip - _cut(template, MOST_PX)
+    in_surface = in_surface - _cut(surface, SURFACE_PX)
     surface = _middle(surface, SURFACE_PX)
     finite = surface[np.isfinite(surface)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -68,7 +68,7 @@ def match_pictures(
         _png(surface, low, high),
         low,
         high,
-        *(float(one) for at in (in_chip, places.off_px, in_surface) for one in at),
+        *(float(one) for at in (in_chip, off_px, in_surface) for one in at),
     )
 
 

@@ -21,11 +21,9 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
-    carriers,
     covered_strips,
     stated_mountings,
     strip_sightings,
-    turn_to_reference,
 )
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import (
@@ -48,12 +46,11 @@ class SkySide:
     tasks: tuple[SkyTask, ...] = array("S", "strips that orbit and star exposures cover")
     found: tuple[StripStars, ...] = array("S", "detections in the same strips")
     omissions: tuple[Entry, ...] = scalar("strips that cannot be used, with the reasons")
-    computed: tuple[bool, ...] = scalar("of each strip, whether it was computed now or kept")
 
     def only(self, rows: Sequence[int]) -> SkySide:
         """Some of the strips, without what was left out of them."""
         tasks, found = [self.tasks[n] for n in rows], [self.found[n] for n in rows]
-        return replace(self, tasks=tuple(tasks), found=tuple(found), omissions=(), computed=())
+        return replace(self, tasks=tuple(tasks), found=tuple(found), omissions=())
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
         """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head
@@ -64,7 +61,7 @@ class SkySide:
         def turned(task: SkyTask) -> SkyTask:
             if task.carrier == reference:
                 return task
-            before, now = (turn_to_reference(task.carrier, reference, each) for each in (stated, mountings))
+            before, now = (each[reference].inv() * each[task.carrier] for each in (stated, mountings))
             return replace(task, R_si=now * before.inv() * task.R_si)
 
         return replace(self, tasks=tuple(map(turned, self.tasks)))
@@ -75,15 +72,12 @@ def find_in_sky_strips(
 ) -> SkySide:
     """Detections in all strips of the sky."""
     tasks, omitted = _tasks(dump, heads, settings)
-    if not tasks:
-        return SkySide(tasks=(), found=(), omissions=tuple(omitted), computed=())
-    outcomes, computed = runner.run(find_sky_stars, tasks, folder="sky-stars")
+    outcomes = runner.run(find_sky_stars, tasks, folder="sky-stars") if tasks else []
     good = [n for n, one in enumerate(outcomes) if isinstance(one, StripStars)]
     return SkySide(
         tasks=tuple(tasks[n] for n in good),
         found=tuple(outcomes[n] for n in good),
         omissions=(*omitted, *(one for one in outcomes if isinstance(one, Entry))),
-        computed=tuple(computed),
     )
 
 
@@ -112,14 +106,7 @@ def named_sightings(
 ) -> list[StripSightings]:
     """The strips with at least one named star."""
     return [
-        strip_sightings(
-            task.strip.strip_id,
-            sky_sightings(task, one),
-            task.t_attitude_s,
-            task.nominal,
-            heads,
-            task.carrier,
-        )
+        strip_sightings(task, sky_sightings(task, one), task.nominal, heads)
         for task, one in zip(side.tasks, named)
         if len(one.rows)
     ]
@@ -131,8 +118,7 @@ def _tasks(
     """A task for each strip of the sky that orbit and star exposures cover, an omission for each other."""
     tasks = []
     margin, camera = settings.run.exposure_margin_s, dump.line_camera
-    covering = carriers(dump, heads, margin) if dump.sky_strips else {}
-    covered, omitted = covered_strips(dump.sky_strips, covering)
+    covered, omitted = covered_strips(dump, dump.sky_strips, heads, margin)
     for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)

@@ -18,13 +18,13 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolation
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineSensor, end_looks
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, isotropic_covariance
-from boresight.geometry.spherical import unit_vectors
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.strip_table import Strip
@@ -39,7 +39,6 @@ from boresight.star_id.strip_stars.strip_names import (
     name_stars,
     vote_for_rotation,
 )
-from boresight.star_id.strip_stars.trace import Motion
 
 __all__ = [
     "NOT_STATED_PX",
@@ -126,10 +125,8 @@ class NamedStars:
 def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     """Detections in a strip of the sky, or why it cannot be one that is evaluated."""
     motion = strip_motion(task, task.R_cs0)
-    if reason := _impossible(task, motion):
-        return task.item.because(Reason.NOT_A_SKY_STRIP, reason)
-    if (too_long := _too_long(task, motion.usual)) is not None:
-        return too_long
+    if (refused := _refused(task, motion)) is not None:
+        return refused
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
     try:
         found = find_strip_stars(task.strip.images, motion, task.settings, saturation)
@@ -273,38 +270,35 @@ def strip_motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
     return StripMotion(lines, rate, drift, task.stages)
 
 
-def _impossible(task: SkyTask, motion: StripMotion) -> str:
-    """Why a strip cannot be one of the sky that is evaluated; empty if it can."""
+def _refused(task: SkyTask, motion: StripMotion) -> Entry | None:
+    """Why a strip cannot be one of the sky that is evaluated; None if it can."""
     t_s = task.instants(np.array([0.5 * (task.strip.lines - 1.0)]))
     p_i = task.orbit.states_i(t_s)[0][0]
     axis_i = (task.R_cs0 * task.track.R_si(t_s)).inv().apply([0.0, 0.0, 1.0])[0]
     height = float(np.linalg.norm(p_i))
     off_nadir = np.degrees(np.arccos(np.clip(-axis_i @ p_i / height, -1.0, 1.0)))
     limb = np.degrees(np.arcsin(min(WGS84.semi_major_m / height, 1.0)))
+    usual, because = motion.usual, Reason.NOT_A_SKY_STRIP
+    slowest = float(np.abs(usual.rate).min())
     if off_nadir < limb:
-        return (
+        reason = (
             f"kind is sky, but the camera looks at the Earth: {off_nadir:.1f} deg from nadir, the limb lies "
             f"at {limb:.1f} deg"
         )
-    usual = motion.usual
-    slowest = float(np.abs(usual.rate).min())
-    if slowest < _SLOWEST:
-        return f"its stars move {slowest:.3f} pixels a row along the stages, {_SLOWEST} are needed"
-    return ""
-
-
-def _too_long(task: SkyTask, usual: Motion) -> Entry | None:
-    """A strip whose stars the TDI stages smear too far to be found."""
-    if (smear := float(usual.smear_rows.max())) <= task.settings.max_smear_rows:
+    elif slowest < _SLOWEST:
+        reason = f"its stars move {slowest:.3f} pixels a row along the stages, {_SLOWEST} are needed"
+    elif (smear := float(usual.smear_rows.max())) <= task.settings.max_smear_rows:
         return None
-    if usual.rate[0] < 0.0:
+    elif usual.rate[0] < 0.0:
+        because = Reason.OTHER_SMEAR
         reason = f"its stars move against the motion of the charge, {smear:.0f} rows in {task.stages} stages"
-        return task.item.because(Reason.OTHER_SMEAR, f"{reason}: {_OF_STAGES}")
-    reason = (
-        f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
-        f"{task.stages} stages; scan with the stages at a pixel a row, or with fewer of them"
-    )
-    return task.item.because(Reason.NOT_A_SKY_STRIP, reason)
+        reason = f"{reason}: {_OF_STAGES}"
+    else:
+        reason = (
+            f"a star's trace is {smear:.0f} rows long: it moves {usual.rate[0]:.2f} pixels a row over "
+            f"{task.stages} stages; scan with the stages at a pixel a row, or with fewer of them"
+        )
+    return task.item.because(because, reason)
 
 
 def _directions(

@@ -44,7 +44,7 @@ from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, Places, match_pictures
+from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 
 __all__ = [
     "MatchedTargets",
@@ -179,8 +179,9 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
 def pictures_of_match(match: TargetMatch) -> MatchPictures:
     """Pictures of a match with its template, what was found, residual and correlation surface."""
     middle = 0.5 * (np.array(match.surface.shape[::-1]) - 1.0)  # the search goes as far to all sides
-    places = Places(in_chip=match.place_px, in_surface=middle, off_px=match.xy_px - match.expected_px)
-    return match_pictures(match.template, match.found, match.residual, match.surface, places)
+    images = match.template, match.found, match.residual, match.surface
+    off_px = match.xy_px - match.expected_px
+    return match_pictures(*images, in_chip=match.place_px, in_surface=middle, off_px=off_px)
 
 
 def measured_points(
@@ -341,7 +342,10 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     strip, subject = task.strip, refusal.subject
     detail, slip = "", ""
     if refusal.reason is Reason.INCONSISTENT:
-        off = compass(*_displaced_m(task, refusal))
+        place_e = task.places[subject.id].p_e
+        predicted_px = np.concatenate(pushbroom_of(task).pixels_from_ground(subject.ccd, place_e[None]))
+        shown_px = (predicted_px + refusal.more).tolist()
+        off = compass(*displaced_m(task, subject.id, subject.ccd, shown_px))
         detail = f"its chip or coordinates lie about {off} of the true place"
     elif refusal.reason is Reason.OUTSIDE_CHIP:
         n = next(n for n, target in enumerate(task.targets) if target.target_id == subject.id)
@@ -355,15 +359,7 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     )
 
 
-def _displaced_m(task: StripTask, refusal: Entry) -> tuple[float, float]:
-    """How far the stated place of an inconsistent target lies east and north of the one shown, m."""
-    name, ccd = refusal.subject.id, refusal.subject.ccd
-    sample, line = pushbroom_of(task).pixels_from_ground(ccd, task.places[name].p_e[None])
-    off_x, off_y = refusal.more
-    return displaced_m(task, name, ccd, (float(sample[0]) + off_x, float(line[0]) + off_y))
-
-
-def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: tuple[float, ...]) -> tuple[float, float]:
+def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: Sequence[float]) -> tuple[float, float]:
     """How far a target's stated place lies east and north of that shown at (sample, line), m."""
     p_e = task.places[target_id].p_e
     lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)

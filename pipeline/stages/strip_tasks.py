@@ -22,11 +22,10 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import (
     attitudes_in_s,
-    carriers,
     covered_strips,
     stated_mountings,
     strip_sightings,
@@ -71,12 +70,12 @@ def strip_tasks(
     """
     tasks = []
     points = {one.strip_id: one for one in dump.points}
-    run = settings.run
-    covered, omitted = covered_strips(dump.strips, carriers(dump, heads, run.exposure_margin_s))
+    margin = settings.run.exposure_margin_s
+    covered, omitted = covered_strips(dump, dump.strips, heads, margin)
     for strip, head, near in covered:
         times = np.array([head.stars[k].t_s for k in near])
         first, last = dump.span_s(strip)
-        margin, R_si, cov_s = run.exposure_margin_s, attitudes_in_s(head, near, heads[0], mountings), None
+        R_si, cov_s = attitudes_in_s(head, near, heads[0], mountings), None
         if dump.heads[0].gyro is not None and dump.heads[0].gyro_around(times, dump.orbit) is None:
             reason = f"its gyro has no rows, or a gap, between the attitudes around strip {strip.strip_id}"
             omitted.append(Entry(dump.heads[0].subject, Reason.NOT_COVERED, f"{reason}: not used there"))
@@ -114,13 +113,7 @@ def matched_strips(
     """Strips with at least one matched target, with the exposures around them and their attitudes."""
     return [
         strip_sightings(
-            task.strip.strip_id,
-            ground_sightings(of_strip, task),
-            task.t_attitude_s,
-            task.orbit,
-            heads,
-            task.carrier,
-            earth=task.orbit.earth.prediction,
+            task, ground_sightings(of_strip, task), task.orbit, heads, earth=task.orbit.earth.prediction
         )
         for task, of_strip in zip(tasks, matched)
         if len(of_strip.target_id)
@@ -153,9 +146,8 @@ def before_launch(
     """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,
     with the pre-launch matrices, and an omission for each other one.
     """
-    fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     runner = StageRunner(None, executor)
-    heads = [sight_head(dump, head, settings, fit, runner) for head in dump.heads]
+    heads = [sight_head(dump, head, settings, runner) for head in dump.heads]
     sigma_rad, mountings = dump.sigma_installation_rad, stated_mountings(heads)
     return heads, *strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)
 

@@ -8,8 +8,8 @@ from astropy.time import Time
 from lopsided import ATTITUDES, EPOCH, TIMES_S, VELOCITIES_I
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_aberration import with_all_aberration
 from boresight.geometry.constants import ARCSEC, SPEED_OF_LIGHT
+from boresight.geometry.starlight import with_all_aberration
 
 BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 FIELD = 1e-4 * np.array([[0.0, 0.0], [1.0, 0.2], [-0.6, 0.9], [-0.3, -1.1], [0.8, -0.7]])  # rad

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.features.exports import spice_export as made
 from boresight.features.exports.spice_export import SpiceFrames, frame_kernel
-from boresight.geometry.ephemeris_time import ephemeris_time
-from boresight.geometry.epoch import Epoch
+from boresight.geometry.epoch import Epoch, ephemeris_time
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 
 EPOCH = Epoch.from_utc("2020-08-16T12:02:20")

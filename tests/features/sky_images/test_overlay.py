@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from boresight.geometry.spherical import unit_vectors
+from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 

@@ -404,7 +404,8 @@ def visit(n: int, own: list, turns: int, site: np.ndarray) -> tuple:
         target_files="targets.csv",
         star_camera=None,
     )
-    found = SimpleNamespace(strips=own, sighted=own, settings=SETTINGS_USED, inputs=(), rows=())
+    assessment = SimpleNamespace(sighted=own, inputs=())
+    found = SimpleNamespace(strips=own, assessment=assessment, settings=SETTINGS_USED, rows=())
     return SimpleNamespace(name=f"d{n}", dump=dump), found
 
 

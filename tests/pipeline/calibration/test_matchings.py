@@ -34,13 +34,13 @@ def store(demo: Path, tmp_path: Path) -> UnitStore:
 
 @pytest.fixture(scope="module")
 def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
-    return match_strips(tasks, StageRunner(), "matching-0")[0]
+    return match_strips(tasks, StageRunner(), "matching-0")
 
 
 def test_matrix_is_that_of_searching_every_strip(store, all_searched, monkeypatch):
     dump, again = open_dump(FIXTURE), Settings(run=RunSettings(settled_px=0.0))  # all matched again
     from_one = calibrate_dump(dump, again, store).estimate
-    searched = lambda tasks, start_from, runner: (tasks, all_searched, [True] * len(tasks))  # noqa: E731
+    searched = lambda tasks, start_from, runner: (tasks, all_searched)  # noqa: E731
     monkeypatch.setattr(rounds, "match_first", searched)
     everywhere = calibrate_dump(dump, again, store).estimate
     sigma = np.sqrt(np.diag(everywhere.cov_theta))
@@ -53,15 +53,16 @@ def test_matrix_is_that_of_searching_every_strip(store, all_searched, monkeypatc
 
 def test_strips_that_a_wrong_matrix_misses_are_searched(tasks, all_searched):
     wrong = Rotation.from_rotvec([0.01, 0.0, 0.0]) * tasks[0].R_cs, np.full(3, 5e-6)
-    used, matched, computed = match_first(tasks, lambda task, found: wrong, StageRunner())
+    runner = StageRunner()
+    used, matched = match_first(tasks, lambda task, found: wrong, runner)
     assert used == tasks  # compared by identity: none was matched from the wrong matrix
-    assert len(computed) == 5  # one searched; two missed, then searched
+    assert runner.computed == {True: 5}  # one searched; two missed, then searched
     for one, expected in zip(matched, all_searched):
         assert np.array_equal(one.target_id, expected.target_id) and np.array_equal(one.xy_px, expected.xy_px)
 
 
 def test_search_goes_on_until_a_strip_determines_a_matrix(tasks, all_searched):
-    used, matched, _ = match_first(tasks, lambda task, found: None, StageRunner())
+    used, matched = match_first(tasks, lambda task, found: None, StageRunner())
     assert used == tasks
     assert [len(one.target_id) for one in matched] == [len(one.target_id) for one in all_searched]
 
@@ -95,9 +96,10 @@ def test_strips_are_matched_again_where_a_target_was_refused_or_lay_far_from_its
             omissions=(Entry(Subject(Kind.TARGET, strip="s03", id="t01"), Reason.LOW_CORRELATION),),
         ),
     ]
-    found, computed = match_again(tasks, before, 2.0, StageRunner(), "matching-2")
+    runner = StageRunner()
+    found = match_again(tasks, before, 2.0, runner, "matching-2")
     assert np.array_equal(found[0].xy_px, before[0].xy_px)
-    assert computed == [True, True]
+    assert runner.computed == {True: 2}
     # both were searched as widely as before: the same places
     for one, expected in zip(found[1:], all_searched[1:]):
         assert np.array_equal(one.xy_px, expected.xy_px) and one.omissions == expected.omissions

@@ -46,7 +46,7 @@ def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float 
     solved = solved_attitudes(R_si, np.tile(sigma_rad**2 * np.eye(3), (N, 1, 1)))
     if usable is not None:
         solved = replace(solved, usable=usable)
-    head = HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=(), computed=())
+    head = HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=())
     return against_own_motion([head])
 
 
@@ -191,7 +191,6 @@ def record_of(
             Rotation.from_rotvec(drawn) * R_si, np.tile(NOISE.white_covariance_s, (len(t_s), 1, 1))
         ),
         omissions=(),
-        computed=(),
     )
 
 

@@ -146,7 +146,7 @@ def narrow(sound) -> Basis:
 def basis_of(dump: Dump) -> Basis:
     settings, runner = Settings(), StageRunner(None, InOrder())
     errors = calibration_settings(settings, dump.errors, dump.line_camera)
-    heads = tuple(sight_head(dump, head, settings, errors.attitudes, runner) for head in dump.heads)
+    heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
     return Basis(dump, heads, settings, errors, runner)
 
 

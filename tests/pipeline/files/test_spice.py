@@ -13,8 +13,7 @@ from leap_seconds import leap_second_kernel
 from scipy.spatial.transform import Rotation
 from spiceypy.utils.libspicehelper import libspice
 
-from boresight.geometry.ephemeris_time import ephemeris_time, seconds_from_ephemeris_time
-from boresight.geometry.epoch import Epoch
+from boresight.geometry.epoch import Epoch, ephemeris_time, seconds_from_ephemeris_time
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, dump_or_faults, open_dump
 from boresight.pipeline.files.spice_kernels import Kernels, read_ck

@@ -20,7 +20,7 @@ from boresight.pipeline.report.star_preview import star_preview
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.match_pictures import Places, match_pictures
+from boresight.pipeline.stages.match_pictures import match_pictures
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings
 
@@ -88,10 +88,8 @@ def test_places_are_those_of_pictures_cut_about_their_middle():
     rng = np.random.default_rng(3)
     chip, surface = rng.normal(size=(230, 201)), rng.normal(size=(121, 131))
     chip[70, 130], surface[40, 30] = 50.0, 50.0  # brightest
-    places = Places(
-        in_chip=np.array([130.0, 70.0]), in_surface=np.array([28.0, 43.0]), off_px=np.array([2.0, -3.0])
-    )
-    made = match_pictures(chip, chip, chip, surface, places)
+    places = {"in_chip": [130.0, 70.0], "in_surface": [28.0, 43.0], "off_px": [2.0, -3.0]}
+    made = match_pictures(chip, chip, chip, surface, **{name: np.array(at) for name, at in places.items()})
     shown, peaks = (
         cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED).astype(float)
         for png in (made.difference_png, made.surface_png)

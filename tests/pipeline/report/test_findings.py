@@ -16,7 +16,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.input_findings import heights
-from boresight.pipeline.diagnosis.losses import _excluded, lost_strip, lost_targets
+from boresight.pipeline.diagnosis.losses import lost_strip, lost_targets
 from boresight.pipeline.diagnosis.suspects import single_targets
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.report.findings import (
@@ -24,7 +24,7 @@ from boresight.pipeline.report.findings import (
     spread,
 )
 from boresight.pipeline.report.unmatched import pictures_at
-from boresight.pipeline.stages.strip import _displaced_m, compass, pushbroom_of
+from boresight.pipeline.stages.strip import _not_matched, compass, displaced_m, pushbroom_of
 
 NAMES = [f"t{n}" for n in range(12)]
 
@@ -232,7 +232,9 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(calibration):
     off = tuple((pixels[0] - pixels[1]).tolist())
     subject = Subject(Kind.TARGET, ccd=ccd, id=name)
     refusal = Entry(subject, Reason.INCONSISTENT, value=9.0, limit=4.0, more=off)
-    assert _displaced_m(task, refusal) == approx((60.0, -25.0), abs=0.05)  # m: the ground is not a plane
+    # m: the ground is not a plane
+    assert displaced_m(task, name, ccd, tuple(pixels[0])) == approx((60.0, -25.0), abs=0.05)
+    assert "about 60 m east, 25 m south of the true place" in _not_matched(task, refusal).detail
 
 
 def test_pictures_of_a_target_that_is_not_matched_are_as_large_as_its_chip_allows(calibration):
@@ -282,6 +284,6 @@ def test_a_strip_window_of_one_grey_value_is_refused_as_such():
 
 def test_a_chip_that_is_too_small_names_its_target_and_strip():
     entry = Entry(target("s07", "quarry", 2), Reason.CHIP_TOO_SMALL, value=12.0, limit=32.0)
-    (found,) = _excluded([entry])
+    (found,) = lost_targets({}, [entry], ledger_of([], [], []), [])
     assert found.item == "target quarry (strip s07)" and found.explains == (entry.subject,)
     assert found.cause == "pixel size of the chip" and found.text == f"{entry.text}."

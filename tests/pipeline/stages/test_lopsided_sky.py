@@ -197,7 +197,7 @@ def test_the_motion_of_a_trace_is_that_of_a_star_that_stands_still_in_the_sky(ta
 
 
 def test_rows_and_columns_in_reverse_begin_at_the_other_end(task, named) -> None:
-    side = SkySide(tasks=(task,), found=(named.found,), omissions=(), computed=(True,))
+    side = SkySide(tasks=(task,), found=(named.found,), omissions=())
     columns, rows = (order.apply(side).found[0].xy_px for order in orders_of(task.strip))
     np.testing.assert_allclose(rows, np.column_stack([XY[:, 0], LINES - 1.0 - XY[:, 1]]))
     np.testing.assert_allclose(columns, np.column_stack([N_PX - 1.0 - XY[:, 0], XY[:, 1]]))

@@ -16,7 +16,7 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.files.text_tables import write_toml
-from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.simulator.mission_records import Mission
@@ -35,8 +35,7 @@ def two_scans() -> Mission:
 
 
 def sighted(dump: Dump) -> HeadSightings:
-    fit = calibration_settings(Settings(), dump.errors, dump.line_camera).attitudes
-    return sight_head(dump, dump.heads[0], Settings(), fit, StageRunner())
+    return sight_head(dump, dump.heads[0], Settings(), StageRunner())
 
 
 def give_second_scan_to_another_head(folder: Path, R_cs: Rotation) -> Rotation:

@@ -226,7 +226,7 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     empty = replace_named(one, exchanged, one.rows[:0])  # a strip without any name, beside one that has them
     none = nothing_found(counts)
     beside = (
-        replace(side, tasks=side.tasks * 2, found=side.found * 2, computed=side.computed * 2),
+        replace(side, tasks=side.tasks * 2, found=side.found * 2),
         [empty, one],
     )
     assert [told.item for told in exchanged_in_sky(dump, *beside, none, calibration.estimate.R_cs)] == [
