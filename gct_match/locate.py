@@ -269,10 +269,10 @@ def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSet
     """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
     fit, wrong = found.fit, found.wrong
     sigma = fit.sigma_px
-    if not sigma <= settings.sigma_px:
-        return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if wrong > settings.probability_wrong:
         return not_matched(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (found.highest,))
+    if not sigma <= settings.sigma_px:
+        return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
     if edge_px:
         return not_matched(Reason.AT_WINDOW_EDGE, limit=edge_px)
     if sigma > settings.sigma_self_similar_px:

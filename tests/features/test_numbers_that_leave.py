@@ -459,7 +459,8 @@ def installations(folder: Path) -> tuple[Any, Any]:
     one, two = lopsided_estimate(1), lopsided_estimate(2)
     found = {"estimate": one, "verdict": verdict, "rows": ROWS, "settings": model}
     found |= {"strips": [Of(ground=Of(range_m=range_m)) for range_m in RANGE_M]}
-    found |= {"camera": LineCamera(focal_m=0.75, ccds=CCDS), "earth_table": EarthTableCheck(**EARTH)}
+    found |= {"camera": LineCamera(focal_m=0.75, ccds=CCDS)}
+    found |= {"assessment": Of(earth_table=EarthTableCheck(**EARTH))}
     write_installation(folder, Of(**found), settings)
     grounds = [np.array([5e5, 5e5, 6e3]), np.array([7e5, 7e5, 8e3])]
     made = installation_facts(two, verdict, ROWS, (model, settings), grounds, STATED)
