@@ -390,7 +390,7 @@ def _heads(
     covariance; of several cameras about the first, whose `R_cs` is given.
     """
     of_heads, C = problem.shared.of_heads, R_cs.as_matrix()
-    names = tuple(dict.fromkeys(name.split("/")[1] for name in of_heads if name.startswith("head/")))
+    names = [head for head in unknown_heads(strips) if set(alignment_names(head)) <= set(of_heads)]
     first = solution.covariance_all.shape[0] - len(of_heads)
     # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
     lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))

@@ -99,7 +99,7 @@ def periodic_errors(
     found = []
     for head, of_head in noise.items():
         own = [name for name in unknowns_of_head(head, of_head) if name.startswith("periodic/")]
-        if not set(own) or not set(own) <= set(names):
+        if not own or not set(own) <= set(names):
             continue
         rows = [names.index(name) for name in own]
         unit = of_head.periodic_rad / np.sqrt(of_head.harmonics)
