@@ -62,6 +62,7 @@ from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.calib.strips import PreparedStrip, prepare_strips
+from boresight.calib.taken_up import taken_up
 from boresight.geometry.attitude_estimate import GROSS, with_attitudes
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
@@ -198,7 +199,12 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
         return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
     heads = _heads(R_cs if R_cs.single else R_cs[0], strips, problem, fit.step.solution)
     estimate = _estimate(prepared, problem, fit, (R_cs, R_cs0), heads, residuals, rejected, test)
-    return replace(estimate, periodic=_periodic(strips, problem, fit.step.solution))
+    others = [head.name for head in heads[0][1:]]
+    return replace(
+        estimate,
+        periodic=_periodic(strips, problem, fit.step.solution),
+        taken_up=taken_up(problem, fit.step, prepared, others),
+    )
 
 
 def strip_pairs(

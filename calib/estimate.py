@@ -177,6 +177,9 @@ class InstallationEstimate:
     bias: CommonBias | None = scalar("of orbit and row clock; None: not observable (no strip of the sky)")
     references: tuple[ReferenceOffset, ...] = scalar("offsets of ground references whose error is stated")
     periodic: tuple[PeriodicError, ...] = scalar("errors of heads that come back", default=())
+    taken_up: dict[str, Floats] = scalar(
+        "of the errors of each strip's pass by the matrices, (3 H, 7)", default_factory=dict
+    )
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
     prior: InformationPairs | None = scalar("on theta, about `R_cs0`; None: none", default=None)

@@ -10,7 +10,7 @@ Rotations R_si take GCRS to the star camera, or any other frame s. TAI seconds s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Literal, Protocol
 
@@ -179,6 +179,10 @@ class AttitudeTrack:
         "of smoothed attitudes: rotation (N, 3, A) about the axes of s at instants (N,), by independent "
         "errors of unit variance, rad",
         default=None,
+    )
+    shares: Mapping[str, Array] = scalar(
+        "(3, 3) by which a rotation of each head, by its name, rotates these, axes of s; none: of one head",
+        default_factory=dict,
     )
     _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)

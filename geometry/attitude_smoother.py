@@ -57,6 +57,7 @@ class HeadRows:
     R_so: Rotation = array("K", "nominal frame to frame s")
     covariance_s: Floats = array("K, 3, 3", "of the white part of each error, rad²")
     noise: AttitudeNoise = scalar("the correlated and the constant part; its `R_sn` leads to frame s")
+    name: str = scalar("of the head", default="")
 
     def within(self, first_s: float, last_s: float) -> HeadRows:
         """The rows from one instant to another."""
@@ -470,7 +471,11 @@ def smoothed_track(
         return np.concatenate([found.root_s(at), found.by_constants(at) @ of_constants], axis=2)
 
     R_si = R_so * nominal.R_oi(t_s)
-    return AttitudeTrack(t_s, R_si, nominal, covariance, is_smoothed=True, smoothed_errors=errors)
+    share = -by_constants.mean(axis=0) @ (np.eye(len(known)) - gain @ T)
+    shares = {head.name: share[:, 3 * n : 3 * n + 3] for n, head in enumerate(heads)}
+    return AttitudeTrack(
+        t_s, R_si, nominal, covariance, is_smoothed=True, smoothed_errors=errors, shares=shares
+    )
 
 
 def _blocks(factor: Floats, N: int, D: int) -> tuple[Floats, Floats]:

@@ -12,12 +12,10 @@ import numpy as np
 
 from boresight.geometry.record import record, scalar
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.results.check_point_test import StripMoves, predicted_covariance
-from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
+from boresight.pipeline.results.place_errors import PassErrors, covariance_of_places
 from boresight.pipeline.results.strip_model import (
     Calibrated,
     StripModel,
-    attitude_errors_s,
     exposures_around,
 )
 
@@ -48,10 +46,8 @@ def ground_error(
     seen = np.isfinite(p_e).all(axis=1) & (t_s >= model.track.span_s[0]) & (t_s <= model.track.span_s[1])
     t_s, p_e = t_s[seen], p_e[seen]
     near = exposures_around(result, dump, model.strip, calibrated.exposure_margin_s)
-    attitude_s = attitude_errors_s(model.track, result, dump, near, t_s)
-    moves = ground_moves(dump.orbit, result.R_cs * model.track.R_si(t_s), t_s, p_e)
-    moving = StripMoves(moves, result.R_cs.as_matrix() @ attitude_s)
-    covariance = predicted_covariance([moving], common_covariance(result, dump.orbit.earth), dump)
+    errors = PassErrors.of(result, dump, model.strip, model.track, near).at(t_s, p_e)
+    covariance = covariance_of_places([errors], result, dump)
     bias2 = float(covariance.mean())
     total2 = float(np.einsum("dnn->dn", covariance).mean())
     range_m = float(np.linalg.norm(p_e - dump.orbit.positions_e(t_s), axis=1).mean())

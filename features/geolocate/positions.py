@@ -2,7 +2,7 @@
 
 The 1-sigma includes the errors of the installation matrix and of predicted Earth orientation, of the star
 exposures' attitudes and of their interpolation, and those that the mission states: position, clock,
-vibration, look distortion, heights of the terrain (`pipeline.results.ground_moves`).
+vibration, look distortion, heights of the terrain (`pipeline.results.place_errors`).
 """
 
 from __future__ import annotations
@@ -12,18 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.geometry.attitude import interpolation_weights
-from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import PixelRow
 from boresight.pipeline.files.text_files import read_table
-from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
-from boresight.pipeline.results.strip_model import Calibrated, StripModel
+from boresight.pipeline.results.place_errors import PassErrors, rest_of_common, variance_of_places
+from boresight.pipeline.results.strip_model import Calibrated, StripModel, exposures_around
 
 __all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]
+
+AT_ONCE = 4096  # places whose errors are in memory together
 
 
 @record
@@ -70,13 +71,15 @@ def ground_places(
     n = len(pixels.line)
     p_e, sigma = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
     t_s = model.pushbroom.instants_of_lines(pixels.ccd, pixels.line)
+    near = exposures_around(calibrated.result, calibrated.dump, model.strip, calibrated.exposure_margin_s)
+    errors = PassErrors.of(calibrated.result, calibrated.dump, model.strip, model.track, near)
     first_s, last_s = model.track.span_s  # as in matching: half a step beyond the exposures
     covered = (t_s >= first_s) & (t_s <= last_s)
     for ccd in np.unique(pixels.ccd[covered]).tolist():
         rows = np.flatnonzero(covered & (pixels.ccd == ccd))
         sample, line = pixels.sample[rows], pixels.line[rows]
         p_e[rows] = model.pushbroom.ground_points(ccd, sample, line, surface)
-        sigma[rows] = _sigma(calibrated, model, t_s[rows], p_e[rows])
+        sigma[rows] = _sigma(errors, t_s[rows], p_e[rows])
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)
     unknown = ~np.isfinite(p_e).all(axis=1)
     for values in (lat, lon, height):
@@ -115,37 +118,9 @@ def places_csv(pixels: Pixels, places: GroundPlaces) -> Iterator[str]:
         yield ",".join(cells) + "\n"
 
 
-def _sigma(calibrated: Calibrated, model: StripModel, t_s: Floats, p_e: Floats) -> Floats:
+def _sigma(errors: PassErrors, t_s: Floats, p_e: Floats) -> Floats:
     """1-sigma (N, 2) along and across the track, m, of ground points (N, 3) seen at instants (N,)."""
-    errors, R_ci = calibrated.dump.errors, model.pushbroom.R_cs * model.track.R_si(t_s)
-    moves = ground_moves(calibrated.dump.orbit, R_ci, t_s, p_e)
-    rotation = _attitude_covariance(model, t_s) + _rotation_variance(calibrated)
-    variance = np.einsum("nia,nab,nib->ni", moves.by_rotation, rotation, moves.by_rotation)
-    common = common_covariance(calibrated.result, calibrated.dump.orbit.earth)
-    by_common = np.concatenate([moves.by_rotation, moves.by_earth], axis=2)
-    variance += np.einsum("nia,ab,nib->ni", by_common, common, by_common)
-    variance += errors.position_m**2 * np.einsum("nia,nia->ni", moves.by_position, moves.by_position)
-    variance += (errors.clock_s * moves.by_clock) ** 2
-    variance += (calibrated.sigma_terrain_m * moves.by_height) ** 2
-    return np.sqrt(variance)
-
-
-def _attitude_covariance(model: StripModel, t_s: Floats) -> Floats:
-    """Covariance (N, 3, 3) of the star camera's attitude, rad², axes of c: of the exposures, and of the
-    interpolation between them where enough exposures determine it.
-    """
-    track, C = model.track, model.pushbroom.R_cs.as_matrix()
-    if track.is_smoothed:
-        return np.asarray(C @ track.covariance_s(t_s) @ C.T)
-    missed = np.nan_to_num(track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
-    weights = interpolation_weights(track.t_s, t_s, track.interpolation, track.points)
-    assert track.cov_s is not None  # `strip_model` gives it
-    own = np.einsum("jk,kab->jab", weights**2, track.cov_s)
-    return np.asarray(C @ (own + missed) @ C.T)
-
-
-def _rotation_variance(calibrated: Calibrated) -> Floats:
-    """Vibration and look distortion as rotations about the axes of c, (3, 3) rad²."""
-    errors, camera = calibrated.dump.errors, calibrated.dump.line_camera
-    distortion = errors.look_px * camera.pixel_rad
-    return np.asarray(((errors.vibration_arcsec * ARCSEC) ** 2 + distortion**2) * np.eye(3))
+    dump = errors.dump
+    rest = rest_of_common(errors.result, dump, [errors.in_matrix])
+    parts = [slice(n, n + AT_ONCE) for n in range(0, len(t_s), AT_ONCE)]
+    return np.sqrt(np.concatenate([variance_of_places(errors.at(t_s[at], p_e[at]), rest) for at in parts]))

@@ -9,26 +9,18 @@ and heights, which the points of the strip share; of vibration, each point's own
 and the probability that it is as large as found by chance is that of the saddlepoint approximation (Lugannani
 and Rice 1980; Kuonen 1999, Biometrika 86, 929).
 
-Predicted is the error in strips that were not used for the calibration. In one that was, the matrix has taken
-up part of the strip's own errors: its points are nearer, and fewer right results are accused than stated.
+What the matrix has taken up of the errors of a strip cancels there (`place_errors`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record, scalar
-from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.results.ground_moves import GroundMoves
-from boresight.pipeline.results.strip_model import terrain_sigma_m
+from boresight.geometry.record import Floats, record, scalar
 
-__all__ = ["RmsTest", "StripMoves", "predicted_covariance", "probability_beyond", "rms_test"]
+__all__ = ["DIRECTIONS", "RmsTest", "probability_beyond", "rms_test"]
 
 PROBABILITY_REFUSED = 1e-3  # that a right prediction is refused, both directions together
 # Names of the two directions on the ground in which errors of check points are stated: along the satellite's
@@ -48,14 +40,6 @@ class RmsTest:
     p_value: float = scalar("probability of an rms as large, if the prediction is right")
     limit: float = scalar("p-value below which the prediction is refused")
     allowed: bool = scalar("whether the errors are as predicted, or smaller")
-
-
-@record
-class StripMoves:
-    """What moves N check points of one strip."""
-
-    moves: GroundMoves = scalar("by errors that the mission states")
-    attitude_c: Floats = array("N, 3, A", "rotation of the attitude by each of A independent errors, rad")
 
 
 def rms_test(direction: str, error_m: Floats, covariance: Floats) -> RmsTest:
@@ -84,36 +68,3 @@ def probability_beyond(eigenvalues: Floats, x: float) -> float:
     w = np.sign(t) * np.sqrt(2.0 * (t * x + 0.5 * float(np.sum(np.log1p(-2.0 * t * lam)))))
     v = t * np.sqrt(second)
     return float(np.clip(ndtr(-(w + np.log(v / w) / w)), 0.0, 1.0))
-
-
-def predicted_covariance(strips: Sequence[StripMoves], common: Floats, dump: Dump) -> Floats:
-    """Covariance (2, N, N), m², of errors along and across the track at the check points of strips, by that
-    of the matrix and of the Earth's rotation (`common_covariance`) and by the errors that the dump states.
-    """
-    errors, camera = dump.errors, dump.line_camera
-    of_all = common.copy()
-    of_all[:3, :3] += (errors.look_px * camera.pixel_rad) ** 2 * np.eye(3)
-    by_rotation = np.concatenate([one.moves.by_rotation for one in strips])
-    by_all = np.concatenate([by_rotation, np.concatenate([one.moves.by_earth for one in strips])], axis=2)
-    white = (errors.vibration_arcsec * ARCSEC) ** 2 * np.sum(by_rotation**2, axis=2)
-    sigma_m = terrain_sigma_m(dump)
-    covariance = []
-    for axis in range(len(DIRECTIONS)):
-        shared = by_all[:, axis] @ of_all @ by_all[:, axis].T
-        own = [_own(one, axis, errors.position_m, errors.clock_s, sigma_m) for one in strips]
-        parts = block_diag(*(root @ root.T for root in own))
-        covariance.append(shared + parts + np.diag(white[:, axis]))
-    return np.array(covariance)
-
-
-def _own(strip: StripMoves, axis: int, position_m: float, clock_s: float, height_m: float) -> Floats:
-    """Moves (N, A + 5) of a strip's points by the errors that they share, 1 sigma, m."""
-    moves = strip.moves
-    return np.column_stack(
-        [
-            np.einsum("na,nab->nb", moves.by_rotation[:, axis], strip.attitude_c),
-            position_m * moves.by_position[:, axis],
-            clock_s * moves.by_clock[:, axis],
-            height_m * moves.by_height[:, axis],
-        ]
-    )

@@ -85,6 +85,26 @@ class SavedResult:
     earth: SavedEarth = scalar(
         "errors of predicted Earth orientation, if it was not measured", default=NO_EARTH
     )
+    taken_up: dict[str, Floats] = scalar(
+        "of the errors of each strip's pass by the matrices of its camera, (3 H, 7): "
+        "`InstallationEstimate.taken_up`",
+        default_factory=dict,
+    )
+
+    @property
+    def head_names(self) -> tuple[str, ...]:
+        """Names of the H heads, the reference head first; a single one may have none."""
+        return tuple(str(one["name"]) for one in self.installation.get("heads") or [{"name": ""}])
+
+    @property
+    def cov_heads(self) -> Floats:
+        """Covariance (3 H, 3 H), rad², of the matrices of all heads, axes of c."""
+        n = 3 * len(self.head_names)
+        if n == 3:
+            return self.cov_theta
+        of_all = _numbers(self.installation, "heads_covariance_rad2", (n, n), "installation.json")
+        # Alignments are the same for all cameras, and for one dump and for several.
+        return of_all + np.tile(self.cov_theta - of_all[:3, :3], (n // 3, n // 3))
 
 
 def read_findings(result: Path) -> list[dict[str, Any]]:
@@ -144,7 +164,25 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
         covariance_s=list_values(table, "covariance_s", 3, 3),
         usable=column(table, "usable").astype(bool),
         earth=_earth(content, name),
+        taken_up=_taken_up(result),
     )
+
+
+def _taken_up(result: Path) -> dict[str, Floats]:
+    """What the matrices have taken up of each strip's errors; none of results that did not say."""
+    path = result / "sightings" / "passes.parquet"
+    table = read_parquet(path) if path.is_file() else None
+    if table is None or "taken_up" not in table.column_names:
+        return {}
+    names = table.column("strip_id").to_pylist()
+    by_strip = list_values(table, "taken_up", -1) if names else np.zeros((0, 7))
+    return dict(zip(names, by_strip.reshape(len(names), -1, 7)))
+
+
+def _within(joint: SavedResult, folder: str) -> dict[str, Floats]:
+    """What joint matrices have taken up of the errors of the strips of one dump."""
+    own = f"{folder}/"
+    return {name.removeprefix(own): G for name, G in joint.taken_up.items() if name.startswith(own)}
 
 
 def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, Any]:
@@ -218,7 +256,7 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         folder = result / folders[0]
         if dump is not None:
             check_dump_of(folder, dump)
-        own = read_saved_result(folder)
+        own = dataclasses.replace(read_saved_result(folder), taken_up=_within(joint, folders[0]))
         return folder, dataclasses.replace(own, R_cs=joint.R_cs, theta=joint.theta, cov_theta=joint.cov_theta)
     if not (names := dumps_in(result)):
         if dump is not None:
@@ -230,6 +268,7 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         if origin is not None and origin.dump == identity:
             joint, own = read_saved_result(result), read_saved_result(result / name)
             of_joint = ("R_cs", "theta", "cov_theta", "installation", "earth")
+            own = dataclasses.replace(own, taken_up=_within(joint, name))
             return result / name, dataclasses.replace(own, **{key: getattr(joint, key) for key in of_joint})
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
     raise RawDataError(str(result), "--dump", str(dump or "nothing"), expected)

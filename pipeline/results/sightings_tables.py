@@ -34,7 +34,7 @@ COLUMNS = MappingProxyType(
         | {"ccd": _WHOLE, "id": _TEXT, "exposure": _TEXT, "head": _TEXT, "camera": _TEXT, "dump": _TEXT}
         | {"statistic": _NUMBER, "limit": _NUMBER},
     }
-)  # docs/result-format.md says what each means
+)  # docs/result-format.md says what each means; `passes` has lists "taken_up" beside, of 21 a head
 
 
 def sightings_schema(table: str) -> pa.Schema:

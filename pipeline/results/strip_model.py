@@ -14,7 +14,7 @@ from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints, record, scalar
+from boresight.geometry.record import Ints, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -29,7 +29,6 @@ from boresight.pipeline.stages.coverage import rows_not_covered, rows_of_heads
 __all__ = [
     "Calibrated",
     "StripModel",
-    "attitude_errors_s",
     "attitude_track",
     "exposures_around",
     "open_calibrated",
@@ -116,16 +115,6 @@ def attitude_track(result: SavedResult, dump: Dump, near: Ints) -> AttitudeTrack
         return AttitudeTrack(t_s, result.R_si[near], dump.orbit, own, interpolation=head.interpolation)
     every = t_s if gyro is None else np.unique(np.concatenate([rows[0].t_s, gyro.t_s]))
     return smoothed_track(rows, dump.orbit, gyro=gyro, t_s=every)
-
-
-def attitude_errors_s(
-    track: AttitudeTrack, result: SavedResult, dump: Dump, near: Ints, t_s: Floats
-) -> Floats:
-    """Rotation (N, 3, A) about axes of s at instants (N,) by independent 1-sigma errors of attitudes (K,)."""
-    covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
-    each = np.arange(len(near))
-    covariance[each, :, each, :] += result.covariance_s[near]
-    return track.errors_s(t_s, covariance)
 
 
 def _mountings(result: SavedResult, dump: Dump) -> dict[str, Rotation]:

@@ -22,17 +22,10 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
-from boresight.pipeline.results.check_point_test import (
-    DIRECTIONS,
-    RmsTest,
-    StripMoves,
-    predicted_covariance,
-    rms_test,
-)
-from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
+from boresight.pipeline.results.check_point_test import DIRECTIONS, RmsTest, rms_test
+from boresight.pipeline.results.place_errors import PassErrors, PlaceErrors, covariance_of_places
 from boresight.pipeline.results.reading import SavedResult
 from boresight.pipeline.results.strip_model import (
-    attitude_errors_s,
     attitude_track,
     exposures_around,
     pushbroom_with,
@@ -125,7 +118,7 @@ def true_installation(dump: Dump) -> Rotation:
 
 def _check(
     points: list[CheckPointRow], result: SavedResult, dump: Dump, R_cs: Rotation
-) -> tuple[CheckPoints, int, list[StripMoves]]:
+) -> tuple[CheckPoints, int, list[PlaceErrors]]:
     """Errors of the check points, how many have none, and what moves those that have one, strip by strip."""
     strips = {strip.strip_id: strip for strip in dump.strips}
     for point in points:
@@ -157,10 +150,7 @@ def _check(
             places_e.append(computed_e[good])
         t_found = np.concatenate(t_s)
         moving.append(
-            StripMoves(
-                ground_moves(dump.orbit, R_cs * track.R_si(t_found), t_found, np.concatenate(places_e)),
-                R_cs.as_matrix() @ attitude_errors_s(track, result, dump, near, t_found),
-            )
+            PassErrors.of(result, dump, strips[strip_id], track, near).at(t_found, np.concatenate(places_e))
         )
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
     checked = CheckPoints(
@@ -187,12 +177,12 @@ def _with_attitude(
 
 
 def _against_prediction(
-    after: CheckPoints, strips: list[StripMoves], result: SavedResult, dump: Dump
+    after: CheckPoints, strips: list[PlaceErrors], result: SavedResult, dump: Dump
 ) -> tuple[RmsTest, ...]:
     """The errors along and across the track, tested; none without check points."""
     if not len(after.along_m):
         return ()
-    covariance = predicted_covariance(strips, common_covariance(result, dump.orbit.earth), dump)
+    covariance = covariance_of_places(strips, result, dump)
     errors = (after.along_m, after.across_m)
     return tuple(map(rms_test, DIRECTIONS, errors, covariance))
 

@@ -78,7 +78,7 @@ def write_sightings(result: Path, calibration: DumpCalibration) -> None:
             "stars": _star_groups(calibration),
             "exposures": [_exposures_table(calibration)],
             "targets": _target_groups(calibration.estimate.targets, calibration.strips, matched),
-            "passes": [_passes_table(calibration)],
+            "passes": [_passes_table(calibration, calibration.estimate)],
         },
         calibration,
     )
@@ -102,7 +102,7 @@ def write_joint_result(
 ) -> None:
     """Write the joint result of several dumps; their own stand in its folders. `installation.json` last."""
     matched = {f"{name}/{one.strip_id}": one for name, found in of_dumps.items() for one in found.observed}
-    passes = [_passes_table(found, f"{name}/") for name, found in of_dumps.items()]
+    passes = [_passes_table(found, joint.estimate, f"{name}/") for name, found in of_dumps.items()]
     targets = _target_groups(joint.estimate.targets, joint.strips, matched)
     _write_tables(result, {"targets": targets, "passes": [pa.concat_tables(passes)]}, joint)
     content = installation_facts(
@@ -344,8 +344,10 @@ def _target_groups(
     return groups
 
 
-def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
-    """A row for each strip of the estimate: time, place in orbit, height of the Sun, track, camera."""
+def _passes_table(calibration: DumpCalibration, estimate: InstallationEstimate, prefix: str = "") -> pa.Table:
+    """A row for each strip of the estimate: time, place in orbit, height of the Sun, track, camera, and what
+    the matrices of an estimate have taken up of its errors.
+    """
     used = {strip.strip_id for strip in calibration.strips}
     every: list[StripTask | SkyTask] = [*calibration.tasks, *calibration.sky.tasks]
     tasks = [task for task in every if task.strip.strip_id in used]
@@ -367,7 +369,10 @@ def _passes_table(calibration: DumpCalibration, prefix: str = "") -> pa.Table:
                 "end_deg": track_deg[2].tolist(),
             }
         )
-    return arrow_rows(rows, sightings_schema("passes"))
+    nothing = np.zeros((3 * len(estimate.heads), 7))
+    taken_up = [nothing, *(estimate.taken_up.get(str(row["strip_id"]), nothing) for row in rows)]
+    table = arrow_rows(rows, sightings_schema("passes"))
+    return table.append_column("taken_up", fixed_list(np.array(taken_up)[1:]))
 
 
 def _tests_table(verdict: Verdict) -> pa.Table:

@@ -165,6 +165,7 @@ def rows_of_heads(
                 R_so=R_sh * R_hi * nominal.R_oi(of_head.t_s[at]).inv(),
                 covariance_s=A @ own @ A.T,
                 noise=replace(head.noise, R_sn=R_sh * head.noise.R_sn),
+                name=head.name,
             )
         )
     return rows
