@@ -16,7 +16,6 @@ from boresight.pipeline.results.place_errors import PassErrors, covariance_of_pl
 from boresight.pipeline.results.strip_model import (
     Calibrated,
     StripModel,
-    exposures_around,
 )
 
 __all__ = ["GroundError", "ground_error"]
@@ -45,8 +44,7 @@ def ground_error(
     p_e = push.ground_points(ccd, sample, line, ConstantHeight(height_m))
     seen = np.isfinite(p_e).all(axis=1) & (t_s >= model.track.span_s[0]) & (t_s <= model.track.span_s[1])
     t_s, p_e = t_s[seen], p_e[seen]
-    near = exposures_around(result, dump, model.strip, calibrated.exposure_margin_s)
-    errors = PassErrors.of(result, dump, model.strip, model.track, near).at(t_s, p_e)
+    errors = PassErrors.of(result, dump, model.strip, model.track, calibrated.sigma_terrain_m).at(t_s, p_e)
     covariance = covariance_of_places([errors], result, dump)
     bias2 = float(covariance.mean())
     total2 = float(np.einsum("dnn->dn", covariance).mean())

@@ -20,7 +20,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import PixelRow
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.results.place_errors import PassErrors, rest_of_common, variance_of_places
-from boresight.pipeline.results.strip_model import Calibrated, StripModel, exposures_around
+from boresight.pipeline.results.strip_model import Calibrated, StripModel
 
 __all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]
 
@@ -71,8 +71,8 @@ def ground_places(
     n = len(pixels.line)
     p_e, sigma = np.full((n, 3), np.nan), np.full((n, 2), np.nan)
     t_s = model.pushbroom.instants_of_lines(pixels.ccd, pixels.line)
-    near = exposures_around(calibrated.result, calibrated.dump, model.strip, calibrated.exposure_margin_s)
-    errors = PassErrors.of(calibrated.result, calibrated.dump, model.strip, model.track, near)
+    terrain_m = calibrated.sigma_terrain_m
+    errors = PassErrors.of(calibrated.result, calibrated.dump, model.strip, model.track, terrain_m)
     first_s, last_s = model.track.span_s  # as in matching: half a step beyond the exposures
     covered = (t_s >= first_s) & (t_s <= last_s)
     for ccd in np.unique(pixels.ccd[covered]).tolist():

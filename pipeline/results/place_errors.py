@@ -19,14 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from boresight.geometry.attitude import AttitudeTrack, linear_weights
+from boresight.geometry.attitude import AttitudeTrack, interpolation_weights, linear_weights
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints, array, record
+from boresight.geometry.record import Floats, array, record
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.reading import SavedResult
-from boresight.pipeline.results.strip_model import terrain_sigma_m
 
 __all__ = ["PassErrors", "PlaceErrors", "covariance_of_places", "rest_of_common", "variance_of_places"]
 
@@ -52,23 +51,27 @@ class PassErrors:
     result: SavedResult
     dump: Dump
     track: AttitudeTrack  # of the strip
-    covariance_s: Floats  # (K, 3, K, 3) of the exposures that the track is made from
-    knots_s: Floats  # (KNOTS,) instants of the strip
-    attitude_s: Floats  # (KNOTS, 3, A) rotation about the axes of s by independent 1-sigma errors, rad
+    sigma_terrain_m: float  # 1-sigma of the heights
+    nodes_s: Floats  # (K,) instants: of the exposures, or knots of smoothed attitudes
+    root_s: Floats  # (K, 3, A) rotation there about the axes of s by independent 1-sigma errors, rad
     shares: Floats  # (3, 3 H) of the heads' matrices in that of the strip
     in_matrix: Floats  # (3 H + 3, B) as in `PlaceErrors`
 
     @classmethod
     def of(
-        cls, result: SavedResult, dump: Dump, strip: Strip, track: AttitudeTrack, near: Ints
+        cls,
+        result: SavedResult,
+        dump: Dump,
+        strip: Strip,
+        track: AttitudeTrack,
+        sigma_terrain_m: float,
     ) -> PassErrors:
-        """Of a strip whose attitudes come from exposures (K,) of the result."""
-        covariance = dump.heads[0].noise.coloured_covariance_s(result.t_exposures_s[near])
-        each = np.arange(len(near))
-        covariance[each, :, each, :] += result.covariance_s[near]
+        """Of a strip with its attitudes."""
         (first, last), (begin, end) = dump.span_s(strip), track.span_s
         knots_s: Floats = np.linspace(max(first, begin), min(last, end), KNOTS, dtype=float)
-        attitude_s = track.errors_s(knots_s, covariance)
+        nodes_s = knots_s if track.is_smoothed else track.t_s
+        root_s = track.errors_s(knots_s) if track.is_smoothed else _root_s(track, dump)
+        common_s = np.tensordot(_weights(track, nodes_s, knots_s).mean(axis=0), root_s, axes=1)
         C, H = result.R_cs.as_matrix(), len(result.cov_heads) // 3
         shares = [C @ track.shares.get(name, np.zeros((3, 3))) @ C.T for name in result.head_names]
         G = np.zeros((3 * H + 3, 7))  # nothing of the Earth's rotation
@@ -79,11 +82,11 @@ class PassErrors:
             result=result,
             dump=dump,
             track=track,
-            covariance_s=covariance,
-            knots_s=knots_s,
-            attitude_s=attitude_s,
+            sigma_terrain_m=sigma_terrain_m,
+            nodes_s=nodes_s,
+            root_s=root_s,
             shares=np.hstack(shares) if track.shares and H > 1 else np.eye(3, 3 * H),
-            in_matrix=-G @ np.pad(block_diag(attitude_s.mean(axis=0), position, clock), ((0, 0), (0, 1))),
+            in_matrix=-G @ np.pad(block_diag(common_s, position, clock), ((0, 0), (0, 1))),
         )
 
     def at(self, t_s: Floats, p_e: Floats) -> PlaceErrors:
@@ -91,11 +94,10 @@ class PassErrors:
         dump, C, errors = self.dump, self.result.R_cs.as_matrix(), self.dump.errors
         orbit = dump.orbit
         moves = ground_moves(orbit, self.result.R_cs * self.track.R_si(t_s), t_s, p_e)
+        attitude_s = np.tensordot(_weights(self.track, self.nodes_s, t_s), self.root_s, axes=1)
         if self.track.is_smoothed:
-            attitude_s = np.tensordot(linear_weights(self.knots_s, t_s).toarray(), self.attitude_s, axes=1)
             left = self.track.covariance_s(t_s) - attitude_s @ np.swapaxes(attitude_s, 1, 2)
         else:
-            attitude_s = self.track.errors_s(t_s, self.covariance_s)
             left = np.nan_to_num(self.track.interpolation_sigma_rad(t_s))[:, :, None] ** 2 * np.eye(3)
         by_attitude = moves.by_rotation @ C
         track_e = np.swapaxes(orbit.R_oi(t_s).as_matrix() @ orbit.earth.matrices_ie(t_s), 1, 2)
@@ -103,7 +105,7 @@ class PassErrors:
             -by_attitude @ attitude_s,
             errors.position_m * moves.by_position @ track_e,
             errors.clock_s * moves.by_clock[:, :, None],
-            terrain_sigma_m(dump) * moves.by_height[:, :, None],
+            self.sigma_terrain_m * moves.by_height[:, :, None],
         ]
         white = np.maximum(np.einsum("nia,nab,nib->ni", by_attitude, left, by_attitude), 0.0)
         vibration = (errors.vibration_arcsec * ARCSEC) ** 2 * np.sum(moves.by_rotation**2, axis=2)
@@ -113,6 +115,22 @@ class PassErrors:
             in_matrix=self.in_matrix,
             white=white + vibration,
         )
+
+
+def _root_s(track: AttitudeTrack, dump: Dump) -> Floats:
+    """Rotation (K, 3, 3 K) of the exposures of a track about the axes of s by independent errors, rad."""
+    covariance, K = dump.heads[0].noise.coloured_covariance_s(track.t_s), len(track.t_s)
+    assert track.cov_s is not None  # `attitude_track` gives it
+    covariance[np.arange(K), :, np.arange(K), :] += track.cov_s
+    values, vectors = np.linalg.eigh(covariance.reshape(3 * K, 3 * K))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).reshape(K, 3, 3 * K))
+
+
+def _weights(track: AttitudeTrack, nodes_s: Floats, t_s: Floats) -> Floats:
+    """Weights (N, K) of errors at nodes in those at instants (N,)."""
+    if track.is_smoothed:
+        return np.asarray(linear_weights(nodes_s, t_s).toarray())
+    return interpolation_weights(nodes_s, t_s, track.interpolation, track.points)
 
 
 def rest_of_common(result: SavedResult, dump: Dump, strips: Sequence[Floats]) -> Floats:

@@ -30,6 +30,7 @@ from boresight.pipeline.results.strip_model import (
     exposures_around,
     pushbroom_with,
     run_settings_of,
+    terrain_sigma_m,
 )
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
@@ -150,7 +151,9 @@ def _check(
             places_e.append(computed_e[good])
         t_found = np.concatenate(t_s)
         moving.append(
-            PassErrors.of(result, dump, strips[strip_id], track, near).at(t_found, np.concatenate(places_e))
+            PassErrors.of(result, dump, strips[strip_id], track, terrain_sigma_m(dump)).at(
+                t_found, np.concatenate(places_e)
+            )
         )
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
     checked = CheckPoints(

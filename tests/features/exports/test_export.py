@@ -22,13 +22,15 @@ from typer.testing import CliRunner
 
 from boresight.features.exports import formats
 from boresight.features.exports.formats import FORMATS
+from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.notes import notes_of
+from boresight.features.geolocate.positions import Pixels, ground_places
 from boresight.geometry.epoch import Epoch
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.spice_kernels import Kernels, read_ck
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
-from boresight.pipeline.results.validate import validation_of
 
 runner = CliRunner()
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
@@ -98,21 +100,24 @@ def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
         assert 0.0 <= float(stated) < 1.0 and (tmp_path / f"{name}_RPC.TXT").is_file()  # px
 
 
-def test_an_rpc_states_the_error_that_check_points_of_its_strip_are_to_have(finished, exported, tmp_path):
-    shutil.copytree(finished[0], tmp_path / "dump")
-    shutil.copytree(MINI / "truth", tmp_path / "dump" / "truth")
-    calibrated = open_calibrated(finished[1], tmp_path / "dump")
-    expected = validation_of(calibrated.result, calibrated.dump).predicted
-    predicted2 = np.mean([one.predicted_m**2 for one in expected])
-    stated2 = []
-    for path in sorted(exported[0].glob("*_RPC.TXT")):
+def test_an_rpc_states_the_error_that_its_pixels_are_to_have(finished, exported):
+    calibrated = open_calibrated(*finished[::-1])
+    model = strip_model(calibrated, "s01")
+    samples, lines = (calibrated.dump.line_camera.n_px(0), model.strip.ccd_lines[0])
+    line, sample = np.meshgrid(np.linspace(0.0, lines - 1.0, 7), np.linspace(0.0, samples - 1.0, 5))
+    for ccd, path in enumerate(sorted(exported[0].glob("*_RPC.TXT"))):
         found = dict(re.findall(r"(ERR_\w+): (\S+) meters", path.read_text()))
-        assert (
-            0.0 < float(found["ERR_RAND"]) < float(found["ERR_BIAS"])
-        )  # the matrix is what all pixels share
-        stated2.append(float(found["ERR_BIAS"]) ** 2 + float(found["ERR_RAND"]) ** 2)
-    # 10 %: check points lie elsewhere in the strip than the pixels of the grid
-    assert np.sqrt(np.mean(stated2)) == pytest.approx(np.sqrt(predicted2), rel=0.1)
+        bias_m, random_m = float(found["ERR_BIAS"]), float(found["ERR_RAND"])
+        # The matrix is of this strip alone: it has taken up most of what its pixels share.
+        assert 0.0 < bias_m < random_m
+        error = ground_error(calibrated, model, ccd, lines, 300.0)
+        pixels = Pixels(np.full(line.size, ccd), sample.ravel(), line.ravel())
+        places = ground_places(calibrated, model, pixels, ConstantHeight(300.0))
+        expected2 = np.mean([places.sigma_along_m**2, places.sigma_across_m**2])
+        assert error.bias_m**2 + error.random_m**2 == approx(expected2, rel=1e-9)
+        # 3 %: the file's height is another. Its polynomials add up to a pixel to what is random.
+        assert bias_m == approx(error.bias_m, rel=0.03)
+        assert error.random_m <= random_m < np.hypot(error.random_m, 5.0)
 
 
 def test_a_calibration_file_has_matrix_covariance_and_dates(finished, tmp_path, installation):

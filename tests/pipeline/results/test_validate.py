@@ -109,7 +109,8 @@ def test_check_points_are_held_against_the_prediction(known: tuple[Dump, SavedRe
     # The true matrix with a covariance of 1 arcsec is as predicted; one that is 40 arcsec off about y, 100 m
     # along the track, is not, and across the track it still is.
     dump, true = known
-    stated = replace(true, cov_theta=(np.array([1.0, 1.0, 8.0]) * ARCSEC) ** 2 * np.eye(3))
+    # The matrix is of other passes: none of their errors is in it.
+    stated = replace(true, cov_theta=(np.array([1.0, 1.0, 8.0]) * ARCSEC) ** 2 * np.eye(3), taken_up={})
     right = validation_of(stated, dump).predicted
     assert [one.direction for one in right] == ["along", "across"] and all(one.allowed for one in right)
     off = replace(stated, R_cs=Rotation.from_rotvec([0.0, 40.0 * ARCSEC, 0.0]) * true.R_cs)
@@ -120,6 +121,9 @@ def test_check_points_are_held_against_the_prediction(known: tuple[Dump, SavedRe
     assert validation_of(exact, dump).predicted[0].predicted_m == pytest.approx(3.4, abs=0.15)
     # 36 exposures of 1 arcsec or less, four of them at an instant: no more than 2.6 m beside that
     assert 3.5 < along.predicted_m < np.hypot(3.5, 2.6)
+    # A matrix of these three passes has a third of the errors of each in it.
+    of_three = validation_of(replace(off, taken_up=true.taken_up), dump).predicted[0]
+    assert of_three.predicted_m < 0.9 * along.predicted_m
 
 
 def test_a_prediction_that_is_stated_too_small_is_told(known: tuple[Dump, SavedResult]) -> None:
