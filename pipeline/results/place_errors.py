@@ -29,6 +29,7 @@ from boresight.pipeline.results.reading import SavedResult
 
 __all__ = ["PassErrors", "PlaceErrors", "covariance_of_places", "rest_of_common", "variance_of_places"]
 
+RATE_OVER_S = 1.0  # time over which an attitude's rate is taken: longer than a step between star images
 KNOTS = 129  # instants of a strip between which errors of smoothed attitudes are taken as linear
 
 
@@ -104,7 +105,7 @@ class PassErrors:
         own = [
             -by_attitude @ attitude_s,
             errors.position_m * moves.by_position @ track_e,
-            errors.clock_s * moves.by_clock[:, :, None],
+            errors.clock_s * (moves.by_clock[:, :, None] - by_attitude @ self._rate_s(t_s)[:, :, None]),
             self.sigma_terrain_m * moves.by_height[:, :, None],
         ]
         white = np.maximum(np.einsum("nia,nab,nib->ni", by_attitude, left, by_attitude), 0.0)
@@ -115,6 +116,14 @@ class PassErrors:
             in_matrix=self.in_matrix,
             white=white + vibration,
         )
+
+    def _rate_s(self, t_s: Floats) -> Floats:
+        """Rotation rate (N, 3) of the sky in frame s, rad/s."""
+        before, after = (
+            np.clip(t_s + half, *self.track.span_s) for half in (-RATE_OVER_S / 2, RATE_OVER_S / 2)
+        )
+        turns = (self.track.R_si(after) * self.track.R_si(before).inv()).as_rotvec()
+        return np.asarray(turns / (after - before)[:, None])
 
 
 def _root_s(track: AttitudeTrack, dump: Dump) -> Floats:

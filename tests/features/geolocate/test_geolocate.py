@@ -148,8 +148,7 @@ def place_with_error(model, calibrated, part, rng, pixels, height_m):
         push = replace(push, orbit=orbit)
     elif part == "clock":
         late = rng.normal(0.0, 1e-4)
-        v = push.orbit.velocities_m_s
-        push = replace(push, orbit=replace(push.orbit, positions_m=push.orbit.positions_m + late * v))
+        push = replace(push, rows=replace(push.rows, t_first_row_s=push.rows.t_first_row_s + late))
     surface = ConstantHeight(height_m + (rng.normal(0.0, 5.0) if part == "terrain" else 0.0))
     return push.ground_points(3, pixels.sample, pixels.line, surface)[0]
 
