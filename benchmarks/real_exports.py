@@ -3,7 +3,8 @@
 Two bands are imported with the operator's refined attitude and its location grid as measured points, and
 calibrated. By the command line alone
 
-1. `geolocate` gives places of all grid rows, against the operator's, with its interpolation and with ours;
+1. `geolocate` gives places of all grid rows, against the operator's, with its interpolation and with ours,
+   and by both raw star trackers, whose errors are to be as stated;
 2. every export is read back by a chain of its own (GDAL for RPCs; the USGS line scanner for ISDs; SPICE for
    the CK; text, ERFA and an ellipsoid for messages and lists) and compared with `geolocate`, in pixels.
 
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -29,8 +31,8 @@ import numpy as np
 import spiceypy
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
-from real_sentinel2 import BULLETIN, grid_of, places_e, points_csv, real_folder
-from record import exit_status, head, judge_largest
+from real_sentinel2 import BULLETIN, grid_of, imported, places_e, points_csv, real_folder
+from record import exit_status, head, judge_largest, verdict
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -41,6 +43,11 @@ from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
+from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
+from boresight.pipeline.files.stated_noise import state_noise
+from boresight.pipeline.results.head_records import noise_of_heads
+from boresight.pipeline.run.settings import Settings
 
 PIXEL_M = 10.0
 A, B = WGS84.semi_major_m, WGS84.semi_minor_m
@@ -95,6 +102,35 @@ def against_grid(work: Path, real: Path, band: str, interpolation: str, limit_m:
         text = f"`geolocate` to the operator's grid, {band}, {interpolation}, {name} detectors: largest"
         judge_largest(text, 1e3 * largest, 1e3 * limit_m, "mm", int(here.sum()))
     return result
+
+
+def by_raw_trackers(work: Path, real: Path, band: str, gyro: bool) -> None:
+    """`geolocate` of the rows of the operator's grid by the raw records of both trackers; orbit and looks are
+    the operator's, so that their stated errors are left out.
+    """
+    strip, grid = read_sentinel2(next(real.glob("*MTD_L1B_DS*.xml")), real, band), grid_of(real, band)
+    name = f"{band}, raw trackers {'with' if gyro else 'without'} gyro"
+    table = read_earth_orientation(work / "bulletin.csv", "bulletin.csv")
+    dump = imported(work / name, [strip], "raw", points_csv(strip, grid), table, exact=False)
+    text = (dump / "dump.toml").read_text()
+    text = re.sub(r"(?m)^(position_m|clock_s|vibration_arcsec|look_distortion_px) = .*$", r"\1 = 0.0", text)
+    (dump / "dump.toml").write_text(text if gyro else re.sub(r"(?s)\[gyro\].*?(?=\[errors\])", "", text))
+    noise = noise_of_heads(open_dump(dump), Settings())
+    state_noise(dump, dict(zip(noise.names, noise.fit.heads)))
+    boresight("calibrate", dump, "--out", work / f"{name}-result", "--quiet")
+    pixels = [(int(row[0]) - 1, float(row[2]), float(row[1]) - 1.0) for row in grid]
+    off = geolocated(work, work / f"{name}-result", band, pixels, name) - places_e(grid)
+    stated = np.genfromtxt(work / f"{name}_places.csv", delimiter=",", names=True)
+    stated2 = stated["sigma_along_m"] ** 2 + stated["sigma_across_m"] ** 2
+    distance = np.linalg.norm(off, axis=1)
+    for detector in np.unique(grid[:, 0]):
+        here = grid[:, 0] == detector
+        rms = float(np.sqrt(np.mean(distance[here] ** 2)))
+        judge_largest(f"{name}, detector {detector:.0f}: rms", rms, 3.0, "m", int(here.sum()))
+    judge_largest(f"{name}: largest", float(distance.max()), 8.0, "m", len(grid))
+    # One draw of errors that go on over the strip: as some ten independent ones, 0.3 to 2.2.
+    ratio = float(np.mean(distance**2) / np.mean(stated2))
+    verdict(f"{name}: {ratio:.2f} of the stated variance", "0.3 to 2.2", 0.3 < ratio < 2.2, len(grid))
 
 
 class Chain:
@@ -305,6 +341,8 @@ def main() -> int:
         for band in ("B02", "B04"):
             result = against_grid(work, real, band, "taylor", 0.005)
             against_grid(work, real, band, "lagrange", 0.4)
+            by_raw_trackers(work, real, band, gyro=True)
+            by_raw_trackers(work, real, band, gyro=False)
         print("\n2. exports of B04 read back, against `geolocate`")
         read_back(work, result, band)
     return exit_status()
