@@ -1,5 +1,5 @@
 """Strips of the ground as tasks: each with the exposures around it, their attitudes, and the targets that it
-may show; and what was matched in them, as sightings.
+may show.
 """
 
 from __future__ import annotations
@@ -24,17 +24,12 @@ from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import (
-    attitudes_in_s,
-    covered_strips,
-    stated_mountings,
-    strip_sightings,
-)
+from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
+from boresight.pipeline.stages.sightings import matched_strips
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
-    ground_sightings,
     orbit_around,
     pushbroom_of,
     targets_near,
@@ -43,7 +38,6 @@ from boresight.pipeline.stages.strip import (
 __all__ = [
     "before_launch",
     "fitting_slip",
-    "matched_strips",
     "strip_tasks",
     "strips_to_match",
     "strips_with_stars",
@@ -105,19 +99,6 @@ def strip_tasks(
         targets, chips = targets_near(task, dump.targets, dump.chips)
         tasks.append(replace(task, targets=targets, chips=chips))
     return tasks, omitted
-
-
-def matched_strips(
-    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
-) -> list[StripSightings]:
-    """Strips with at least one matched target, with the exposures around them and their attitudes."""
-    return [
-        strip_sightings(
-            task, ground_sightings(of_strip, task), task.orbit, heads, earth=task.orbit.earth.prediction
-        )
-        for task, of_strip in zip(tasks, matched)
-        if len(of_strip.target_id)
-    ]
 
 
 def strips_to_match(
