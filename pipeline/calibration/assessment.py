@@ -162,11 +162,14 @@ def _explanations(
     ]
     ccds = [subject for part in parts for subject in part.subjects if subject.kind is Kind.CCD]
     entries = [entry for strip in last.matched for entry in strip.omissions]
-    measured = MeasuredTargets.of(last.tasks, last.matched, estimate.R_cs)
+    suspected = list[Finding]()
+    if reliability.suspects:
+        measured = MeasuredTargets.of(last.tasks, last.matched, estimate.R_cs)
+        suspected += single_targets(reliability.suspects, measured, targets, is_explained=bool(told))
     return [
         *exchanged,
         *parts,
-        *single_targets(reliability.suspects, measured, targets, is_explained=bool(told)),
+        *suspected,
         *(() if strips_exchanged else lost_targets(images, entries, targets, [*explained, *ccds])),
         *lost_stars(images, stars, [*explained, *ccds]),
         *strips_without_stars(basis.dump, last.sky, last.named, stars, strips_told),

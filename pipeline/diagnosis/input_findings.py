@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -284,14 +284,17 @@ def _heights(basis: Basis, targets: Mapping[str, Target], tasks: Sequence[StripT
     lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
     above = height - basis.surface.height_m(lat, lon)
     strips = {task.strip.subject.words: {target.target_id for target in task.targets} for task in tasks}
-    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))), strips)
+    yield from heights(list(targets), above, lambda: float(np.median(egm96().undulation_m(lat, lon))), strips)
 
 
 def heights(
-    names: Sequence[str], above_m: Floats, geoid_m: float, strips: Mapping[str, Collection[str]]
+    names: Sequence[str],
+    above_m: Floats,
+    geoid_m: Callable[[], float],
+    strips: Mapping[str, Collection[str]],
 ) -> Iterator[Finding]:
     """Targets (N) that lie above or below the terrain model: all of them, several alike, or single ones;
-    `strips` have the names of those in view.
+    `strips` have the names of those in view, `geoid_m` the geoid's height over the ellipsoid there.
     """
     known = np.isfinite(above_m)
     if known.sum() < FEWEST:
@@ -302,9 +305,9 @@ def heights(
         n, size = int(known.sum()), f"{middle:+.1f} m (median)"
         text = f"{n} targets differ from the terrain model by {size}: check height_m."
         cause, item = "heights of targets or terrain", "all targets, or the terrain model"
-        if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
+        if abs(abs(middle) - abs(geoid := geoid_m())) < 0.2 * abs(geoid):
             cause, item = "kind of height", "all targets"
-            true, stated = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
+            true, stated = ("ellipsoidal", "EGM96") if middle * geoid > 0.0 else ("EGM96", "ellipsoidal")
             text = (
                 f"{n} targets differ by {size}, as the geoid: the targets' heights are {true} but stated as "
                 f"{stated}, or the terrain's conversely: check height_kind."
