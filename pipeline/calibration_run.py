@@ -55,11 +55,11 @@ from boresight.pipeline.results.writing import (
     write_run,
     write_sightings,
 )
+from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
 

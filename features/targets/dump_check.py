@@ -26,9 +26,9 @@ from boresight.pipeline.files.dump import Dump, dump_or_faults
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarImages
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import Basis, HeadSightings
 from boresight.pipeline.stages.strip import StripTask, misses, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import before_launch

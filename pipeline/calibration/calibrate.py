@@ -26,10 +26,10 @@ from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_row
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.run.cached import Progress, StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars

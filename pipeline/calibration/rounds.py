@@ -23,8 +23,8 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
 from boresight.pipeline.diagnosis.missing import cause_of_no_result, what_is_missing
 from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.sightings import matched_strips, named_sightings

@@ -28,9 +28,9 @@ from boresight.pipeline.diagnosis.readings import (
 )
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head

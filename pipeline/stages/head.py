@@ -32,8 +32,8 @@ from boresight.geometry.terrain import Surface
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.terrain_files import NO_TERRAIN
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 

@@ -16,8 +16,8 @@ from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, find_sky_stars, name_sky_stars

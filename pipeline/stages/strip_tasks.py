@@ -20,9 +20,9 @@ from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.repeats import targets_once
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (

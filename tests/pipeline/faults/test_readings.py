@@ -22,9 +22,9 @@ from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import Basis, sight_head
 
 GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
