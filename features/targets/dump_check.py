@@ -173,7 +173,8 @@ def _checked(dump: Dump, settings: Settings, executor: Executor) -> DumpCheck:
     if wrong and all(head.stars for head in heads) and not any(one.seen_by for one in targets):
         every = before_launch(_with_exposures(dump, _evenly), settings, executor)[0]
         errors = calibration_settings(settings, dump.errors, dump.line_camera)
-        basis = Basis(dump, tuple(every), settings, errors, StageRunner(None, executor))
+        runner, surface = StageRunner(None, executor), surface_of(dump.terrain)
+        basis = Basis(dump, tuple(every), settings, errors, runner, surface)
         if meant := wrong_convention(basis):
             wrong.append(f"{meant.cause}, {meant.item}: {meant.text}")
     return replace(found, wrong=tuple(wrong))

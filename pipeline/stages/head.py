@@ -31,7 +31,6 @@ from boresight.geometry.sightings import (
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
-from boresight.pipeline.files.terrain_files import NO_TERRAIN
 from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.coverage import rows_of_heads
@@ -138,7 +137,7 @@ class Basis:
     settings: Settings
     errors: CalibrationSettings  # of the estimate, with the errors that the dump states
     runner: StageRunner
-    surface: Surface = NO_TERRAIN  # of the Earth
+    surface: Surface  # of the Earth
     of_attitudes: tuple[Finding, ...] = ()  # what the attitudes contradict by themselves
 
     @property
