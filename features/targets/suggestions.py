@@ -39,7 +39,7 @@ from boresight.pipeline.files.images.tiff import write_tiff
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
-from boresight.pipeline.stages.sightings import matched_strips
+from boresight.pipeline.stages.observed_strips import matched_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import before_launch
 

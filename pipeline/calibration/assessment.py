@@ -47,7 +47,7 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.sightings import matched_strips, named_sightings
+from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
 
 __all__ = ["Assessment", "assessed"]

@@ -27,7 +27,7 @@ from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.sightings import matched_strips, named_sightings
+from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import (
