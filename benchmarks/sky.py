@@ -44,8 +44,8 @@ from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars

@@ -28,8 +28,7 @@ from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import make_own_folder
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
-from boresight.pipeline.report.no_result import write_no_result
-from boresight.pipeline.report.page import write_report
+from boresight.pipeline.report.page import write_no_result, write_report
 from boresight.pipeline.results.folder import begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -56,11 +55,11 @@ from boresight.pipeline.results.writing import (
     write_run,
     write_sightings,
 )
+from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.cached import Progress
 
 log = logging.getLogger("boresight.commands")
 

@@ -18,9 +18,9 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.ownership import MARKER, dump_folder_of
+from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import Progress
 
 __all__ = ["InteriorCalibration", "calibrate_remote_camera"]
 

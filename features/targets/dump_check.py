@@ -19,18 +19,18 @@ from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.diagnosis.missing import in_view, misses, uncertainty_m, wrong_convention
+from boresight.pipeline.diagnosis.missing import wrong_convention
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump, dump_or_faults
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarImages
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import Basis, HeadSightings
-from boresight.pipeline.stages.strip import StripTask, pushbroom_of, unreadable_chips
+from boresight.pipeline.stages.strip import StripTask, misses, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import before_launch
 
 __all__ = ["DumpCheck", "TargetCheck", "check_dump", "check_lines", "grouped_faults"]
@@ -152,7 +152,7 @@ def _checked(dump: Dump, settings: Settings, executor: Executor) -> DumpCheck:
     )
     p_e = np.array([target.p_e for target in dump.targets]).reshape(-1, 3)
     missed = [
-        (*misses(task, dump.targets), in_view(task, p_e), uncertainty_m(task))
+        (*misses(task, dump.targets), _in_view(task, p_e), _uncertainty_m(task))
         for task in tasks
         if dump.targets
     ]
@@ -173,10 +173,29 @@ def _checked(dump: Dump, settings: Settings, executor: Executor) -> DumpCheck:
     if wrong and all(head.stars for head in heads) and not any(one.seen_by for one in targets):
         every = before_launch(_with_exposures(dump, _evenly), settings, executor)[0]
         errors = calibration_settings(settings, dump.errors, dump.line_camera)
-        basis = Basis(dump, tuple(every), settings, errors, StageRunner(None, executor))
+        runner, surface = StageRunner(None, executor), surface_of(dump.terrain)
+        basis = Basis(dump, tuple(every), settings, errors, runner, surface)
         if meant := wrong_convention(basis):
             wrong.append(f"{meant.cause}, {meant.item}: {meant.text}")
     return replace(found, wrong=tuple(wrong))
+
+
+def _in_view(task: StripTask, p_e: Floats) -> Bools:
+    """Which places (N, 3), ITRS in m, some CCD of a strip shows."""
+    model = pushbroom_of(task)
+    seen = np.zeros(len(p_e), dtype=bool)
+    for ccd, lines in task.strip.ccd_lines.items():
+        sample, line = model.pixels_from_ground(ccd, p_e)
+        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
+        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
+    return seen
+
+
+def _uncertainty_m(task: StripTask) -> float:
+    """How far targets may lie from predicted places on the ground, m: the search's half-width."""
+    t_s = pushbroom_of(task).instants(np.array([0.5 * (task.strip.lines - 1.0)]))
+    height_m = float(np.linalg.norm(task.orbit.positions_e(t_s)[0])) - WGS84.semi_major_m
+    return task.settings.sigmas * float(task.sigma_installation_rad.max()) * height_m
 
 
 def _lost_files(dump: Dump, omissions: Sequence[Entry]) -> Iterator[str]:

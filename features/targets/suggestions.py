@@ -39,8 +39,9 @@ from boresight.pipeline.files.images.tiff import write_tiff
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
+from boresight.pipeline.stages.observed_strips import matched_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
-from boresight.pipeline.stages.strip_tasks import strips_with_stars
+from boresight.pipeline.stages.strip_tasks import before_launch
 
 __all__ = ["Candidate", "SuggestRequest", "Suggestion", "suggest_in", "suggestion_lines", "write_targets"]
 
@@ -388,18 +389,13 @@ def _chosen(
     named: Sequence[Candidate], dump: Dump, settings: Settings, most: int
 ) -> tuple[TargetChoice, set[str]]:
     """The candidates that make the forecast covariance smallest, and all that the strips may show."""
-    matched, probabilities = [], []
-
-    def shown(task: StripTask) -> tuple[StripTask, MatchedTargets]:
-        targets = tuple(Target(one.target_id, one.p_e, one.sigma_m) for one in named)
-        chips = tuple(ChipFile(one.target_id, "", Path()) for one in named)
-        in_view, probability = _in_view(task, named)
-        probabilities.append(probability)
-        matched.append(in_view)
-        return replace(task, targets=targets, chips=chips), in_view
-
-    strips = strips_with_stars(dump, settings, shown)
-    kept = [p for p, one in zip(probabilities, matched) if len(one.target_id)]
+    heads, tasks, _ = before_launch(dump, settings)
+    targets = tuple(Target(one.target_id, one.p_e, one.sigma_m) for one in named)
+    chips = tuple(ChipFile(one.target_id, "", Path()) for one in named)
+    shown = [_in_view(task, named) for task in tasks]
+    matched = [in_view for in_view, _ in shown]
+    strips = matched_strips([replace(task, targets=targets, chips=chips) for task in tasks], matched, heads)
+    kept = [probability for in_view, probability in shown if len(in_view.target_id)]
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     in_view = {name for one in matched for name in one.target_id.tolist()}
     sigma = dump.sigma_installation_rad

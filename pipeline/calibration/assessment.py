@@ -36,9 +36,8 @@ from boresight.pipeline.diagnosis.losses import (
     star_ledger,
     with_left_out,
 )
-from boresight.pipeline.diagnosis.missing import examined, targets_out_of_view, wrong_convention
-from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
-from boresight.pipeline.diagnosis.own_motion import against_own_motion
+from boresight.pipeline.diagnosis.missing import wrong_convention
+from boresight.pipeline.diagnosis.moved_inputs import examined, moved_inputs
 from boresight.pipeline.diagnosis.readings import (
     exchanged_in_ground,
     exchanged_in_sky,
@@ -48,9 +47,8 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.sky_side import named_sightings
+from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
-from boresight.pipeline.stages.strip_tasks import matched_strips
 
 __all__ = ["Assessment", "assessed"]
 
@@ -75,12 +73,8 @@ def assessed(
     sighted = _sighted(basis, first, last, targets, stars)
     inputs = moved_inputs(dump, sighted, last.tasks)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
-    of_attitudes = against_own_motion(basis.heads)
-    of_inputs = [
-        *of_attitudes,
-        *targets_out_of_view(dump, last.tasks, last.matched),
-        *input_findings(dump, last.tasks, omissions),
-    ]
+    of_attitudes = basis.of_attitudes
+    of_inputs = [*of_attitudes, *input_findings(basis, last.tasks, last.matched, omissions)]
     if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
         reliability = replace(reliability, findings=(), suspects=())
     verdict = assess(
@@ -120,22 +114,14 @@ def _sighted(
     """
     dump, heads = basis.dump, basis.heads
     alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
-    tasks = {task.strip.strip_id: task for task in last.tasks}
-    parts = (
-        (last.tasks, [contradicting_targets(one) for one in last.matched]),
-        (last.tasks, first.matched),
-        ([tasks[one.strip_id] for one in alone], alone),
-    )
-    more = [strip for of_tasks, matched in parts for strip in matched_strips(of_tasks, matched, heads)]
-    more += named_sightings(last.sky, first.named, heads)
-    for named in (
-        named_alone(dump, last.sky, last.named, stars),
-        displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
-    ):
-        of_named = {one.strip_id for one in named}
-        rows = [n for n, task in enumerate(last.sky.tasks) if task.strip.strip_id in of_named]
-        more += named_sightings(last.sky.only(rows), named, heads)
-    return with_left_out(last.strips, more)
+    matched = [*map(contradicting_targets, last.matched), *first.matched, *alone]
+    named = [
+        *first.named,
+        *named_alone(dump, last.sky, last.named, stars),
+        *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
+    ]
+    more = matched_strips(last.tasks, matched, heads), named_sightings(last.sky.tasks, named, heads)
+    return with_left_out(last.strips, [*more[0], *more[1]])
 
 
 def _explanations(
@@ -176,11 +162,14 @@ def _explanations(
     ]
     ccds = [subject for part in parts for subject in part.subjects if subject.kind is Kind.CCD]
     entries = [entry for strip in last.matched for entry in strip.omissions]
-    measured = MeasuredTargets.of(last.tasks, last.matched, estimate.R_cs)
+    suspected = list[Finding]()
+    if reliability.suspects:
+        measured = MeasuredTargets.of(last.tasks, last.matched, estimate.R_cs)
+        suspected += single_targets(reliability.suspects, measured, targets, is_explained=bool(told))
     return [
         *exchanged,
         *parts,
-        *single_targets(reliability.suspects, measured, targets, is_explained=bool(told)),
+        *suspected,
         *(() if strips_exchanged else lost_targets(images, entries, targets, [*explained, *ccds])),
         *lost_stars(images, stars, [*explained, *ccds]),
         *strips_without_stars(basis.dump, last.sky, last.named, stars, strips_told),

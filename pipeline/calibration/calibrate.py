@@ -21,14 +21,15 @@ from boresight.geometry.record import inner, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.calibration.assessment import Assessment, assessed
 from boresight.pipeline.calibration.rounds import Round, first_and_last_round, unused_so_far
+from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_used, unused_rows
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.run.cached import Progress, StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.cached import Progress, StageRunner
 from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars
@@ -92,8 +93,8 @@ def calibrate_dump(
     errors = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
     sky = find_in_sky_strips(dump, heads, settings, runner)
-    surface_of(dump.terrain)  # of several dumps the last one's is in memory: processes forked here share this
-    basis = Basis(dump, heads, settings, errors, runner)
+    surface = surface_of(dump.terrain)  # in memory: processes forked from here share it
+    basis = Basis(dump, heads, settings, errors, runner, surface, tuple(against_own_motion(heads)))
     first, last = first_and_last_round(basis, sky)
     found = last.estimate.with_reference(basis.reference)
     omissions = (

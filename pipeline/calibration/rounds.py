@@ -23,11 +23,12 @@ from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
 from boresight.pipeline.diagnosis.missing import cause_of_no_result, what_is_missing
 from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, named_sightings
+from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
+from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import (
     MatchedTargets,
@@ -37,7 +38,7 @@ from boresight.pipeline.stages.strip import (
     predicted_again,
     with_points,
 )
-from boresight.pipeline.stages.strip_tasks import matched_strips, strip_tasks
+from boresight.pipeline.stages.strip_tasks import strip_tasks
 
 __all__ = [
     "Round",
@@ -178,7 +179,7 @@ def _one_round(
         matched = match_again(tasks, before.matched, settled_px, basis.runner, f"matching-{number}")
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=before is not None)
-    strips = [*matched_strips(tasks, matched, heads), *named_sightings(sky, named, heads)]
+    strips = [*matched_strips(tasks, matched, heads), *named_sightings(sky.tasks, named, heads)]
     estimate = calibrate_strips(strips, dump.R_cs0, basis.errors)
     unmatched = [omission for one in matched for omission in one.omissions]
     unnamed = [omission for one in named for omission in one.omissions]

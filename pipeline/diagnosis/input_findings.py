@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -26,8 +26,9 @@ from boresight.pipeline.files.coordinate_slips import off_middle_m
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head
 from boresight.pipeline.files.star_tables import survey_of
-from boresight.pipeline.files.terrain_files import TerrainFiles, surface_of
-from boresight.pipeline.stages.strip import StripTask, compass
+from boresight.pipeline.files.terrain_files import TerrainFiles
+from boresight.pipeline.stages.head import Basis
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, misses
 
 __all__ = [
     "NOTHING",
@@ -38,8 +39,10 @@ __all__ = [
     "earth_findings",
     "heights",
     "input_findings",
+    "nearest_miss",
     "outside_chips",
     "shifted_chips",
+    "targets_out_of_view",
 ]
 
 FEWEST = 3  # targets that make a pattern
@@ -52,11 +55,17 @@ SHOWN = 4  # most names in the sentence of a finding; "and N more" follows
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
 
-def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[Entry]) -> list[Finding]:
-    """All such findings; `tasks` are the strips that were matched and `omissions` what is not used."""
+def input_findings(
+    basis: Basis, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], omissions: Sequence[Entry]
+) -> list[Finding]:
+    """All such findings; `tasks` are the strips of the ground, `matched` what was matched in them and
+    `omissions` what is not used.
+    """
+    dump = basis.dump
     every = {target.target_id: target for task in tasks for target in task.targets}
     without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
+        *targets_out_of_view(dump, tasks, matched),
         *contradicting_rows(omissions),
         *_of_nothing(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
@@ -64,7 +73,7 @@ def input_findings(dump: Dump, tasks: Sequence[StripTask], omissions: Sequence[E
         *_smeared(dump, omissions),
         *_still_stars(dump),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
-        *_heights(dump, {name: target for name, target in every.items() if name not in without}, tasks),
+        *_heights(basis, {name: target for name, target in every.items() if name not in without}, tasks),
     ]
 
 
@@ -166,6 +175,40 @@ def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
         )
 
 
+def targets_out_of_view(
+    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
+) -> list[Finding]:
+    """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
+    seen = any(
+        len(one.target_id) or any(entry.subject.kind is Kind.TARGET for entry in one.omissions)
+        for one in matched
+    )
+    if seen or not tasks or not dump.targets:
+        return []
+    misses_m = [np.hypot(*nearest_miss(task, dump.targets)[:2]) for task in tasks]
+    nearest = f"the nearest lies {np.nanmin(misses_m) / 1e3:.0f} km from a strip"
+    if not np.isfinite(misses_m).any():
+        nearest = "the camera looks past the Earth"
+    return [
+        Finding(
+            cause="orbit, times or coordinates",
+            item="all targets",
+            text=f"none of {len(dump.targets)} comes into view of a strip, {nearest}: "
+            f"check the orbit, utc_first_row in strips.csv, targets.csv.",
+            file="targets.csv",
+            refutes=True,
+        )
+    ]
+
+
+def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
+    """Of the nearest target what `misses` says (m), the second as time, too (s), and its id."""
+    outside, speed_m_s = misses(task, targets)
+    n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
+    across_m, along_m = outside[n].tolist()
+    return across_m, along_m, along_m / speed_m_s, targets[n].target_id
+
+
 def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
     """That the coordinates of most targets lie as far outside their chips, in the same direction."""
     outside = {entry.subject.id for entry in entries if entry.reason is Reason.OUTSIDE_CHIP}
@@ -235,20 +278,23 @@ def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettin
         )
 
 
-def _heights(dump: Dump, targets: Mapping[str, Target], tasks: Sequence[StripTask]) -> Iterator[Finding]:
-    if not isinstance(dump.terrain, TerrainFiles) or len(targets) < FEWEST:
+def _heights(basis: Basis, targets: Mapping[str, Target], tasks: Sequence[StripTask]) -> Iterator[Finding]:
+    if not isinstance(basis.dump.terrain, TerrainFiles) or len(targets) < FEWEST:
         return
     lat, lon, height = geodetic_from_ecef(np.array([target.p_e for target in targets.values()]), WGS84)
-    above = height - surface_of(dump.terrain).height_m(lat, lon)
+    above = height - basis.surface.height_m(lat, lon)
     strips = {task.strip.subject.words: {target.target_id for target in task.targets} for task in tasks}
-    yield from heights(list(targets), above, float(np.median(egm96().undulation_m(lat, lon))), strips)
+    yield from heights(list(targets), above, lambda: float(np.median(egm96().undulation_m(lat, lon))), strips)
 
 
 def heights(
-    names: Sequence[str], above_m: Floats, geoid_m: float, strips: Mapping[str, Collection[str]]
+    names: Sequence[str],
+    above_m: Floats,
+    geoid_m: Callable[[], float],
+    strips: Mapping[str, Collection[str]],
 ) -> Iterator[Finding]:
     """Targets (N) that lie above or below the terrain model: all of them, several alike, or single ones;
-    `strips` have the names of those in view.
+    `strips` have the names of those in view, `geoid_m` the geoid's height over the ellipsoid there.
     """
     known = np.isfinite(above_m)
     if known.sum() < FEWEST:
@@ -259,9 +305,9 @@ def heights(
         n, size = int(known.sum()), f"{middle:+.1f} m (median)"
         text = f"{n} targets differ from the terrain model by {size}: check height_m."
         cause, item = "heights of targets or terrain", "all targets, or the terrain model"
-        if abs(abs(middle) - abs(geoid_m)) < 0.2 * abs(geoid_m):
+        if abs(abs(middle) - abs(geoid := geoid_m())) < 0.2 * abs(geoid):
             cause, item = "kind of height", "all targets"
-            true, stated = ("ellipsoidal", "EGM96") if middle * geoid_m > 0.0 else ("EGM96", "ellipsoidal")
+            true, stated = ("ellipsoidal", "EGM96") if middle * geoid > 0.0 else ("EGM96", "ellipsoidal")
             text = (
                 f"{n} targets differ by {size}, as the geoid: the targets' heights are {true} but stated as "
                 f"{stated}, or the terrain's conversely: check height_kind."

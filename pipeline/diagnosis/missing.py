@@ -14,18 +14,11 @@ import numpy as np
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
-from boresight.calib.moved_input import MovedInput
-from boresight.calib.reliability import Reliability, examine
-from boresight.calib.settings import CalibrationSettings
-from boresight.gct_match.records import Target
-from boresight.geometry.constants import WGS84
 from boresight.geometry.ledger import Entry, Kind, Reason
-from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Bools, Floats
+from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.diagnosis.input_findings import NOTHING
-from boresight.pipeline.diagnosis.moved_inputs import moved_inputs
-from boresight.pipeline.diagnosis.own_motion import against_own_motion
+from boresight.pipeline.diagnosis.input_findings import NOTHING, nearest_miss
+from boresight.pipeline.diagnosis.moved_inputs import examined, moved_inputs
 from boresight.pipeline.diagnosis.readings import (
     MIRRORED,
     are_mirrored,
@@ -35,24 +28,18 @@ from boresight.pipeline.diagnosis.readings import (
 )
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, footprint_e, pushbroom_of
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strip_tasks
 
 __all__ = [
     "cause_of_no_result",
-    "examined",
-    "in_view",
-    "misses",
-    "nearest_miss",
-    "targets_out_of_view",
-    "uncertainty_m",
     "what_is_missing",
     "wrong_convention",
 ]
@@ -158,91 +145,12 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     )
 
 
-def targets_out_of_view(
-    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
-) -> list[Finding]:
-    """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
-    seen = any(
-        len(one.target_id) or any(entry.subject.kind is Kind.TARGET for entry in one.omissions)
-        for one in matched
-    )
-    if seen or not tasks or not dump.targets:
-        return []
-    misses_m = [np.hypot(*nearest_miss(task, dump.targets)[:2]) for task in tasks]
-    nearest = f"the nearest lies {np.nanmin(misses_m) / 1e3:.0f} km from a strip"
-    if not np.isfinite(misses_m).any():
-        nearest = "the camera looks past the Earth"
-    return [
-        Finding(
-            cause="orbit, times or coordinates",
-            item="all targets",
-            text=f"none of {len(dump.targets)} comes into view of a strip, {nearest}: "
-            f"check the orbit, utc_first_row in strips.csv, targets.csv.",
-            file="targets.csv",
-            refutes=True,
-        )
-    ]
-
-
-def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
-    """Of the nearest target what `misses` says (m), the second as time, too (s), and its id."""
-    outside, speed_m_s = misses(task, targets)
-    n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
-    across_m, along_m = outside[n].tolist()
-    return across_m, along_m, along_m / speed_m_s, targets[n].target_id
-
-
-def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
-    """How far targets (N, 2) lie across and along the track outside a footprint, m; its ground speed, m/s."""
-    seen_e = footprint_e(task)
-    if not np.isfinite(seen_e[:, [0, -1]]).any(axis=(0, 2)).all():
-        return np.full((len(targets), 2), np.nan), np.nan
-    first, last = np.nanmean(seen_e[:, 0], axis=0), np.nanmean(seen_e[:, -1], axis=0)
-    middle = 0.5 * (first + last)
-    along = (last - first) / np.linalg.norm(last - first)
-    across = np.cross(along, middle / np.linalg.norm(middle))
-    axes = np.stack([across, along])
-    inside = (seen_e.reshape(-1, 3) - middle) @ axes.T
-    points = _along_the_ground(np.array([target.p_e for target in targets]), middle) @ axes.T
-    low, high = np.nanmin(inside, axis=0), np.nanmax(inside, axis=0)
-    lines = pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))
-    speed_m_s = float(np.linalg.norm(last - first) / (lines[1] - lines[0]))
-    return np.maximum(np.maximum(low - points, points - high), 0.0), speed_m_s
-
-
-def _along_the_ground(p_e: Floats, middle_e: Floats) -> Floats:
-    """Horizontal vectors (N, 3) from a point to places (N, 3), m, as long as the way along a sphere."""
-    up = middle_e / np.linalg.norm(middle_e)
-    level = p_e - np.outer(p_e @ up, up)
-    length = np.linalg.norm(level, axis=1)
-    way = np.linalg.norm(middle_e) * np.arctan2(length, p_e @ up)
-    return np.asarray(level * (way / np.maximum(length, 1e-9))[:, None])
-
-
-def in_view(task: StripTask, p_e: Floats) -> Bools:
-    """Which places (N, 3), ITRS in m, some CCD of a strip shows."""
-    model = pushbroom_of(task)
-    seen = np.zeros(len(p_e), dtype=bool)
-    for ccd, lines in task.strip.ccd_lines.items():
-        sample, line = model.pixels_from_ground(ccd, p_e)
-        inside = (sample >= -0.5) & (sample <= task.camera.n_px(ccd) - 0.5)
-        seen |= inside & (line >= -0.5) & (line <= lines - 0.5)
-    return seen
-
-
-def uncertainty_m(task: StripTask) -> float:
-    """How far targets may lie from predicted places on the ground, m: the search's half-width."""
-    t_s = pushbroom_of(task).instants(np.array([0.5 * (task.strip.lines - 1.0)]))
-    height_m = float(np.linalg.norm(task.orbit.positions_e(t_s)[0])) - WGS84.semi_major_m
-    return task.settings.sigmas * float(task.sigma_installation_rad.max()) * height_m
-
-
 def cause_of_no_result(
     basis: Basis, sky: SkySide, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
 ) -> Finding | None:
     """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
-    if of_attitudes := against_own_motion(basis.heads):
-        return of_attitudes[0]
+    if basis.of_attitudes:
+        return basis.of_attitudes[0]
     if reversed_strip := next(reversed_strips(basis.dump, sky), None):
         return reversed_strip
     if finding := wrong_convention(basis):
@@ -267,29 +175,6 @@ def wrong_convention(basis: Basis) -> Finding | None:
     reading, count = best
     see = f"{count} of {strips} strips see their stars or targets, as stated {stated}"
     return reading.finding(f"{reading.changed} {see}", refutes=True)
-
-
-def examined(
-    basis: Basis,
-    estimate: InstallationEstimate,
-    strips: Sequence[StripSightings],
-    errors: CalibrationSettings,
-    inputs: Sequence[MovedInput],
-) -> Reliability:
-    """The hypotheses about the inputs of a dump, held against an estimate that was made with `errors`."""
-    camera = basis.dump.line_camera
-    ccds = camera.ccds if isinstance(camera, LineCamera) else ()  # look angles are not rotated by CCD
-    return examine(
-        estimate,
-        strips,
-        errors,
-        pixel_rad=camera.pixel_rad,
-        star_camera=basis.dump.star_camera,
-        inputs=inputs,
-        pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
-        target_files=basis.dump.target_files,
-        limits=basis.settings.verdict.of_reliability,
-    )
 
 
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:

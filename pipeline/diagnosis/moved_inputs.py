@@ -1,6 +1,6 @@
 """Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
 attitudes and the line of sight through which it is taken, velocity of the satellite, the effects on
-light from the ground, and the unit of heights.
+light from the ground, and the unit of heights; and an estimate held against all hypotheses about inputs.
 """
 
 from __future__ import annotations
@@ -14,20 +14,25 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.moved_input import MovedInput
+from boresight.calib.reliability import Reliability, examine
+from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.geometry.starlight import earth_velocity_i
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import StripTask
 
-__all__ = ["moved_inputs"]
+__all__ = ["examined", "moved_inputs"]
 
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
@@ -57,6 +62,29 @@ def moved_inputs(
     if ground := [strip for strip in strips if strip.strip_id in by_id]:
         found += _of_ground(dump, ground, by_id)
     return tuple(found)
+
+
+def examined(
+    basis: Basis,
+    estimate: InstallationEstimate,
+    strips: Sequence[StripSightings],
+    errors: CalibrationSettings,
+    inputs: Sequence[MovedInput],
+) -> Reliability:
+    """The hypotheses about the inputs of a dump, held against an estimate that was made with `errors`."""
+    camera = basis.dump.line_camera
+    ccds = camera.ccds if isinstance(camera, LineCamera) else ()  # look angles are not rotated by CCD
+    return examine(
+        estimate,
+        strips,
+        errors,
+        pixel_rad=camera.pixel_rad,
+        star_camera=basis.dump.star_camera,
+        inputs=inputs,
+        pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
+        target_files=basis.dump.target_files,
+        limits=basis.settings.verdict.of_reliability,
+    )
 
 
 def _clock_of_exposures(head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:

@@ -16,14 +16,13 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.diagnosis.missing import misses
 from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.head import around_strips
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses
 
 __all__ = [
     "Rows",

@@ -4,26 +4,34 @@ cameras: a matrix each, and the rotations between them.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
+from boresight.pipeline.report.map_view import MapView, map_view
 from boresight.pipeline.report.marks import SHAPES
-from boresight.pipeline.report.observations import data_uri
+from boresight.pipeline.report.observations import data_uri, target_rows
 from boresight.pipeline.report.page_template import number_from, template
+from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.report.sheet import SheetBasis, angles, basis_of, matrix_numbers
-from boresight.pipeline.report.small_maps import small_maps
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.requirement import saved_requirement
 from boresight.pipeline.results.sightings_tables import read_sightings
 
-__all__ = ["write_dumps_report"]
+__all__ = ["Bar", "SmallMap", "round_bar", "small_maps", "write_dumps_report"]
+
+CONSTANT = ("chi2", "dof", "p_value")  # fields of drift.json: test that the matrix does not drift
+MOST_MAPS = 12  # on one page: six rows of two on paper
+LONGEST_BAR = 260.0  # of a bar, units of a sheet that is 1000 wide
 
 
 def write_dumps_report(result: Path) -> Path:
@@ -142,4 +150,44 @@ def _drift(result: Path) -> dict[str, Any] | None:
     }
 
 
-CONSTANT = ("chi2", "dof", "p_value")  # fields of drift.json: test that the matrix does not drift
+@record
+class Bar:
+    """A bar of scale."""
+
+    length: float = scalar("units of the sheet")
+    words: str = scalar("what it is on the ground")
+
+
+@record(kw_only=True)
+class SmallMap:
+    """The map of one dump."""
+
+    name: str = scalar("of the dump")
+    page: str = scalar("place of its own page; empty if there is none")
+    map: MapView = scalar("its map; residuals are those of its own matrix")
+    ground: Bar = scalar("of the map")
+    residual: Bar = scalar("of the arrows")
+
+
+def small_maps(result: Path, names: Sequence[str]) -> tuple[SmallMap, ...]:
+    """Maps of the first `MOST_MAPS` dumps that see the ground and whose evidence is kept."""
+    found = list[SmallMap]()
+    for name in names:
+        folder = result / name
+        if len(found) == MOST_MAPS or not (folder / "evidence" / "context.json").is_file():
+            continue
+        saved = read_saved(folder)
+        drawn = map_view(saved, target_rows(saved, 0))
+        if drawn is not None:
+            page = f"{name}/report.html" if (folder / "report.html").is_file() else ""
+            ground, residual = round_bar(drawn.metres), round_bar(drawn.residual_metres)
+            found.append(SmallMap(name=name, page=page, map=drawn, ground=ground, residual=residual))
+    return tuple(found)
+
+
+def round_bar(metres: float) -> Bar:
+    """The longest bar of 1, 2 or 5 times a power of ten metres that is within `LONGEST_BAR` units."""
+    power = 10.0 ** math.floor(math.log10(LONGEST_BAR * metres))
+    length_m = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= LONGEST_BAR * metres)
+    words = f"{length_m / 1000:g} km" if length_m >= 1000.0 else f"{length_m:g} m"
+    return Bar(round(length_m / metres, 1), words)

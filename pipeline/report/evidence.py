@@ -48,7 +48,6 @@ from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
 from boresight.pipeline.report.ground_map import ground_table, scene_json, scene_pictures, scenes_of
 from boresight.pipeline.report.saved import EVIDENCE
-from boresight.pipeline.report.star_pictures import star_pictures
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
@@ -57,12 +56,17 @@ from boresight.pipeline.results.plan_forecast import improvements
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import exposure_image
-from boresight.pipeline.stages.match_pictures import MatchPictures
-from boresight.pipeline.stages.sky_strip import as_matched
+from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, trace_pictures
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, as_matched, strip_motion
+from boresight.star_id.strip_stars.find import StripStars
+from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radius
 
-__all__ = ["write_evidence", "write_joint_evidence"]
+__all__ = ["star_pictures", "write_evidence", "write_joint_evidence"]
 
 MOST_MEANS = 1500  # instants at which attitudes are plotted
+# Pixels shown around the computed image of a star of a strip.
+TRACE_MARGIN_PX = 2
+LEVEL_ROWS = 64  # above and below, from which a column's level is taken
 
 
 def write_evidence(
@@ -343,6 +347,35 @@ def _matches(calibration: DumpCalibration) -> pa.Table:
     every = pa.concat_tables(tables).select(names)
     pictured = [len(picture) > 0 for picture in every.column("template_png").to_pylist()]
     return every if all(pictured) else every.filter(arrow_array(pictured, pa.bool_()))
+
+
+def star_pictures(task: SkyTask, named: NamedStars) -> tuple[MatchPictures, ...]:
+    """Pictures of the stars with names; none where the strip cannot be read any more."""
+    motion, stars = strip_motion(task, task.R_cs0), named.found.take(named.rows)
+    pictures = []
+    for k, ccd in enumerate(stars.ccd.tolist()):
+        own = motion.of(ccd, stars.xy_px[k, 1:])
+        try:
+            pictures.append(_trace_pictures(task, stars, k, own))
+        except RawDataError:
+            pictures.append(NO_PICTURES)
+    return tuple(pictures)
+
+
+def _trace_pictures(task: SkyTask, stars: StripStars, k: int, motion: Motion) -> MatchPictures:
+    ccd, (x, y), images = int(stars.ccd[k]), stars.xy_px[k], task.strip.images
+    lines, samples = images.shape(ccd)
+    radius = trace_radius(motion, stars.psf_sigma_px) + TRACE_MARGIN_PX
+    side = 2 * radius + 1
+    left = int(np.clip(round(float(x)) - radius, 0, max(samples - side, 0)))
+    top = int(np.clip(round(float(y)) - radius, 0, max(lines - side, 0)))
+    first, last = max(top - LEVEL_ROWS, 0), min(top + side + LEVEL_ROWS, lines)
+    read: Floats = np.asarray(images.read(ccd, first, last, left, left + side), dtype=np.float64)
+    seen = read[top - first : top - first + side]
+    middle = np.array([[x - left - radius, y - top - radius]])
+    unit = trace_images(middle, motion, stars.psf_sigma_px, radius).value.reshape(side, side)
+    fitted = np.median(read, axis=0) + stars.flux_dn[k] * unit
+    return trace_pictures(seen, fitted[: seen.shape[0], : seen.shape[1]])
 
 
 def _preview(dump: Dump, calibration: DumpCalibration, settings: Settings) -> StarPreview | None:

@@ -25,7 +25,6 @@ __all__ = ["findings"]
 
 FEWEST = 3  # observations that make a pattern
 SMALL_SHARE = 0.4  # of the swath: targets within less are reported
-FLAT_COUNTS = 2.0  # standard deviation of an image without content
 SHOWN = 5  # names in a sentence
 
 Look = tuple[str, float, float]  # target, mean and standard deviation of the strip around it

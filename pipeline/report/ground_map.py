@@ -21,6 +21,8 @@ from pyproj import Transformer
 from scipy.sparse.csgraph import connected_components
 
 from boresight.calib.estimate import TargetResiduals
+from boresight.gct_match.search.coarse import means_of_usable, read_coarse
+from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.ledger import Entry, Kind, State, Subject
@@ -30,20 +32,22 @@ from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
+from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.star_preview import jpeg_of
-from boresight.pipeline.report.strip_overview import overview
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 
 __all__ = [
     "STATES",
     "MapScene",
+    "Overview",
     "StripOnGround",
     "ground_table",
     "local_plane",
+    "overview",
     "scene_json",
     "scene_pictures",
     "scenes_of",
@@ -55,6 +59,9 @@ MOST_SIDE_PX = 420  # of a picture
 MOST_OUT_OF_VIEW = 500  # targets of a scene
 EDGE_POINTS = 9  # along each edge of a CCD's footprint
 MARGIN = 0.06  # of a scene's size, around the footprints
+OVERVIEW_PX = 420  # least length of the longer side of an overview, if the image has as many pixels
+LEAST_ROWS = 100  # of the overview of a strip that is read in bands
+BAND_LINES = 4  # image lines that are read, and averaged, for a row of such an overview
 # Columns of evidence/ground.parquet: texts, places (deg, m), axes of residuals, all numbers.
 TEXTS = ("strip_id", "target_id", "state", "cause", "reason")
 PLACES = ("lat_deg", "lon_deg", "height_m", "east_m", "north_m")
@@ -427,3 +434,37 @@ def _lattice_map(rows: int, columns: int) -> tuple[NDArray[np.float32], NDArray[
     """Places of a picture's pixels on the lattice of `NODES`² nodes that spans it."""
     x, y = np.meshgrid(*(_on_lattice(size).astype(np.float32) for size in (columns, rows)))
     return x, y
+
+
+@record(kw_only=True)
+class Overview:
+    """Means over blocks of a CCD's image."""
+
+    means: np.ndarray = array("H, W", "counts, single precision; NaN where none is usable")
+    first_px: tuple[float, float] = scalar("middle (sample, line) of the first block")
+    pitch_px: tuple[int, int] = scalar("samples and lines from one block to the next")
+
+
+def overview(images: StripFiles, ccd: int, settings: MatchSettings) -> Overview:
+    """Means over blocks of a CCD's image, without counts that `settings` exclude. `RawDataError` if it is
+    damaged.
+
+    Of a long strip the first lines of each row of its file's tiles are enough: decoding all takes longer
+    than matching it.
+    """
+    lines, samples = images.shape(ccd)
+    factor = 1
+    while 2 * factor * OVERVIEW_PX < lines and 2 * factor <= min(lines, samples):
+        factor *= 2
+    height = min(factor, BAND_LINES)
+    found = images.read_bands(ccd, height, lines // LEAST_ROWS)
+    if found is None:
+        coarse = read_coarse(images, ccd, (0, lines), (0, samples), factor, settings).image
+        middle = 0.5 * (factor - 1)
+        return Overview(means=coarse.astype(np.float32), first_px=(middle, middle), pitch_px=(factor, factor))
+    bands, pitch = found
+    means = means_of_usable(bands[:, : samples // factor * factor], height, settings).astype(np.float32)
+    wide = cv2.resize(means, (samples // factor, len(means)), interpolation=cv2.INTER_AREA)
+    return Overview(
+        means=np.asarray(wide), first_px=(0.5 * (factor - 1), 0.5 * (height - 1)), pitch_px=(factor, pitch)
+    )

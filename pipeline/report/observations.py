@@ -1,8 +1,9 @@
-"""Targets and exposures as the page lists them: one row, one card and one link each."""
+"""Targets, stars of strips and exposures as the page lists them: one row, one card and one link each."""
 
 from __future__ import annotations
 
 import base64
+import math
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 from scipy.special import chdtrc
 
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Kind, State
 from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
@@ -33,11 +35,25 @@ __all__ = [
     "rows_by_key",
     "shown_pictures",
     "strip_numbers",
+    "strip_star_rows",
     "target_rows",
 ]
 
 MOST_PRINTED = 12  # cards of used targets or stars that a print shows; those not used are all printed
 GROUND, TARGETS = "evidence/ground", "sightings/targets"  # tables of a result, without suffix
+STAR_CELLS: dict[
+    str, tuple[Any, ...]
+] = {  # of each number of a star of a strip: column, form, factor, whether it is a root
+    "t_s": ("t_s", "UTC"),
+    "probability_wrong": ("probability_wrong", ".1e"),
+    "sigmas": ("normalised", ".2f", 1.0, True),
+    "sample_px": ("xy_px.0", ".3f"),
+    "line_px": ("xy_px.1", ".3f"),
+    "sigma_sample_px": ("cov_px.0", ".3f", 1.0, True),
+    "sigma_line_px": ("cov_px.3", ".3f", 1.0, True),
+    "residual_x": ("residual_c.0", "+.3f", 1.0 / ARCSEC),
+    "residual_y": ("residual_c.1", "+.3f", 1.0 / ARCSEC),
+}
 
 
 @record(kw_only=True)
@@ -297,3 +313,37 @@ def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:
 def data_uri(kind: str, content: bytes) -> str:
     """Bytes as a `data:` URI of the media type `kind`, so that a page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[SeenCard, ...]:
+    """All named stars: those rejected, then the others, largest residuals first; at most `most_pictures` of
+    those used get pictures.
+    """
+    table = saved.targets.to_pylist()
+    stars = [n for n, row in enumerate(table) if math.isinf(row["range_m"])]
+    strips = sorted({table[n]["strip_id"] for n in stars})
+    pictured = rows_by_key(saved.matches)
+    order = sorted(stars, key=lambda n: (table[n]["kept"], -table[n]["normalised"]))
+    used = [n for n in order if table[n]["kept"]]
+    shown, printed, rows = set(used[:most_pictures]), set(used[:MOST_PRINTED]), []
+    for n in order:
+        row = table[n]
+        at = pictured.get(tuple(row[name] for name in KEYS))
+        seen = not row["kept"] or n in shown
+        shape, colour = strip_style(strips.index(row["strip_id"]))
+        rows.append(
+            SeenCard(
+                row=n,
+                link=f"s{n}",
+                strip_id=row["strip_id"],
+                target_id=row["target_id"],
+                ccd=row["ccd"],
+                state="used" if row["kept"] else "rejected",
+                shape=shape,
+                colour=colour,
+                numbers={name: saved.cell(TARGETS, of[0], n, *of[1:]) for name, of in STAR_CELLS.items()},
+                pictures=pictures_of(saved, "matches", at, ".0f") if at is not None and seen else None,
+                printed=n in printed or not row["kept"],
+            )
+        )
+    return tuple(rows)

@@ -1,4 +1,6 @@
-"""Report page of one dump: figures, tables and pictures in one HTML file without external resources."""
+"""Report page of one dump: figures, tables and pictures in one HTML file without external resources; where
+its data do not suffice, a page that says what is missing.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline import __version__
+from boresight.pipeline.errors import DataNotSufficientError
+from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.table_files import column, list_values
-from boresight.pipeline.files.whole_file import write_whole
+from boresight.pipeline.files.whole_file import write_text, write_whole
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
@@ -24,6 +29,7 @@ from boresight.pipeline.report.observations import (
     data_uri,
     exposure_rows,
     strip_numbers,
+    strip_star_rows,
     target_rows,
 )
 from boresight.pipeline.report.page_template import Number, number_from, template
@@ -31,12 +37,11 @@ from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
 from boresight.pipeline.report.star_image import star_detection, star_picture
 from boresight.pipeline.report.star_preview import STATES
-from boresight.pipeline.report.strip_stars import strip_star_rows
 from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
-__all__ = ["report_html", "write_report"]
+__all__ = ["report_html", "write_no_result", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
@@ -238,3 +243,27 @@ def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
             yield from _flat(value, f"{path}.{name}" if path else str(name))
     else:
         yield path, values if isinstance(values, str) else json.dumps(values, ensure_ascii=False)
+
+
+def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> Path:
+    """Write `report.html` of a run without a result; its path."""
+    cause, *rest = str(error).split("; ")
+    every = (*dump.strips, *dump.sky_strips)
+    begin = min(strip.t_first_row_s for strip in every)
+    end = max(strip.t_first_row_s + strip.lines * strip.row_period_s for strip in every)
+    exposures = sum(head.n_exposures for head in dump.heads)
+    rows = [entry.row for entry in error.omissions]
+    text = template("no_result.html.j2").render(
+        mission=dump.mission,
+        satellite=dump.satellite,
+        utc=[utc[:19].replace("T", " ") for utc in dump.epoch.utc_from_seconds([begin, end])],
+        counts={"exposures": exposures, "strips": len(dump.strips), "targets": len(dump.targets)},
+        cause=cause,
+        rest=rest,
+        kinds=sorted(Counter((row["kind"], row["cause"]) for row in rows).items()),
+        omissions=rows[:MOST_ROWS],
+        omissions_in_all=len(rows),
+        version=__version__,
+    )
+    write_text(path := result / "report.html", text)
+    return path

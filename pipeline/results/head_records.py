@@ -13,8 +13,8 @@ from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import covered_instants, sight_head
 
 __all__ = ["HeadNoise", "attitude_signal", "head_track", "noise_of_heads", "noise_of_tracks"]

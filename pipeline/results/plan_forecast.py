@@ -15,7 +15,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
 from boresight.simulator.head_attitudes import with_gyro
 
@@ -136,13 +136,9 @@ def improvements(
 def _with_targets_twice(strip: StripSightings) -> StripSightings:
     """The strip with a second target beside each, as accurate as the first."""
     ground = strip.ground
-    both = {
-        name: np.concatenate([getattr(ground, name)] * 2)
-        for name in "ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i earth_i".split()
-    }
-    names = np.concatenate([ground.target_id, np.char.add(ground.target_id, " (second)")])
+    second = replace(ground, target_id=np.char.add(ground.target_id, " (second)"))
     R_oi = Rotation.concatenate([strip.R_oi_targets] * 2)
-    return replace(strip, ground=replace(ground, target_id=names, **both), R_oi_targets=R_oi)
+    return replace(strip, ground=GroundSightings.together([ground, second]), R_oi_targets=R_oi)
 
 
 def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSensor) -> StripSightings:

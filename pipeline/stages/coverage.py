@@ -13,7 +13,6 @@ from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.attitude_smoother import HeadRows
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.sightings import GroundSightings, HeadAttitudes, StripSightings
 from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
@@ -21,8 +20,6 @@ from boresight.pipeline.files.strip_table import Strip
 
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars
-    from boresight.pipeline.stages.sky_strip import SkyTask
-    from boresight.pipeline.stages.strip import StripTask
 
 __all__ = [
     "attitudes_in_s",
@@ -31,7 +28,6 @@ __all__ = [
     "rows_not_covered",
     "rows_of_heads",
     "stated_mountings",
-    "strip_sightings",
 ]
 
 
@@ -169,51 +165,3 @@ def rows_of_heads(
             )
         )
     return rows
-
-
-def strip_sightings(
-    task: StripTask | SkyTask,
-    sightings: GroundSightings,
-    nominal: NominalMotion,
-    heads: Sequence[HeadSightings],
-    *,
-    earth: str = "",
-) -> StripSightings:
-    """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
-    where another head carries the strip. `earth` is the prediction of Earth orientation.
-    """
-    reference, t_attitude_s = heads[0], task.t_attitude_s
-    by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
-    own = task.carrier in ("", reference.head.name)
-    rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
-    return StripSightings(
-        strip_id=task.strip.strip_id,
-        exposures=tuple(reference.stars[k] for k in rows),
-        ground=sightings,
-        R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
-        R_oi_targets=nominal.R_oi(sightings.t_s),
-        attitudes=reference.attitudes.take(rows),
-        noise=reference.head.noise,
-        others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
-        gyro=reference.head.gyro_around(t_attitude_s, nominal),
-        interpolation=task.interpolation,
-        earth=earth,
-    )
-
-
-def _around(
-    other: HeadSightings, reference: HeadSightings, t_attitude_s: Floats, nominal: NominalMotion
-) -> HeadAttitudes:
-    """Attitudes of a further head around a strip."""
-    times = np.array([exposure.t_s for exposure in other.stars])
-    first, last = t_attitude_s[0], t_attitude_s[-1]
-    rows = np.flatnonzero(other.attitudes.usable & (times >= first) & (times <= last))
-    return HeadAttitudes(
-        head=other.head.name,
-        t_s=times[rows],
-        R_hi=Rotation.from_matrix(other.attitudes.R_si[rows]) if len(rows) else Rotation.identity(0),
-        covariance_h=other.attitudes.covariance_s[rows],
-        noise=other.head.noise,
-        R_oi=nominal.R_oi(times[rows]),
-        R_sh=reference.head.R_cs0.inv() * other.head.R_cs0,
-    )

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.finding import Finding
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_estimate import fit_exposures
@@ -27,10 +28,11 @@ from boresight.geometry.sightings import (
     exposure_without_stars,
     solved_attitudes,
 )
+from boresight.geometry.terrain import Surface
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
 
@@ -135,6 +137,8 @@ class Basis:
     settings: Settings
     errors: CalibrationSettings  # of the estimate, with the errors that the dump states
     runner: StageRunner
+    surface: Surface  # of the Earth
+    of_attitudes: tuple[Finding, ...] = ()  # what the attitudes contradict by themselves
 
     @property
     def reference(self) -> str:

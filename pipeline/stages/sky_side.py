@@ -14,29 +14,17 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import (
-    attitudes_in_s,
-    covered_strips,
-    stated_mountings,
-    strip_sightings,
-)
+from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
-from boresight.pipeline.stages.sky_strip import (
-    NamedStars,
-    SkyTask,
-    find_sky_stars,
-    name_sky_stars,
-    sky_sightings,
-)
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, find_sky_stars, name_sky_stars
 from boresight.pipeline.stages.strip import orbit_around
 from boresight.star_id.strip_stars.find import StripStars
 
-__all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "named_sightings", "scatter_px"]
+__all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "scatter_px"]
 
 
 @record(kw_only=True)
@@ -99,17 +87,6 @@ def scatter_px(dump: Dump, task: SkyTask) -> float:
     motion = dump.errors.motion_arcsec if len(task.t_attitude_s) < FEWEST_SHOW else 0.0
     moved = np.hypot(dump.errors.vibration_arcsec, motion) * ARCSEC / dump.line_camera.pixel_rad
     return float(np.hypot(dump.errors.look_px, moved))
-
-
-def named_sightings(
-    side: SkySide, named: Sequence[NamedStars], heads: Sequence[HeadSightings]
-) -> list[StripSightings]:
-    """The strips with at least one named star."""
-    return [
-        strip_sightings(task, sky_sightings(task, one), task.nominal, heads)
-        for task, one in zip(side.tasks, named)
-        if len(one.rows)
-    ]
 
 
 def _tasks(

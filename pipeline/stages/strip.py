@@ -56,6 +56,7 @@ __all__ = [
     "ground_sightings",
     "match_strip_targets",
     "measured_points",
+    "misses",
     "no_matches",
     "orbit_around",
     "pictures_of_match",
@@ -462,6 +463,33 @@ def footprint_e(task: StripTask) -> Floats:
         ends = np.repeat([0.0, task.camera.n_px(ccd) - 1.0], len(lines))
         seen.append(model.ground_points(ccd, ends, np.tile(lines, 2), ConstantHeight(0.0)))
     return np.concatenate(seen).reshape(-1, 9, 3)
+
+
+def misses(task: StripTask, targets: Sequence[Target]) -> tuple[Floats, float]:
+    """How far targets (N, 2) lie across and along the track outside a footprint, m; its ground speed, m/s."""
+    seen_e = footprint_e(task)
+    if not np.isfinite(seen_e[:, [0, -1]]).any(axis=(0, 2)).all():
+        return np.full((len(targets), 2), np.nan), np.nan
+    first, last = np.nanmean(seen_e[:, 0], axis=0), np.nanmean(seen_e[:, -1], axis=0)
+    middle = 0.5 * (first + last)
+    along = (last - first) / np.linalg.norm(last - first)
+    across = np.cross(along, middle / np.linalg.norm(middle))
+    axes = np.stack([across, along])
+    inside = (seen_e.reshape(-1, 3) - middle) @ axes.T
+    points = _along_the_ground(np.array([target.p_e for target in targets]), middle) @ axes.T
+    low, high = np.nanmin(inside, axis=0), np.nanmax(inside, axis=0)
+    lines = pushbroom_of(task).instants(np.array([0.0, task.strip.lines - 1.0]))
+    speed_m_s = float(np.linalg.norm(last - first) / (lines[1] - lines[0]))
+    return np.maximum(np.maximum(low - points, points - high), 0.0), speed_m_s
+
+
+def _along_the_ground(p_e: Floats, middle_e: Floats) -> Floats:
+    """Horizontal vectors (N, 3) from a point to places (N, 3), m, as long as the way along a sphere."""
+    up = middle_e / np.linalg.norm(middle_e)
+    level = p_e - np.outer(p_e @ up, up)
+    length = np.linalg.norm(level, axis=1)
+    way = np.linalg.norm(middle_e) * np.arctan2(length, p_e @ up)
+    return np.asarray(level * (way / np.maximum(length, 1e-9))[:, None])
 
 
 def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:

@@ -1,10 +1,10 @@
 """Strips of the ground as tasks: each with the exposures around it, their attitudes, and the targets that it
-may show; and what was matched in them, as sightings.
+may show.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,25 +16,17 @@ from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, l
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Bools, Floats
-from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
 from boresight.pipeline.files.repeats import targets_once
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
-from boresight.pipeline.stages.coverage import (
-    attitudes_in_s,
-    covered_strips,
-    stated_mountings,
-    strip_sightings,
-)
+from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (
-    MatchedTargets,
     StripTask,
-    ground_sightings,
     orbit_around,
     pushbroom_of,
     targets_near,
@@ -43,10 +35,8 @@ from boresight.pipeline.stages.strip import (
 __all__ = [
     "before_launch",
     "fitting_slip",
-    "matched_strips",
     "strip_tasks",
     "strips_to_match",
-    "strips_with_stars",
 ]
 
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
@@ -107,46 +97,22 @@ def strip_tasks(
     return tasks, omitted
 
 
-def matched_strips(
-    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
-) -> list[StripSightings]:
-    """Strips with at least one matched target, with the exposures around them and their attitudes."""
-    return [
-        strip_sightings(
-            task, ground_sightings(of_strip, task), task.orbit, heads, earth=task.orbit.earth.prediction
-        )
-        for task, of_strip in zip(tasks, matched)
-        if len(of_strip.target_id)
-    ]
-
-
 def strips_to_match(
     dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[StripTask], list[Entry]]:
     """Tasks of a dump's strips with the pre-launch installation matrix, and what cannot be used."""
     dump = targets_once(dump, settings.match)
-    heads, tasks, uncovered = before_launch(dump, settings, executor or InOrder())
+    heads, tasks, uncovered = before_launch(dump, settings, executor)
     return tasks, [*dump.omissions, *(one for head in heads for one in head.omissions), *uncovered]
 
 
-def strips_with_stars(
-    dump: Dump, settings: Settings, shown: Callable[[StripTask], tuple[StripTask, MatchedTargets]]
-) -> list[StripSightings]:
-    """The strips of a dump with its star exposures and the image points that `shown` states for each, with
-    the pre-launch installation matrix; without strips that show nothing.
-    """
-    heads, tasks, _ = before_launch(dump, settings, InOrder())
-    parts = [shown(task) for task in tasks]
-    return matched_strips([task for task, _ in parts], [matched for _, matched in parts], heads)
-
-
 def before_launch(
-    dump: Dump, settings: Settings, executor: Executor
+    dump: Dump, settings: Settings, executor: Executor | None = None
 ) -> tuple[list[HeadSightings], list[StripTask], list[Entry]]:
     """The heads of a dump with their attitudes, nothing of them kept; a task for each strip that they cover,
     with the pre-launch matrices, and an omission for each other one.
     """
-    runner = StageRunner(None, executor)
+    runner = StageRunner(None, executor or InOrder())
     heads = [sight_head(dump, head, settings, runner) for head in dump.heads]
     sigma_rad, mountings = dump.sigma_installation_rad, stated_mountings(heads)
     return heads, *strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)

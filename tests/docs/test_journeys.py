@@ -50,7 +50,7 @@ def test_stops_are_called_in_the_order_of_the_page(heading, calls):
 def test_the_stages_run_through_the_runner_and_the_store(calls):
     """The runner's own rows: from any stage to the executor, the store around it, and the stage."""
     for stage in ("pipeline.stages.exposure.sight_exposure", "pipeline.stages.strip.match_strip_targets"):
-        assert [call.by for call in calls[stage]] == ["pipeline.stages.cached.Cached.__call__"]
+        assert [call.by for call in calls[stage]] == ["pipeline.run.cached.Cached.__call__"]
 
 
 def test_a_caller_behind_private_functions_and_comprehensions_is_found():

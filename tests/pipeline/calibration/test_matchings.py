@@ -14,9 +14,9 @@ from boresight.pipeline.calibration import rounds
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.rounds import is_settled, match_again, match_first, match_strips
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.pipeline.stages.strip_tasks import strips_to_match
 

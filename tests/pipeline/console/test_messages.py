@@ -25,7 +25,7 @@ from boresight.pipeline.console.feature import Job
 from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
 from boresight.pipeline.console.program import SPINE
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.stages.cached import StageRunner, log_unit
+from boresight.pipeline.run.cached import StageRunner, log_unit
 
 runner = CliRunner()
 COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_commands if c.callback] + [

@@ -21,10 +21,11 @@ from boresight.pipeline.diagnosis.readings import Reading, best_reading, reading
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
+from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.text_files import toml_tables
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import Basis, sight_head
 
 GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
@@ -147,7 +148,7 @@ def basis_of(dump: Dump) -> Basis:
     settings, runner = Settings(), StageRunner(None, InOrder())
     errors = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
-    return Basis(dump, heads, settings, errors, runner)
+    return Basis(dump, heads, settings, errors, runner, surface_of(dump.terrain))
 
 
 def misread(reading: Reading[Dump], dump: Dump) -> Dump:

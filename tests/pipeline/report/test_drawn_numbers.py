@@ -14,11 +14,10 @@ import pytest
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
-from boresight.pipeline.report.observations import TargetCard
+from boresight.pipeline.report.observations import TargetCard, strip_star_rows
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.sheet import angles
 from boresight.pipeline.report.star_image import star_detection
-from boresight.pipeline.report.strip_stars import strip_star_rows
 
 
 def card(row: int, **more: Any) -> TargetCard:

@@ -45,24 +45,26 @@ def row(strip_id, target_id, *, ccd=0, state=State.UNMATCHED, cause="low correla
 def test_heights_off_by_the_geoid_name_the_kind_of_height(sign, words):
     # A height H above EGM96 taken for ellipsoidal is too low by the undulation N: above the terrain by -N.
     geoid_m = -37.5
-    (found,) = heights(NAMES, sign * geoid_m + np.linspace(-1.0, 1.0, 12), geoid_m, {})
+    (found,) = heights(NAMES, sign * geoid_m + np.linspace(-1.0, 1.0, 12), lambda: geoid_m, {})
     assert found.cause == "kind of height" and found.is_fault
     assert words in found.text and f"{sign * geoid_m:+.1f} m (median)" in found.text
 
 
 def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
     noise = np.random.default_rng(3).normal(0.0, 1.5, 12)
-    assert list(heights(NAMES, noise, -37.5, {})) == []
-    assert list(heights(NAMES, np.where(np.arange(12) < 10, np.nan, 200.0), -37.5, {})) == []  # two known
-    (offset,) = heights(NAMES, noise + 12.0, -37.5, {})
+    assert list(heights(NAMES, noise, lambda: -37.5, {})) == []
+    assert (
+        list(heights(NAMES, np.where(np.arange(12) < 10, np.nan, 200.0), lambda: -37.5, {})) == []
+    )  # two known
+    (offset,) = heights(NAMES, noise + 12.0, lambda: -37.5, {})
     assert offset.cause == "heights of targets or terrain" and "+1" in offset.text
     wrong = noise.copy()
     wrong[4] += 310.0
-    (one,) = heights(NAMES, wrong, -37.5, {})
+    (one,) = heights(NAMES, wrong, lambda: -37.5, {})
     assert (one.cause, one.item) == ("height", "target t4") and "+31" in one.text
     of_a_strip = noise + np.where(np.arange(12) < 4, 40.0, 0.0)
     strips = {"strip s1": NAMES[:4], "strip s2": NAMES}
-    (four,) = heights(NAMES, of_a_strip, -37.5, strips)
+    (four,) = heights(NAMES, of_a_strip, lambda: -37.5, strips)
     assert four.item == "4 targets of strip s1" and four.text.startswith("+40 m above")
 
 

@@ -12,6 +12,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.geometry.sightings import GroundReferences
 from boresight.pipeline.report.ground_accuracy import predicted_accuracy, radius_90
 from boresight.pipeline.results.plan_forecast import improvements
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
@@ -74,6 +75,24 @@ def test_changes_of_the_data_have_the_effect_that_statistics_gives_them():
     # Z from targets over half the swath, even: their rms distance is 0.5 / sqrt(3) = 0.29 of the half width;
     # at the ends, 0.8 to 1 of it, 0.90: the ratio of the two, within the spread of eight drawn targets.
     assert found["the same number of targets, all near the ends of the swath"][2] == approx(0.32, abs=0.1)
+
+
+def test_targets_of_one_reference_can_be_twice_as_many():
+    # An offset of 1 mm that all have in common is nothing beside the 5 m of each position: 1e-6 is rounding.
+    cameras = CameraPair(installation_by_tilt(np.radians(40.0), 0.7))
+    strips, truth = draw_strips(StripPlan(strips=3), cameras, np.random.default_rng(2))
+    n, settings = StripPlan().targets, CalibrationSettings(sigma_position_m=5.0)
+    mosaic = GroundReferences(
+        name=np.full(n, "mosaic"),
+        axes_i=np.tile(np.eye(3), (n, 1, 1)),
+        sigma_m=np.full((n, 3), 1e-3),
+        place=np.zeros((n, 3)),
+    )
+    strips = [replace(one, attitudes=fit_exposures(one.exposures, settings.attitudes)) for one in strips]
+    of_mosaic = [replace(one, ground=replace(one.ground, references=mosaic)) for one in strips]
+    without, found = (improvements(of, truth.R_cs, settings, camera(cameras)) for of in (strips, of_mosaic))
+    for one, other in zip(without, found):
+        assert other.sigma_ratio == approx(one.sigma_ratio, rel=1e-6)
 
 
 def camera(cameras: CameraPair) -> LineCamera:

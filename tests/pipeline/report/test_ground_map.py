@@ -14,8 +14,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.geodesy import local_axes_e
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.images.tiff import StripFiles
-from boresight.pipeline.report.ground_map import NODES, _joined, _lattice_map
-from boresight.pipeline.report.strip_overview import BAND_LINES, overview
+from boresight.pipeline.report.ground_map import BAND_LINES, NODES, _joined, _lattice_map, overview
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boresight.pipeline.report.dumps_page import LONGEST_BAR, round_bar, small_maps
 from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.page_template import template
-from boresight.pipeline.report.small_maps import LONGEST_BAR, round_bar, small_maps
 
 
 @given(st.floats(1e-4, 1e4))

@@ -16,8 +16,8 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.files.text_tables import write_toml
+from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
-from boresight.pipeline.stages.cached import StageRunner
 from boresight.pipeline.stages.head import HeadSightings, sight_head
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.scenario import SkyScan, builtin_scenario

@@ -24,7 +24,7 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.text_files import toml_tables
-from boresight.pipeline.report.star_pictures import star_pictures
+from boresight.pipeline.report.evidence import star_pictures
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.sky_side import scatter_px
 from boresight.pipeline.stages.sky_strip import NamedStars, find_sky_stars

@@ -7,7 +7,7 @@ import pytest
 
 from boresight.geometry.constants import WGS84
 from boresight.pipeline.calibration.calibrate import DumpCalibration
-from boresight.pipeline.diagnosis.missing import nearest_miss
+from boresight.pipeline.diagnosis.input_findings import nearest_miss
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
 
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
+import cv2
+
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
@@ -24,11 +26,12 @@ from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
-from boresight.pipeline.stages.unforeseen import UNFORESEEN, internal_error
 
-__all__ = ["Progress", "StageRunner", "Task", "Unit", "log_unit"]
+__all__ = ["UNFORESEEN", "Progress", "StageRunner", "Task", "Unit", "internal_error", "log_unit"]
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
+# Errors of numerical code on data that it was not written for: they end one item, and not the run.
+UNFORESEEN = (ValueError, ArithmeticError, LookupError, cv2.error)
 
 
 class Task(Protocol):
@@ -111,6 +114,11 @@ class Cached:
         except UNFORESEEN as error:
             reason = internal_error(error, self.stage.__name__)
             return task.item.because(Reason.INTERNAL_ERROR, reason)
+
+
+def internal_error(error: Exception, where: str) -> str:
+    """The reason of an item whose computation raised `error`."""
+    return f"internal error in {where}: {type(error).__name__}: {str(error)[:300]}; please report"
 
 
 def _contents(task: Task) -> tuple[tuple[Path, Identity, str], ...]:

@@ -1,0 +1,93 @@
+"""Strips with what was measured in them and the attitudes around them, as the estimate takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from boresight.geometry.attitude import NominalMotion
+from boresight.geometry.record import Floats
+from boresight.geometry.sightings import GroundSightings, HeadAttitudes, StripSightings
+from boresight.pipeline.stages.head import HeadSightings
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, ground_sightings
+
+__all__ = ["matched_strips", "named_sightings", "strip_sightings"]
+
+
+def matched_strips(
+    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
+) -> list[StripSightings]:
+    """Strips with at least one matched target, with the exposures around them and their attitudes; `tasks`
+    hold those of `matched`, by id.
+    """
+    by_id = {task.strip.strip_id: task for task in tasks}
+    return [
+        strip_sightings(task, ground_sightings(one, task), orbit, heads, earth=orbit.earth.prediction)
+        for one in matched
+        if len(one.target_id)
+        for task, orbit in [(by_id[one.strip_id], by_id[one.strip_id].orbit)]
+    ]
+
+
+def named_sightings(
+    tasks: Sequence[SkyTask], named: Sequence[NamedStars], heads: Sequence[HeadSightings]
+) -> list[StripSightings]:
+    """Strips of the sky with at least one named star; `tasks` hold those of `named`, by id."""
+    by_id = {task.strip.strip_id: task for task in tasks}
+    return [
+        strip_sightings(task, sky_sightings(task, one), task.nominal, heads)
+        for one in named
+        if len(one.rows)
+        for task in [by_id[one.strip_id]]
+    ]
+
+
+def strip_sightings(
+    task: StripTask | SkyTask,
+    sightings: GroundSightings,
+    nominal: NominalMotion,
+    heads: Sequence[HeadSightings],
+    *,
+    earth: str = "",
+) -> StripSightings:
+    """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
+    where another head carries the strip. `earth` is the prediction of Earth orientation.
+    """
+    reference, t_attitude_s = heads[0], task.t_attitude_s
+    by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
+    own = task.carrier in ("", reference.head.name)
+    rows = np.array([by_time[t] for t in t_attitude_s.tolist()] if own else [], dtype=np.int64)
+    return StripSightings(
+        strip_id=task.strip.strip_id,
+        exposures=tuple(reference.stars[k] for k in rows),
+        ground=sightings,
+        R_oi_exposures=nominal.R_oi(t_attitude_s) if own else Rotation.identity(0),
+        R_oi_targets=nominal.R_oi(sightings.t_s),
+        attitudes=reference.attitudes.take(rows),
+        noise=reference.head.noise,
+        others=tuple(_around(other, reference, t_attitude_s, nominal) for other in heads[1:]),
+        gyro=reference.head.gyro_around(t_attitude_s, nominal),
+        interpolation=task.interpolation,
+        earth=earth,
+    )
+
+
+def _around(
+    other: HeadSightings, reference: HeadSightings, t_attitude_s: Floats, nominal: NominalMotion
+) -> HeadAttitudes:
+    """Attitudes of a further head around a strip."""
+    times = np.array([exposure.t_s for exposure in other.stars])
+    first, last = t_attitude_s[0], t_attitude_s[-1]
+    rows = np.flatnonzero(other.attitudes.usable & (times >= first) & (times <= last))
+    return HeadAttitudes(
+        head=other.head.name,
+        t_s=times[rows],
+        R_hi=Rotation.from_matrix(other.attitudes.R_si[rows]) if len(rows) else Rotation.identity(0),
+        covariance_h=other.attitudes.covariance_s[rows],
+        noise=other.head.noise,
+        R_oi=nominal.R_oi(times[rows]),
+        R_sh=reference.head.R_cs0.inv() * other.head.R_cs0,
+    )
