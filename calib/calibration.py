@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.error_table import SharedError
 from boresight.calib.estimate import (
     HeadAgreement,
     HeadInstallation,
@@ -48,7 +49,6 @@ from boresight.calib.heads import (
     without_head,
 )
 from boresight.calib.information import InformationPairs, Solution, corrected, theta_of
-from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.joint_solution import (
     Problem,
     Step,
@@ -79,22 +79,22 @@ def calibrate_strips(
     R_cs0: Rotation | Mapping[str, Rotation],
     settings: CalibrationSettings,
     *,
-    interior: InteriorModel | None = None,
+    further: Sequence[SharedError] = (),
     prior: InformationPairs | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
     several cameras of one satellite (`StripSightings.camera`) a matrix each.
 
     `R_cs0`, star camera to remote-sensing camera, is the matrix to start from, of several cameras one each in
-    the order of the result; milliradians off are no obstacle. `interior` are parameters of the camera to be
-    estimated too, `prior` what is known of the matrix before: one pair, about `R_cs0`. The covariance is that
-    of a small rotation about the axes of c, rad². An angle whose 1-sigma would exceed
-    `settings.sigma_observable_rad` is undetermined.
+    the order of the result; milliradians off are no obstacle. `further` are errors to be estimated too,
+    `prior` what is known of the matrix before: one pair, about `R_cs0`. The covariance is that of a small
+    rotation about the axes of c, rad². An angle whose 1-sigma would exceed `settings.sigma_observable_rad` is
+    undetermined.
 
     The result is the same, bit for bit, for any order of the strips. `ValueError` if two strips share one id,
     list exposures of one instant that differ, or are of unknown cameras.
     """
-    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior, prior)
+    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, further, prior)
     found = _calibrated(passes, start)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
@@ -107,7 +107,7 @@ class _Start:
     cameras: tuple[str, ...]
     R_cs0: Rotation  # (C,) of several
     settings: CalibrationSettings
-    interior: InteriorModel | None
+    further: Sequence[SharedError]
     prior: InformationPairs | None  # on the matrix
 
 
@@ -178,7 +178,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     R_cs0, settings = start.R_cs0, start.settings
     of_heads = [carried(strip) for strip in strips]
     prepared = prepare_strips(of_heads, settings, start.cameras)
-    problem = Problem.of(prepared, settings, start.interior, start.cameras, start.prior)
+    problem = Problem.of(prepared, settings, start.further, start.cameras, start.prior)
     test = rejection_test(settings.probability_false_alarm)
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -209,7 +209,7 @@ def strip_pairs(
     """
     fitted = [carried(one) for one in _passes(strips, settings)]
     cameras, about = _matrices(strips, R_cs)
-    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, None, cameras)
+    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, (), cameras)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     step = solve_weighted(problem, linearised(problem, about), problem.inside.astype(float))

@@ -40,7 +40,6 @@ from boresight.calib.distortion import (
 )
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import of_heads
-from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
@@ -143,10 +142,10 @@ def find_shared(
     strips: Sequence[PreparedStrip],
     settings: CalibrationSettings,
     heads: tuple[str, ...] = (),
-    interior: InteriorModel | None = None,
+    further: Sequence[SharedError] = (),
 ) -> SharedUnknowns:
-    """The unknowns that these strips share, those of `heads` among them; biases of orbit and clock where
-    there are stars and targets on the ground.
+    """The unknowns that these strips share, those of `heads` and `further` rows of the table among them;
+    biases of orbit and clock where there are stars and targets on the ground.
 
     Of targets in several strips, those seen most often come first.
     """
@@ -173,7 +172,7 @@ def find_shared(
         knots=tuple(sorted(knots)),
         errors=(
             _distortion(tuple(sorted(knots)), tuple(sorted(ccds))),
-            *([_interior(interior)] if interior else []),
+            *further,
             _coordinates(kept),
             *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
             _earth(earth),
@@ -270,18 +269,6 @@ def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
     curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ccd), len(knots)))
     weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
     return weights
-
-
-def _interior(model: InteriorModel) -> SharedError:
-    """Of the camera: looks, and delays of a CCD's rows."""
-
-    def delays(strip: PreparedStrip) -> Array:
-        return strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
-
-    def looks(strip: PreparedStrip) -> Array:
-        return -model.look_change(strip.ccd, strip.sample) @ model.basis
-
-    return SharedError(model.unknowns, delays, looks)
 
 
 def _coordinates(targets: tuple[str, ...]) -> SharedError:

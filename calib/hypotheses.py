@@ -213,7 +213,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
 
 
 def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
-    """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
+    """The hypotheses about vectors of frames (`features.vectors`): no camera, orbit or clock is known, so they
     concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
     prepared, (u_c, across) = of.prepared, of.looks()

@@ -15,11 +15,10 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
-from boresight.calib.error_table import SharedUnknowns, find_shared, prior_of
+from boresight.calib.error_table import SharedError, SharedUnknowns, find_shared, prior_of
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
-from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
@@ -61,12 +60,12 @@ class Problem:
         cls,
         prepared: list[PreparedStrip],
         settings: CalibrationSettings,
-        interior: InteriorModel | None = None,
+        further: Sequence[SharedError] = (),
         cameras: tuple[str, ...] = ("",),
         prior: InformationPairs | None = None,
     ) -> Problem:
-        """The problem that these strips of `cameras` pose, the camera's interior unknown if there is a model
-        of it; without groups where no target is covered. `prior` is on theta.
+        """The problem that these strips of `cameras` pose, with `further` rows of the table of errors;
+        without groups where no target is covered. `prior` is on theta.
         """
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
@@ -74,7 +73,7 @@ class Problem:
         of_any = {name for strip in carrying for name in strip.of_heads}
         heads = tuple(sorted(of_any, key=lambda name: name.split("/")))
         seen = [one for one in passes if one.inside.any()]
-        shared = find_shared(seen, settings, heads, interior)
+        shared = find_shared(seen, settings, heads, further)
         groups = [condensed(group) for group in group_strips(passes, shared, settings)]
         places = [n for group in groups for n in group.place.tolist()]
         members = [passes[n] for n in places]

@@ -302,7 +302,7 @@ def _adjustment(
     strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
     strips = [carried(strip) for strip in strips]
     prepared = prepare_strips(strips, settings, estimate.cameras)
-    problem = Problem.of(prepared, settings, None, estimate.cameras, estimate.prior)
+    problem = Problem.of(prepared, settings, (), estimate.cameras, estimate.prior)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
     about = linearised(problem, estimate.R_cs)
     found = estimate.targets

@@ -10,7 +10,7 @@ from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.interior_parameters import STAGGER, InteriorModel, InteriorPriors
+from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import (
     InteriorEstimate,
