@@ -213,8 +213,8 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
 
 
 def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
-    """The hypotheses about vectors of frames (`features.vectors`): no camera, orbit or clock is known, so they
-    concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
+    """The hypotheses about vectors of frames, of which no camera, orbit or clock is known: they concern the
+    axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
     prepared, (u_c, across) = of.prepared, of.looks()
     every = _all("all frames", of)

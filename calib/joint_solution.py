@@ -19,7 +19,6 @@ from boresight.calib.error_table import SharedError, SharedUnknowns, find_shared
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
-from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
@@ -74,7 +73,7 @@ class Problem:
         heads = tuple(sorted(of_any, key=lambda name: name.split("/")))
         seen = [one for one in passes if one.inside.any()]
         shared = find_shared(seen, settings, heads, further)
-        groups = [condensed(group) for group in group_strips(passes, shared, settings)]
+        groups = group_strips(passes, shared, settings)
         places = [n for group in groups for n in group.place.tolist()]
         members = [passes[n] for n in places]
         keys = [
@@ -223,11 +222,10 @@ class _Reduced:
 
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
-    of_heads = np.concatenate([line.tie_common, line.tie_r[:, :, None]], axis=2)
-    X_q, tie_qT = root * line.X_q, np.swapaxes(line.tie_q, 1, 2)
-    informed = np.eye(X_q.shape[2]) + np.swapaxes(X_q, 1, 2) @ X_q + tie_qT @ line.tie_q
-    cov_q = np.asarray(np.linalg.inv(informed), dtype=np.float64)
-    N, G = np.swapaxes(of_heads, 1, 2) @ of_heads, tie_qT @ of_heads
+    (S, _, n_q), n, A = line.X_q.shape, line.n_common + 1, line.ties.shape[2]
+    X_q, N, G = root * line.X_q, np.zeros((S, n, n)), np.zeros((S, n_q, n))
+    cov_q = np.asarray(np.linalg.inv(np.eye(n_q) + np.swapaxes(X_q, 1, 2) @ X_q), dtype=np.float64)
+    N[:, n - A :, n - A :] = np.swapaxes(line.ties, 1, 2) @ line.ties
     for part in line.common:
         at = np.append(part.columns, line.n_common)
         Y = part.of(root) * np.concatenate([part.X, part.of(line.r[:, :, None])], axis=2)

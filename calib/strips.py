@@ -31,6 +31,7 @@ from boresight.calib.error_table import (
     of_pass,
 )
 from boresight.calib.heads import HeadTie, of_heads
+from boresight.calib.own_unknowns import condensed
 from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
@@ -119,11 +120,10 @@ class StripGroup:
     shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
-    ties: Floats = array("S, H, V", "rows of other heads: by phi, by unknowns of heads, residual; whitened")
+    ties: Floats = array("S, H, A", "rows of other heads: by unknowns of heads, residual; whitened")
     by_ties: Floats = array(
         "S, N, A", "own unknowns by such rows: by those of heads, residual (`own_unknowns`)"
     )
-    n_phi: int = scalar("attitude unknowns, the first of the strip's own")
     n_common: int = scalar("unknowns of the calibration beside theta")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
@@ -167,9 +167,7 @@ class LinearStrips:
     n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
-    tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
-    tie_common: Floats  # (S, h, 3 C + g)
-    tie_q: Floats  # (S, h, n)
+    ties: Floats  # (S, h, A + 1) rows of the other heads by unknowns of heads, the last common ones; residual
 
     def along(self, x: Floats) -> Floats:
         """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
@@ -329,17 +327,13 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
         if n_heads := group.by_ties.shape[2] - 1:  # those of heads are the last common unknowns
             block.X[:, :, -n_heads:] -= block.of(told[:, :, :-1])
         common.append(block)
-    by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
-    h, unseen = group.ties.shape[1], n_common - by_heads.shape[2]
     return LinearStrips(
         r=r[:, :, 0] - told[:, :, -1],
         common=tuple(common),
         n_common=n_common,
         X_q=X_q,
         whitener=whitener,
-        tie_r=group.ties[:, :, -1],
-        tie_common=np.concatenate([np.zeros((S, h, unseen)), by_heads], axis=2),
-        tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
+        ties=group.ties,
     )
 
 
@@ -360,24 +354,27 @@ def _group(
     shared: SharedUnknowns,
 ) -> StripGroup:
     """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
-    members = [strips[n] for n in places]
+    members, S = [strips[n] for n in places], len(places)
     shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
     names = ("inside", "u_c", "cov_c", "v_s")
-    n_phi = members[0].n_phi
+    stacked = {name: np.stack([getattr(strip, name) for strip in members]) for name in names}
+    tangent = tangent_axes(stacked["v_s"])  # across the known directions, along which nothing changes
+    ties = np.stack([_rows_of_ties(strip, shared) for strip in members])
+    own = (tangent @ shared_s).reshape(S, -1, shared_s.shape[3])
+    own, by_ties, ties = condensed(own, ties, members[0].n_phi)
     which = np.stack([strip.camera for strip in members])
     in_c, in_s = (np.stack(part) for part in zip(*map(shared.columns, members)))
     return StripGroup(
         place=np.array(places),
         which=which,
-        shared_s=shared_s,
+        shared_s=np.swapaxes(tangent, 2, 3) @ own.reshape(*tangent.shape[:3], own.shape[2]),
         white_s=white,
         missed=np.stack([shared.missed(strip) for strip in members]),
-        ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
-        by_ties=np.zeros((len(places), shared_s.shape[3], len(shared.of_heads) + 1)),
-        n_phi=n_phi,
+        ties=ties,
+        by_ties=by_ties,
         n_common=in_c.shape[3],
         parts=tuple(_parts(which[0], in_c, in_s, len(shared.of_heads))),
-        **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
+        **stacked,
     )
 
 
@@ -396,9 +393,9 @@ def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[Gr
         yield GroupPart(camera, at, columns, in_c[:, at][..., columns], in_s[:, at][..., columns])
 
 
-def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
+def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns) -> Floats:
     """Rows (h, n_phi + unknowns of heads + 1) of the other heads in a strip."""
-    none = np.zeros((0, n_phi + len(shared.of_heads) + 1))
+    none = np.zeros((0, strip.n_phi + len(shared.of_heads) + 1))
     told = [(tie, of_heads(tie.unknowns, tie.by_alpha, shared.of_heads)) for tie in strip.ties]
     return np.concatenate([none, *(np.column_stack([tie.by_phi, by_alpha, tie.r]) for tie, by_alpha in told)])
 
