@@ -28,7 +28,6 @@ __all__ = [
     "Problem",
     "Step",
     "absorbed",
-    "iteration_record",
     "linearised",
     "readmitted",
     "respond",
@@ -169,6 +168,17 @@ class Step:
     def sigma(self) -> Floats:
         """1-sigma (3 C,) of theta, rad."""
         return np.sqrt(np.diag(self.solution.covariance))
+
+    @property
+    def iteration(self) -> Iteration:
+        """The step as `InstallationEstimate.iterations` keeps it."""
+        return Iteration(self.solution.theta, self.sigma, self.chi2, float(np.sum(self.weight)))
+
+    def found(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Best values (n,) and covariance (n, n) of some of the shared unknowns."""
+        rows = np.array([self.pairs.shared.index(name) for name in names], dtype=np.int64)
+        columns = len(self.solution.theta) + rows
+        return self.solution.shared[rows], self.solution.covariance_all[np.ix_(columns, columns)]
 
 
 def linearised(problem: Problem, R_cs: Rotation, known: Step | None = None) -> Linearised:
@@ -348,8 +358,3 @@ def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tup
             right -= part.back[s, :, :-1].T @ of_q
     x = step.solution.covariance_all @ right
     return each - np.einsum("nh,nh->h", right, x), with_chosen - right[:, chosen].T @ x, x
-
-
-def iteration_record(step: Step, weight: Floats) -> Iteration:
-    """The step as `InstallationEstimate.iterations` keeps it."""
-    return Iteration(step.solution.theta, step.sigma, step.chi2, float(np.sum(weight)))

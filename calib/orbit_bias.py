@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from boresight.calib.information import Solution
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.record import Floats, array, record
 
@@ -65,21 +64,18 @@ def bias_prior(names: Sequence[str]) -> Floats:
     return np.diag([PRIOR_SIGMA[name] ** -2.0 for name in names])
 
 
-def common_bias(names: Sequence[str], solution: Solution, settings: CalibrationSettings) -> CommonBias | None:
-    """The biases among the shared unknowns `names` that the data determine; None if there are none."""
-    unit = np.array([settings.sigma_position_m] * 3 + [settings.sigma_clock_s])
-    n_theta = len(solution.theta)
-    sigma = np.sqrt(np.diag(solution.covariance_all))[n_theta:]
-    rows = [
-        n for n, name in enumerate(names) if name in BIASES and sigma[n] <= OBSERVABLE * PRIOR_SIGMA[name]
-    ]
-    if not rows:
+def common_bias(values: Floats, covariance: Floats, settings: CalibrationSettings) -> CommonBias | None:
+    """The biases that the data determine, from values (4,) and covariance (4, 4) of `BIASES` in units of the
+    stated errors; None if there are none.
+    """
+    prior = np.array([PRIOR_SIGMA[name] for name in BIASES])
+    rows = np.flatnonzero(np.sqrt(np.diag(covariance)) <= OBSERVABLE * prior)
+    if not len(rows):
         return None
-    stated = unit[[BIASES.index(names[n]) for n in rows]]
-    columns = n_theta + np.array(rows)
+    stated = np.array([settings.sigma_position_m] * 3 + [settings.sigma_clock_s])[rows]
     return CommonBias(
-        names=tuple(names[n].removeprefix("bias/") for n in rows),
-        value=stated * solution.shared[rows],
-        covariance=solution.covariance_all[np.ix_(columns, columns)] * np.outer(stated, stated),
+        names=tuple(BIASES[n].removeprefix("bias/") for n in rows),
+        value=stated * values[rows],
+        covariance=covariance[np.ix_(rows, rows)] * np.outer(stated, stated),
         stated=stated,
     )
