@@ -103,15 +103,7 @@ class Hypothesis(InputError):
 
     rows: Ints = array("K", "targets that it moves, of all in order of strips")
     moves_c: Floats = array("K, 3", "change of u_c - w of these by one unit, frame c, rad")
-    n_targets: int = scalar("of all strips")
     star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
-
-    @property
-    def change_c(self) -> Floats:
-        """Change (J, 3) of u_c - w of all targets by one unit, frame c, rad."""
-        change = np.zeros((self.n_targets, 3))
-        change[self.rows] = self.moves_c
-        return change
 
     @property
     def largest(self) -> float:
@@ -254,7 +246,6 @@ def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
         rarity=rarity,
         rows=np.arange(len(change_c)),
         moves_c=change_c,
-        n_targets=len(change_c),
     )
 
 
@@ -452,7 +443,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
         change.append(-dv_s)
     stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
     moves_c = of.in_c(np.concatenate(change))
-    return Hypothesis(**stated, rows=np.arange(len(moves_c)), moves_c=moves_c, n_targets=len(moves_c))
+    return Hypothesis(**stated, rows=np.arange(len(moves_c)), moves_c=moves_c)
 
 
 # --- Cameras

@@ -265,7 +265,8 @@ def _leverage(line: LinearStrips, part: _Reduced, cov_x: Floats) -> Floats:
         both = np.block([[cov_q, across], [np.swapaxes(across, 1, 2), of_x]])
         X = np.concatenate([own.of(line.X_q), own.X], axis=2)
         pairs = X.reshape(-1, 2, X.shape[2])
-        line.rows(leverage, own, (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2))
+        fitted = (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2)
+        leverage[:, own.rows_of(leverage.shape[1])] = fitted.reshape(S, -1, 2)
     return leverage.reshape(-1, 2, 2)
 
 
@@ -330,7 +331,7 @@ def respond(step: Step, columns: Floats, weight: Floats | None = None) -> tuple[
         parts.append((line, part, B, part.cov_q @ of_q))
     x = step.solution.covariance_all @ right
     left = [B - _after(line, part, x) - line.X_q @ own for line, part, B, own in parts]
-    return np.concatenate([one.reshape(-1, 2, H) for one in left]), x
+    return np.concatenate([one.ravel() for one in left]).reshape(columns.shape), x
 
 
 def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tuple[Floats, Floats, Floats]:

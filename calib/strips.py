@@ -173,7 +173,7 @@ class LinearStrips:
         """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
         out = np.empty((*self.r.shape, x.shape[1]))
         for part in self.common:
-            self.rows(out, part, part.X @ x[part.columns])
+            out[:, part.rows_of(out.shape[1])] = part.X @ x[part.columns]
         return out
 
     def onto(self, rows: Floats) -> Floats:
@@ -182,12 +182,6 @@ class LinearStrips:
         for part in self.common:
             out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ part.of(rows)
         return out
-
-    @staticmethod
-    def rows(out: Floats, part: CommonColumns, values: Floats) -> None:
-        """Put the rows (S, 2 I, n) of a part's targets into those (S, 2 J, n) of all."""
-        S, _, n = out.shape
-        out.reshape(S, -1, 2, n)[:, part.targets] = values.reshape(S, -1, 2, n)
 
 
 # What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.

@@ -24,7 +24,7 @@ from scipy.special import bdtrc, chdtr, chdtrc
 from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WithoutHead
 from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import Hypothesis
-from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
+from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
@@ -127,11 +127,6 @@ class VerdictSettings:
     sigma_overstated: float = scalar("tolerated factor of stated over true standard deviations", default=2.0)
     share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
     share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.15)
-
-    @property
-    def of_reliability(self) -> ReliabilitySettings:
-        """Limits of the tests of inputs."""
-        return ReliabilitySettings(sigma_understated=self.sigma_understated)
 
 
 @record(kw_only=True)

@@ -154,7 +154,7 @@ def calibrate_jointly(
         star_camera=first.dump.star_camera,
         inputs=_joined_inputs(calibrated),
         target_files=first.dump.target_files,
-        limits=settings.verdict.of_reliability,
+        sigma_understated=settings.verdict.sigma_understated,
     )
     verdict = assess(
         estimate,

@@ -288,7 +288,7 @@ def examined(
         inputs=inputs,
         pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
         target_files=basis.dump.target_files,
-        limits=basis.settings.verdict.of_reliability,
+        sigma_understated=basis.settings.verdict.sigma_understated,
     )
 
 
