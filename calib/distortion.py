@@ -90,18 +90,12 @@ def knots_touched(curve: Index, place: Array) -> tuple[Knot, ...]:
 
 
 def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...]) -> Array:
-    """Weights (J, K) of the knots in the curve's value at each target. Raises `KeyError` for a knot not
-    in `knots`.
-    """
-    column = {knot: n for n, knot in enumerate(knots)}
-    step = place / 0.5
-    left = np.floor(step).astype(np.int64)
-    weights = np.zeros((len(curve), len(knots)))
-    for j, (c, k) in enumerate(zip(curve.tolist(), left.tolist())):
-        share = step[j] - k
-        weights[j, column[c, k]] = 1.0 - share
-        weights[j, column[c, k + 1]] = share
-    return weights
+    """Weights (J, K) of the knots in the curve's value at each target: of the two that it lies between."""
+    of_curve, number = np.array(knots, dtype=np.int64).reshape(-1, 2).T
+    step = place[:, None] / 0.5
+    share = step - np.floor(step)
+    after = number - np.floor(step)
+    return (of_curve == curve[:, None]) * ((after == 0.0) * (1.0 - share) + (after == 1.0) * share)
 
 
 def missed_between_knots(weights: Array) -> Array:

@@ -177,6 +177,10 @@ class HypothesisInputs:
         u_c: Floats = self.column("u_c")
         return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
 
+    def shifts(self) -> Floats:
+        """Change (2, J, 3) by looks that are a pixel too far along x and along y of c."""
+        return self.pixel * np.moveaxis(self.looks()[1][:, :, :2], 2, 0)
+
     def turns(self) -> Floats:
         """Change (3, J, 3) by a rotation of an arc-second of the attitudes about each axis of c."""
         return np.moveaxis(ARCSEC * cross_matrices(self.in_c(self.column("v_s"))), 2, 0)
@@ -194,9 +198,9 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
     found += _of_datum(of)
     if len(of.prepared) > 1:
-        found += _in_each(_passes(of), _turns(of, "attitude or mounting", ABOUT_TRACK))
+        found += _in_each(_passes(of), _errors(of, "attitude or mounting", ABOUT_TRACK, of.turns()))
         found += _of_season(of)
-        found += _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
+        found += _in_each(_later_passes(of), _errors(of, "mounting moved", ABOUT_AXES, of.turns()))
         found += _of_images(of)
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
@@ -208,19 +212,20 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     """The hypotheses about vectors of frames, of which no camera, orbit or clock is known: they concern the
     axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
-    prepared, (u_c, across) = of.prepared, of.looks()
+    prepared, (u_c, _) = of.prepared, of.looks()
     every = _all("all frames", of)
-    origin = [
-        _error(of, f"origin of the look vectors, {'xy'[axis]} of c", of.pixel * across[:, :, axis])
-        for axis in (0, 1)
-    ]
+    origin = _errors(of, "origin of the look vectors", ("x of c", "y of c"), of.shifts())
     # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
-    found = list(_in_each(every, [*origin, *_turns(of, "attitude and aberration of all frames", ABOUT_AXES)]))
+    found = list(
+        _in_each(
+            every, [*origin, *_errors(of, "attitude and aberration of all frames", ABOUT_AXES, of.turns())]
+        )
+    )
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [replace(_focal_length(of), file="w_c", field="")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
-        found += _in_each(frames, _turns(of, "attitude of a frame", ABOUT_AXES))
+        found += _in_each(frames, _errors(of, "attitude of a frame", ABOUT_AXES, of.turns()))
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -247,6 +252,13 @@ def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
         rows=np.arange(len(change_c)),
         moves_c=change_c,
     )
+
+
+def _errors(
+    of: HypothesisInputs, cause: str, names: Sequence[str], changes_c: Iterable[Floats]
+) -> list[Hypothesis]:
+    """A row of `ERRORS` in each of some directions, by name, with the change (J, 3) that it makes."""
+    return [_error(of, f"{cause}, {name}", change_c) for name, change_c in zip(names, changes_c)]
 
 
 def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
@@ -384,7 +396,7 @@ def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
     for n in range(PHASES):
         place = f"every pass, most {round(182.625 * n / PHASES)} days after {first.words}"
         profile = np.cos(2.0 * np.pi * years - np.pi * n / PHASES)[:, None]
-        turns = _turns(of, "mounting varies with the season", ABOUT_AXES)
+        turns = _errors(of, "mounting varies with the season", ABOUT_AXES, of.turns())
         yield from _in_each(_all(place, of), [replace(one, moves_c=profile * one.moves_c) for one in turns])
 
 
@@ -392,13 +404,8 @@ def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A drift, or a bend, of the mounting over a pass: in each of them alike, or in one."""
     places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
     for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
-        turns = _turns(of, f"mounting {what}", ABOUT_AXES)
+        turns = _errors(of, f"mounting {what}", ABOUT_AXES, of.turns())
         yield from _in_each(places, [replace(one, moves_c=profile[:, None] * one.moves_c) for one in turns])
-
-
-def _turns(of: HypothesisInputs, cause: str, axes: Sequence[str]) -> list[Hypothesis]:
-    """A rotation by an arc-second about each axis of c."""
-    return [_error(of, f"{cause}, {axis}", turn) for axis, turn in zip(axes, of.turns())]
 
 
 # --- Positions on the ground and of the satellite
@@ -408,8 +415,8 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
     ground = ~of.column("is_star")[:, None]
     ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
-    moves = {"along the track": ahead, "across the track": right, "height": -down}
-    along, *rest = (_error(of, f"orbit or targets, {name}", change) for name, change in moves.items())
+    names = ("along the track", "across the track", "height")
+    along, *rest = _errors(of, "orbit or targets", names, (ahead, right, -down))
     yield from _in_each(_all_strips(of), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of), rest)
@@ -418,10 +425,7 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
 def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Coordinates of targets that are all off alike: of a pass, of all, or of one of several references."""
     moves = np.moveaxis(-of.C @ of.column("reference_s"), 2, 0)
-    errors = [
-        _error(of, f"datum of the targets, {axis}", change)
-        for axis, change in zip(("east", "north", "height"), moves)
-    ]
+    errors = _errors(of, "datum of the targets", ("east", "north", "height"), moves)
     # The height of all, or of a pass, is that of the orbit.
     yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
     name = of.column("reference")
@@ -451,17 +455,10 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
-    (_, across), ccd, camera, sample = of.looks(), *map(of.column, ("ccd", "camera", "sample"))
-    x, y = (-of.pixel * across[:, :, axis] for axis in (0, 1))
-
-    def placed(what: str) -> list[Hypothesis]:
-        return [
-            _error(of, f"place of {what}, along the track", x),
-            _error(of, f"place of {what}, across the track", y),
-        ]
-
+    ccd, camera, sample = map(of.column, ("ccd", "camera", "sample"))
+    axes, (x, y) = ("along the track", "across the track"), -of.shifts()
     every = list(_cameras(of))
-    yield from _in_each(every, placed("the CCDs"))
+    yield from _in_each(every, _errors(of, "place of the CCDs", axes, (x, y)))
     numbers = sorted(set(zip(camera.tolist(), ccd.tolist())))
     for n, number in numbers:
         if sum(one == n for one, _ in numbers) == 1:
@@ -476,7 +473,8 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
             _error(of, "bend of a CCD", (at**2 - 1.0 / 3.0) * x),
         ]
         subject = Subject(Kind.CCD, camera=name, ccd=number)
-        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), *shapes])
+        placed = _errors(of, "place of a CCD", axes, (x, y))
+        yield from _in_each([(subject.words, (subject,), here)], [*placed, *shapes])
     yield from _in_each(every, [_focal_length(of)])
 
 
@@ -490,12 +488,7 @@ def _focal_length(of: HypothesisInputs) -> Hypothesis:
 
 
 def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    _, across = of.looks()
-    shifts = [
-        _error(of, f"image of a CCD, {name}", of.pixel * across[:, :, axis])
-        for axis, name in enumerate(("lines", "samples"))
-    ]
-    yield from _in_each(_images(of), shifts)
+    yield from _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
 
 
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:

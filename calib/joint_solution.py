@@ -155,6 +155,11 @@ class Step:
         return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.about.strips])
 
     @property
+    def across(self) -> Floats:
+        """(J, 2, 3), takes a change of a look, frame c, to that of the whitened residual."""
+        return np.concatenate([line.across.reshape(-1, 2, 3) for line in self.about.strips])
+
+    @property
     def residual_c(self) -> Floats:
         """Residuals (J, 2) along x and y of frame c, rad."""
         return np.asarray(np.linalg.solve(self.whitener, self.whitened[:, :, None])[:, :, 0])

@@ -55,6 +55,10 @@ class Signal:
     enters: Floats = array("H, D, 3", "of each head's axes into the signal")
     lowest_hz: float = scalar("lower frequencies hold motion of the satellite; 0: none", default=0.0)
 
+    def variance(self, of_axes: Floats) -> Floats:
+        """Variance (..., D) of the components by that of the heads' axes (..., H, 3)."""
+        return np.einsum("hda,...ha,hda->...d", self.enters, of_axes, self.enters)
+
 
 @record(kw_only=True)
 class AxisSpectrum:
@@ -268,18 +272,17 @@ def _with_means(
     means = np.concatenate(of_parts)
     scatter2 = means.var(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1], np.nan)
     by_axis = _variance_of_means(x, count, signal.step_s)
-    predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
-    white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
+    predicted2 = signal.variance(by_axis)
+    white2 = signal.variance(white_density / count)
     of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
-    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
+    level = signal.variance(of_axes)
     # The same part, as it is in the mean of all components, of the variance of every axis: a few means of
     # differences cannot tell more, and an axis without any would be trusted far too much.
     share = max(float(np.mean((scatter2 - predicted2) / level)), 0.0) if len(means) > 1 else 0.0
     r = np.exp(-signal.step_s / np.exp(x[..., 2]))
     by_ar1 = np.exp(2.0 * x[..., 1]) * r * ((1.0 - r**count) / (1.0 - r) / count) ** 2  # of neighbours
     near, far = (
-        _between_means(of_parts, lag, level)
-        - float(np.mean(np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters) / level))
+        _between_means(of_parts, lag, level) - float(np.mean(signal.variance(by_axis) / level))
         for lag, by_axis in ((1, by_ar1), (2, by_ar1 * r**count))
     )
     share, one_sigma = max(share, near), float(np.mean(scatter2 / level)) / np.sqrt(means.size)
@@ -311,8 +314,8 @@ def _with_means(
         spectrum=AxisSpectrum(
             frequency_hz=omega / (2.0 * np.pi * signal.step_s),
             measured=_binned(parts, signal, omega),
-            model=np.einsum("hda,fha,hda->fd", signal.enters, grid, signal.enters),
-            white=np.tile(np.einsum("hda,ha,hda->d", signal.enters, white_density, signal.enters), (48, 1)),
+            model=signal.variance(grid),
+            white=np.tile(signal.variance(white_density), (48, 1)),
         ),
     )
 

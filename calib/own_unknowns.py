@@ -38,7 +38,7 @@ def condensed(X: Floats, ties: Floats, n_phi: int) -> tuple[Floats, Floats, Floa
     R_inverse = np.broadcast_to(np.eye(n), (S, n, n)).copy()
     if ties.shape[1]:
         prior = np.broadcast_to(np.eye(n_phi, ties.shape[2]), (S, n_phi, ties.shape[2]))
-        R = np.linalg.qr(np.concatenate([prior, ties], axis=1), mode="r")
+        R: Floats = np.asarray(np.linalg.qr(np.concatenate([prior, ties], axis=1), mode="r"))
         by_ties[:, :n_phi], rows = R[:, :n_phi, n_phi:], R[:, n_phi:, n_phi:]
         R_inverse[:, :n_phi, :n_phi] = np.linalg.inv(R[:, :n_phi, :n_phi])
     # Columns of an orthogonal matrix, the first of which span what targets see

@@ -46,7 +46,6 @@ from boresight.calib.hypotheses import (
     hypotheses,
 )
 from boresight.calib.joint_solution import (
-    Linearised,
     Problem,
     Step,
     absorbed,
@@ -61,7 +60,7 @@ from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import star_effects, summed
-from boresight.calib.strips import matrix_of_each, prepare_strips, tangent_axes, turned
+from boresight.calib.strips import prepare_strips
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Subject
@@ -312,7 +311,6 @@ def _adjustment(
     prepared = prepare_strips(strips, settings, estimate.cameras)
     problem = Problem.of(prepared, settings, (), estimate.cameras, estimate.prior)
     strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
-    about = linearised(problem, estimate.R_cs)
     found = estimate.targets
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
@@ -323,11 +321,12 @@ def _adjustment(
     table = table_of(of)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
-    of_stars, across = parts >= 0, _across(problem, about)
+    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
+    of_stars, across = parts >= 0, step.across
     off_c: Floats = of.column("u_c") - of.in_c(of.column("v_s"))
     return _Adjustment(
         problem=problem,
-        step=solve_weighted(problem, about, weight * problem.inside),
+        step=step,
         of=of,
         table=table,
         B=_columns(across, table),
@@ -338,17 +337,6 @@ def _adjustment(
         limit=estimate.rejection.limit,
         tolerated=tolerated,
     )
-
-
-def _across(problem: Problem, about: Linearised) -> Floats:
-    """(J, 2, 3), takes a change of a look, frame c, to that of the whitened residual."""
-    rows = [
-        line.whitener
-        @ tangent_axes(turned(matrix_of_each(about.R_cs, group.which), group.v_s))
-        * group.inside[:, :, None, None]
-        for group, line in zip(problem.groups, about.strips)
-    ]
-    return np.concatenate([one.reshape(-1, 2, 3) for one in rows])
 
 
 def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:

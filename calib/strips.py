@@ -167,6 +167,7 @@ class LinearStrips:
     n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
+    across: Floats  # (S, J, 2, 3) takes changes of looks, frame c, to rows of r; zero where not covered
     ties: Floats  # (S, h, A + 1) rows of the other heads by unknowns of heads, the last common ones; residual
 
     def along(self, x: Floats) -> Floats:
@@ -327,6 +328,7 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
         n_common=n_common,
         X_q=X_q,
         whitener=whitener,
+        across=rows @ tangent,
         ties=group.ties,
     )
 
