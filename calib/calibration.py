@@ -293,16 +293,13 @@ def _residuals(
     test: RejectionTest,
 ) -> TargetResiduals:
     """Residuals of all targets in order of strips; NaN for targets that the exposures do not cover."""
-    start = np.concatenate([[0], np.cumsum([len(strip.target_id) for strip in prepared])]).astype(np.int64)
-    rows = np.concatenate([np.arange(start[s], start[s + 1]) for s in problem.members])
-    covered, weight = rows[problem.inside], np.zeros(start[-1])
-    statistic, detectable = np.full((2, start[-1]), np.nan)
-    residual = np.full((start[-1], 2), np.nan)
+    start = np.cumsum([0, *(len(strip.target_id) for strip in prepared)])
+    rows = np.concatenate([np.arange(*start[s : s + 2]) for s in problem.members])
+    weight, found = np.zeros(start[-1]), np.full((start[-1], 4), np.nan)
     range_m = np.concatenate([np.where(s.ground.is_star, np.nan, s.ground.range_m) for s in strips])
     weight[rows] = step.weight
-    statistic[covered] = squared_mahalanobis(step)[problem.inside]
-    detectable[covered] = detectable_bias(step, test.noncentrality)[problem.inside]
-    residual[covered] = step.residual_c[problem.inside]
+    columns = squared_mahalanobis(step), detectable_bias(step, test.noncentrality), step.residual_c
+    found[rows[problem.inside]] = np.column_stack(columns)[problem.inside]
 
     def column(name: str) -> Any:
         return np.concatenate([getattr(strip, name) for strip in prepared])
@@ -314,11 +311,11 @@ def _residuals(
     }
     return TargetResiduals(
         **{field: column(name)[order] for field, name in names.items()},
-        residual_c=residual[order],
-        statistic=statistic[order],
+        residual_c=found[order, 2:],
+        statistic=found[order, 0],
         weight=weight[order],
-        detectable_rad=detectable[order],
-        detectable_m=(detectable * range_m)[order],
+        detectable_rad=found[order, 1],
+        detectable_m=(found[:, 1] * range_m)[order],
         rivals={int(place[j]): place[others] for j, others in all_rivals.items()},
     )
 

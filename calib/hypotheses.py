@@ -216,11 +216,8 @@ def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     every = _all("all frames", of)
     origin = _errors(of, "origin of the look vectors", ("x of c", "y of c"), of.shifts())
     # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
-    found = list(
-        _in_each(
-            every, [*origin, *_errors(of, "attitude and aberration of all frames", ABOUT_AXES, of.turns())]
-        )
-    )
+    attitude = _errors(of, "attitude and aberration of all frames", ABOUT_AXES, of.turns())
+    found = list(_in_each(every, [*origin, *attitude]))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [replace(_focal_length(of), file="w_c", field="")])
     if 1 < len(prepared) <= MOST_FRAMES:

@@ -63,8 +63,6 @@ class InformationPairs:
     def of_camera(self, name: str) -> InformationPairs:
         """The pairs about the matrix of one of several cameras; theta of the others, without a prior, are the
         first shared unknowns. `ValueError` for another name."""
-        if self.cameras == (name,):
-            return self
         first = 3 * self.cameras.index(name)
         unknowns, own = self.unknowns, slice(first, first + 3)
         every = np.arange(len(unknowns))
@@ -103,8 +101,6 @@ class InformationPairs:
 
     def widened(self, shared: tuple[str, ...]) -> InformationPairs:
         """The pairs extended to the unknowns `shared`: zeros for those that they do not contain."""
-        if shared == self.shared:
-            return self
         t = self.n_theta
         place = np.array([*range(t), *(t + shared.index(name) for name in self.shared)], dtype=np.int64)
         n = t + len(shared)
@@ -168,8 +164,6 @@ def exact_sum(F: Array, F_theta: Array) -> tuple[Array, Array]:
     n = F_theta.shape[1]
     if not (np.isfinite(F).all() and np.isfinite(F_theta).all()):
         raise ValueError("information that is not a finite number cannot be added")
-    if len(F) == 1:
-        return F[0] + 0.0, F_theta[0] + 0.0
     rows, columns = np.triu_indices(n)
     sums, total = _rounded_once(np.concatenate([F[:, rows, columns], F_theta], axis=1)), np.empty((n, n))
     total[rows, columns] = total[columns, rows] = sums[:-n]

@@ -75,13 +75,8 @@ class Problem:
         groups = group_strips(passes, shared, settings)
         places = [n for group in groups for n in group.place.tolist()]
         members = [passes[n] for n in places]
-        keys = [
-            key
-            for strip in members
-            for key in zip(strip.strip.tolist(), strip.target_id.tolist(), strip.ccd.tolist())
-        ]
-        rank = np.empty(len(keys), dtype=np.int64)
-        rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+        keys = [[strip.ccd, strip.target_id, strip.strip] for strip in members]
+        rows = np.lexsort([np.concatenate(column) for column in zip(*keys)]) if keys else np.arange(0)
         return cls(
             groups=groups,
             names=np.array([strip.strip_id for strip in members], dtype=str),
@@ -89,7 +84,7 @@ class Problem:
             shared=shared,
             prior_shared=shared.prior_information(),
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
-            rank=rank,
+            rank=np.argsort(rows),
             settings=settings,
             cameras=cameras,
             agreement=_agreement(carrying, heads),
