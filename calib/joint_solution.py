@@ -238,9 +238,9 @@ def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     N[:, n - A :, n - A :] = np.swapaxes(line.ties, 1, 2) @ line.ties
     for part in line.common:
         at = np.append(part.columns, line.n_common)
-        Y = part.of(root) * np.concatenate([part.X, part.of(line.r[:, :, None])], axis=2)
+        Y = root[:, part.rows] * np.concatenate([part.X, line.r[:, part.rows, None]], axis=2)
         N[:, at[:, None], at] += np.swapaxes(Y, 1, 2) @ Y
-        G[:, :, at] += np.swapaxes(part.of(X_q), 1, 2) @ Y
+        G[:, :, at] += np.swapaxes(X_q[:, part.rows], 1, 2) @ Y
     back = cov_q @ G
     N -= np.swapaxes(G, 1, 2) @ back
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
@@ -263,10 +263,10 @@ def _leverage(line: LinearStrips, part: _Reduced, cov_x: Floats) -> Floats:
         at = own.columns
         across, of_x = with_x[:, :, at], np.broadcast_to(cov_x[at[:, None], at], (S, len(at), len(at)))
         both = np.block([[cov_q, across], [np.swapaxes(across, 1, 2), of_x]])
-        X = np.concatenate([own.of(line.X_q), own.X], axis=2)
+        X = np.concatenate([line.X_q[:, own.rows], own.X], axis=2)
         pairs = X.reshape(-1, 2, X.shape[2])
         fitted = (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2)
-        leverage[:, own.rows_of(leverage.shape[1])] = fitted.reshape(S, -1, 2)
+        leverage[:, own.rows] = fitted.reshape(S, -1, 2)
     return leverage.reshape(-1, 2, 2)
 
 
@@ -354,7 +354,7 @@ def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tup
             each -= np.einsum("qh,qh->h", of_q, taken)
             with_chosen -= of_q[:, chosen].T @ taken
             for common in line.common:
-                of_part = (own[common.rows_of(n)].T @ common.X[s]).T
+                of_part = (own[common.rows].T @ common.X[s]).T
                 right[common.columns] += of_part
             right -= part.back[s, :, :-1].T @ of_q
     x = step.solution.covariance_all @ right

@@ -133,7 +133,7 @@ class GroupPart:
     """The targets of one camera in a group, and the unknowns of the calibration that move any of them."""
 
     camera: int  # number, of those that are calibrated
-    targets: Ints | slice  # (I,) of J
+    targets: Ints  # (I,) of J
     columns: Ints  # (m,) of the unknowns
     in_c: Floats  # (S, I, 3, m) change of u_c - w by each of them, frame c, rad
     in_s: Floats  # (S, I, 3, m) change of v_s by each of them, rad
@@ -144,18 +144,9 @@ class CommonColumns:
     """Change of the residuals of some targets by the common unknowns (theta of C cameras, then those of the
     calibration) that move any of them."""
 
-    targets: Ints | slice  # (I,) of J
+    rows: Ints  # (2 I,) of 2 J, two a target
     columns: Ints  # (m,) of the 3 C + g common unknowns
     X: Floats  # (S, 2 I, m)
-
-    def rows_of(self, n: int) -> Ints | slice:
-        """Which (2 I,) of n rows, two a target, are those of the targets."""
-        own = np.arange(n).reshape(-1, 2)[self.targets].ravel()
-        return self.targets if isinstance(self.targets, slice) else own
-
-    def of(self, rows: Floats) -> Floats:
-        """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
-        return rows[:, self.rows_of(rows.shape[1])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,14 +165,14 @@ class LinearStrips:
         """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
         out = np.empty((*self.r.shape, x.shape[1]))
         for part in self.common:
-            out[:, part.rows_of(out.shape[1])] = part.X @ x[part.columns]
+            out[:, part.rows] = part.X @ x[part.columns]
         return out
 
     def onto(self, rows: Floats) -> Floats:
         """(S, 3 C + g, n) sums of rows (S, 2 J, n) over their derivatives by the common unknowns."""
         out = np.zeros((len(rows), self.n_common, rows.shape[2]))
         for part in self.common:
-            out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ part.of(rows)
+            out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ rows[:, part.rows]
         return out
 
 
@@ -315,12 +306,12 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
         at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
         changes = [near @ cross_matrices(w[:, at]), near @ part.in_c + near_s @ part.in_s]
         block = CommonColumns(
-            targets=at,
+            rows=(2 * at[:, None] + np.arange(2)).ravel(),
             columns=np.concatenate([3 * part.camera + np.arange(3), n_theta + part.columns]),
             X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
         )
         if n_heads := group.by_ties.shape[2] - 1:  # those of heads are the last common unknowns
-            block.X[:, :, -n_heads:] -= block.of(told[:, :, :-1])
+            block.X[:, :, -n_heads:] -= told[:, block.rows, :-1]
         common.append(block)
     return LinearStrips(
         r=r[:, :, 0] - told[:, :, -1],
@@ -378,12 +369,8 @@ def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[Gr
     """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; unknowns
     of heads, the last, are always among them.
     """
-    cameras, n = np.unique(which).tolist(), in_c.shape[3]
-    if len(cameras) == 1:
-        yield GroupPart(cameras[0], slice(None), np.arange(n), in_c, in_s)
-        return
-    for camera in cameras:
-        at = np.flatnonzero(which == camera)
+    for camera in np.unique(which).tolist():
+        at, n = np.flatnonzero(which == camera), in_c.shape[3]
         moved = (in_c[:, at] != 0.0).any(axis=(0, 1, 2)) | (in_s[:, at] != 0.0).any(axis=(0, 1, 2))
         columns = np.flatnonzero(moved | (np.arange(n) >= n - n_heads))
         yield GroupPart(camera, at, columns, in_c[:, at][..., columns], in_s[:, at][..., columns])
