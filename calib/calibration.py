@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -62,7 +61,7 @@ from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.geometry.attitude_estimate import GROSS, with_attitudes
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["calibrate_strips", "strip_pairs"]
 
@@ -188,7 +187,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
             rejected=rejected_observations(of_heads, prepared, test.limit),
         )
     step, iterations, rivals = _solve(problem, R_cs0, test)
-    residuals = _residuals(strips, prepared, problem, step, rivals, test)
+    residuals = _residuals(prepared, problem, step, rivals, test)
     rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
     R_cs = corrected(step.about.R_cs, step.solution.theta)
     if len(step.solution.unobservable):
@@ -285,7 +284,6 @@ def _iterated(
 
 
 def _residuals(
-    strips: Sequence[StripSightings],
     prepared: list[PreparedStrip],
     problem: Problem,
     step: Step,
@@ -293,24 +291,22 @@ def _residuals(
     test: RejectionTest,
 ) -> TargetResiduals:
     """Residuals of all targets in order of strips; NaN for targets that the exposures do not cover."""
-    start = np.cumsum([0, *(len(strip.target_id) for strip in prepared)])
+    start = np.cumsum([0, *(len(strip.v_s) for strip in prepared)])
     rows = np.concatenate([np.arange(*start[s : s + 2]) for s in problem.members])
     weight, found = np.zeros(start[-1]), np.full((start[-1], 4), np.nan)
-    range_m = np.concatenate([np.where(s.ground.is_star, np.nan, s.ground.range_m) for s in strips])
+    ground = GroundSightings.together([strip.ground for strip in prepared])
+    range_m = np.where(ground.is_star, np.nan, ground.range_m)
     weight[rows] = step.weight
     columns = squared_mahalanobis(step), detectable_bias(step, test.noncentrality), step.residual_c
     found[rows[problem.inside]] = np.column_stack(columns)[problem.inside]
-
-    def column(name: str) -> Any:
-        return np.concatenate([getattr(strip, name) for strip in prepared])
-
-    order = np.argsort(column("strip"), kind="stable")
+    strip_id = np.concatenate([strip.strip for strip in prepared])
+    order = np.argsort(strip_id, kind="stable")
     place = np.argsort(order)[rows]  # row of each target of the problem
-    names = {"strip_id": "strip"} | {
-        name: name for name in ("camera", "target_id", "ccd", "sample", "is_star")
-    }
     return TargetResiduals(
-        **{field: column(name)[order] for field, name in names.items()},
+        strip_id=strip_id[order],
+        camera=np.concatenate([strip.camera for strip in prepared])[order],
+        **{name: getattr(ground, name)[order] for name in ("target_id", "ccd", "is_star")},
+        sample=ground.xy_px[order, 0],
         residual_c=found[order, 2:],
         statistic=found[order, 0],
         weight=weight[order],

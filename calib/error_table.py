@@ -99,10 +99,10 @@ class SharedUnknowns:
 
     def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
         """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
-        in_c: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
-        in_s: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
+        in_c: list[Array] = [np.zeros((len(strip.ground.ccd), 3, 0))]
+        in_s: list[Array] = [np.zeros((len(strip.ground.ccd), 3, 0))]
         for error in self.errors:
-            zero = np.zeros((len(strip.ccd), 3, len(error.names)))
+            zero = np.zeros((len(strip.ground.ccd), 3, len(error.names)))
             in_c.append(error.columns_c(strip) if error.columns_c else zero)
             in_s.append(error.columns_s(strip) if error.columns_s else zero)
         return np.concatenate(in_c, axis=2), np.concatenate(in_s, axis=2)
@@ -158,14 +158,14 @@ def find_shared(
     count: dict[str, int] = {}
     covariance: dict[str, Array] = {}
     for strip in strips:
-        ids, first = np.unique(strip.target_id, return_index=True)
+        ids, first = np.unique(strip.ground.target_id, return_index=True)
         for name, row in zip(ids.tolist(), first.tolist()):
             count[name] = count.get(name, 0) + 1
             covariance.setdefault(name, strip.cov_coordinates[row])
     often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
-    mixed = any(s.is_star.any() for s in strips) and any(not s.is_star.all() for s in strips)
+    mixed = any(s.ground.is_star.any() for s in strips) and any(not s.ground.is_star.all() for s in strips)
     earth = tuple(sorted({strip.earth for strip in strips if strip.earth}))
     fields = fields_of(strips)
     return SharedUnknowns(
@@ -244,7 +244,7 @@ def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> A
     independent.
     """
     if time_s:
-        apart = np.abs(strip.t_s[:, None] - strip.t_s)
+        apart = np.abs(strip.ground.t_s[:, None] - strip.ground.t_s)
         values, vectors = np.linalg.eigh((of[:, None] == of) * np.exp(-apart / time_s))
         large = values > NO_EFFECT * values[-1:]
         root = vectors[:, large] * np.sqrt(values[large])
@@ -266,7 +266,7 @@ def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
 
 def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
     """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
-    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ccd), len(knots)))
+    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ground.ccd), len(knots)))
     weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
     return weights
 
@@ -275,9 +275,8 @@ def _coordinates(targets: tuple[str, ...]) -> SharedError:
     number = {name: n for n, name in enumerate(targets)}
 
     def columns(strip: PreparedStrip) -> Array:
-        return _of_each(
-            [number.get(name, -1) for name in strip.target_id.tolist()], len(targets), strip.coordinates_s
-        )
+        own = [number.get(name, -1) for name in strip.ground.target_id.tolist()]
+        return _of_each(own, len(targets), strip.coordinates_s)
 
     return SharedError(coordinate_names(targets), columns)
 
@@ -285,7 +284,7 @@ def _coordinates(targets: tuple[str, ...]) -> SharedError:
 def _earth(predictions: tuple[str, ...]) -> SharedError:
     def columns(strip: PreparedStrip) -> Array:
         n = predictions.index(strip.earth) if strip.earth else -1
-        return _of_each([n] * len(strip.ccd), len(predictions), strip.earth_s)
+        return _of_each([n] * len(strip.ground.ccd), len(predictions), strip.earth_s)
 
     return SharedError(earth_names(predictions), columns)
 

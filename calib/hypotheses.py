@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "POSITION",
@@ -144,6 +146,11 @@ class HypothesisInputs:
     cameras: Sequence[str] = ("",)  # names of several
     usual: Mapping[str, float] = field(default_factory=lambda: USUAL)  # sizes by key under [errors]
 
+    @cached_property
+    def ground(self) -> GroundSightings:
+        """All targets (J), pass after pass."""
+        return GroundSightings.together([one.ground for one in self.prepared])
+
     def column(self, name: str) -> Any:
         """A field of all targets (J, ...), pass after pass."""
         return np.concatenate([getattr(one, name) for one in self.prepared])
@@ -161,12 +168,13 @@ class HypothesisInputs:
     @property
     def number(self) -> Ints:
         """Pass (J,) of each target."""
-        return np.repeat(np.arange(len(self.prepared)), [len(one.ccd) for one in self.prepared])
+        return np.repeat(np.arange(len(self.prepared)), [len(one.v_s) for one in self.prepared])
 
     def subject(self, row: int) -> Subject:
         """The observation of a row."""
-        is_star, strip, name, ccd = (self.column(n)[row] for n in ("is_star", "strip", "target_id", "ccd"))
-        return Subject(Kind.STAR if is_star else Kind.TARGET, strip=str(strip), ccd=int(ccd), id=str(name))
+        of, strip = self.ground, str(self.column("strip")[row])
+        kind = Kind.STAR if of.is_star[row] else Kind.TARGET
+        return Subject(kind, strip=strip, ccd=int(of.ccd[row]), id=str(of.target_id[row]))
 
     def in_c(self, change_s: Floats) -> Floats:
         """Vectors (J, 3) of frame s in the frame of each target's camera."""
@@ -174,7 +182,7 @@ class HypothesisInputs:
 
     def looks(self) -> tuple[Floats, Floats]:
         """Look directions (J, 3), and what takes a small change of each to the part across it, (J, 3, 3)."""
-        u_c: Floats = self.column("u_c")
+        u_c = self.ground.u_c
         return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
 
     def shifts(self) -> Floats:
@@ -296,10 +304,10 @@ def _strips(of: HypothesisInputs, fewest: int = 1) -> Iterator[Place]:
 
 def _images(of: HypothesisInputs) -> Iterator[Place]:
     """Each CCD in each strip of the passes that have several CCDs."""
-    strip, ccd = of.column("strip"), of.column("ccd")
+    strip, ccd = of.column("strip"), of.ground.ccd
     for one in of.prepared:
-        several = len(np.unique(one.ccd)) > 1
-        for name, number in sorted(set(zip(one.strip.tolist(), one.ccd.tolist()))) if several else ():
+        several = len(np.unique(one.ground.ccd)) > 1
+        for name, number in sorted(set(zip(one.strip.tolist(), one.ground.ccd.tolist()))) if several else ():
             subject = Subject(Kind.CCD, strip=name, ccd=number)
             yield subject.words, (subject,), (strip == name) & (ccd == number)
 
@@ -314,7 +322,7 @@ def _cameras(of: HypothesisInputs) -> Iterator[Place]:
 
 def _later_passes(of: HypothesisInputs) -> Iterator[Place]:
     """All passes from one on, in order of time; from the second or the last on it is an error of one pass."""
-    when = np.array([float(min(one.t_s, default=np.inf)) for one in of.prepared])
+    when = np.array([float(min(one.ground.t_s, default=np.inf)) for one in of.prepared])
     order = np.argsort(when, kind="stable")
     before = np.argsort(order, kind="stable")[of.number]  # (J,) how many passes came before
     for n in range(2, min(len(order) - 1, MOST_JUMPS)):
@@ -336,7 +344,7 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
-    line, since = of.column("line"), _since_first_row(of)
+    line, since = of.ground.xy_px[:, 1], _since_first_row(of)
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
     late = _error(of, "lines of a strip", -period / MILLI * _late(of).moves_c)
     for places, most in ((list(_strips(of)), OF_STRIP), (list(_images(of)), OF_CCD)):
@@ -353,7 +361,7 @@ def _late(of: HypothesisInputs) -> Hypothesis:
 
 def _since_first_row(of: HypothesisInputs) -> Floats:
     """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
-    line, t_s, since = of.column("line"), of.column("t_s"), np.zeros(len(of.number))
+    line, t_s, since = of.ground.xy_px[:, 1], of.ground.t_s, np.zeros(len(of.number))
     for _, _, own in _strips(of):
         if np.ptp(line[own]) >= 1.0:
             first, last = np.flatnonzero(own)[[np.argmin(line[own]), np.argmax(line[own])]]
@@ -363,9 +371,8 @@ def _since_first_row(of: HypothesisInputs) -> Floats:
 
 def _part_of_pass(of: HypothesisInputs) -> Floats:
     """Where (J,) targets lie in what their pass shows, 0 at its first and 1 at its last."""
-    return np.concatenate(
-        [(one.t_s - one.t_s.min()) / max(float(np.ptp(one.t_s)), 1e-9) for one in of.prepared]
-    )
+    times = [one.ground.t_s for one in of.prepared]
+    return np.concatenate([(t_s - t_s.min()) / max(float(np.ptp(t_s)), 1e-9) for t_s in times])
 
 
 def _bend(part: Floats) -> Floats:
@@ -385,7 +392,7 @@ def _breaks(line: Floats, most: int) -> list[float]:
 
 def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A yearly variation of the mounting, of phases in equal steps from that of the first pass on."""
-    t_s = of.column("t_s")
+    t_s = of.ground.t_s
     years = (t_s - t_s.min()) / (365.25 * DAY_S)
     if years.max() < LEAST_YEARS or len(np.unique(np.floor(365.25 * years))) < FEWEST_DAYS:
         return
@@ -410,7 +417,7 @@ def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
-    ground = ~of.column("is_star")[:, None]
+    ground = ~of.ground.is_star[:, None]
     ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
     names = ("along the track", "across the track", "height")
     along, *rest = _errors(of, "orbit or targets", names, (ahead, right, -down))
@@ -425,7 +432,7 @@ def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
     errors = _errors(of, "datum of the targets", ("east", "north", "height"), moves)
     # The height of all, or of a pass, is that of the orbit.
     yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
-    name = of.column("reference")
+    name = of.ground.referenced().name
     names = np.unique(name).tolist()
     places = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
     yield from _in_each(places, [replace(one, field="reference") for one in errors])
@@ -435,7 +442,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
     """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
     change = []
     for one in of.prepared:
-        dv_s = np.zeros((len(one.ccd), 3))
+        dv_s = np.zeros_like(one.v_s)
         directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
         if directions_i is not None:
             dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
@@ -452,7 +459,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
-    ccd, camera, sample = map(of.column, ("ccd", "camera", "sample"))
+    ccd, camera, sample = of.ground.ccd, of.column("camera"), of.ground.xy_px[:, 0]
     axes, (x, y) = ("along the track", "across the track"), -of.shifts()
     every = list(_cameras(of))
     yield from _in_each(every, _errors(of, "place of the CCDs", axes, (x, y)))

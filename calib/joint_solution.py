@@ -75,7 +75,7 @@ class Problem:
         groups = group_strips(passes, shared, settings)
         places = [n for group in groups for n in group.place.tolist()]
         members = [passes[n] for n in places]
-        keys = [[strip.ccd, strip.target_id, strip.strip] for strip in members]
+        keys = [[strip.ground.ccd, strip.ground.target_id, strip.strip] for strip in members]
         rows = np.lexsort([np.concatenate(column) for column in zip(*keys)]) if keys else np.arange(0)
         return cls(
             groups=groups,

@@ -316,14 +316,15 @@ def _adjustment(
     weights = dict(zip(keys, found.weight.tolist()))
     effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
     of = HypothesisInputs(prepared, estimate.R_cs, effects=effects, **stated)
-    own = zip(*(of.column(name).tolist() for name in ("strip", "target_id", "ccd", "sample")))
+    columns = of.column("strip"), of.ground.target_id, of.ground.ccd, of.ground.xy_px[:, 0]
+    own = zip(*(column.tolist() for column in columns))
     weight = np.array([weights.get(key, 0.0) for key in own])
     table = table_of(of)
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
     step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
     of_stars, across = parts >= 0, step.across
-    off_c: Floats = of.column("u_c") - of.in_c(of.column("v_s"))
+    off_c: Floats = of.ground.u_c - of.in_c(of.column("v_s"))
     return _Adjustment(
         problem=problem,
         step=step,
@@ -389,7 +390,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
-    is_star = one.of.column("is_star")
+    is_star = one.of.ground.is_star
     for n, (h, effect_m) in enumerate(zip(one.table, (x[rows] * bias.stated[:, None]).T)):
         own = float(effect_m @ weight @ effect_m)
         if np.isfinite(h.most) and not (one.concerns(n) & is_star).any() and own * h.most**2 > limit:
@@ -441,7 +442,7 @@ def _causes(
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
-        strip, ccd, is_star = (one.of.column(name) for name in ("strip", "ccd", "is_star"))
+        strip, ccd, is_star = one.of.column("strip"), one.of.ground.ccd, one.of.ground.is_star
         inside = one.problem.inside
         noise = noisiest(before.statistic, one.limit, one.tolerated, strip, ccd, is_star, inside)
         if noise and noise.gain > max(worth.values(), default=0.0):

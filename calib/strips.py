@@ -38,7 +38,7 @@ from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, 
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
 
 __all__ = [
     "LinearStrips",
@@ -58,15 +58,11 @@ class PreparedStrip:
 
     strip_id: str = scalar("the strip; of a pass of several (`simultaneous_strips`), the first of them")
     strip: Texts = array("J", "strip of each target")
+    ground: GroundSightings = scalar("the J targets")
     attitudes: ExposureAttitudes = scalar("of all exposures")
     used: Bools = array("K", "exposures whose attitudes are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
-    target_id: Texts = array("J", "target")
     camera: Ints = array("J", "number of the camera, of those that are calibrated")
-    ccd: Ints = array("J", "CCD of the camera, from 0")
-    sample: Floats = array("J", "position along the CCD, px")
-    line: Floats = array("J", "row, px")
-    t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
     weights: Floats = array(
         "J, U", "by which rotations of the exposures used rotate the attitude; dense or sparse"
     )
@@ -74,8 +70,6 @@ class PreparedStrip:
     place: Floats = array("J", "position along that curve, correlation lengths")
     distortion_rad: Floats = array("J", "1-sigma of that curve, per axis")
     modes_rad: Floats = array("J, 3", "change of the look by shift, slope and bend of its CCD, 1-sigma each")
-    u_c: Floats = array("J, 3", "measured look directions, frame c")
-    cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by that attitude")
     number: Ints = array("J", "which pass of those that are eliminated together")
@@ -84,10 +78,7 @@ class PreparedStrip:
         "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
-    reference: Texts = array("J", "ground reference of each target; empty: none")
     reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
-    reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
-    reference_place: Floats = array("J, 3", "place of the target in correlation lengths of that offset")
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
@@ -96,7 +87,6 @@ class PreparedStrip:
     ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their unknowns")
     of_heads: tuple[str, ...] = scalar("unknowns of heads that change the attitude at the targets")
     by_heads_s: Floats = array("J, 3, A", "change of v_s by these")
-    is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("how many of these, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
@@ -104,7 +94,7 @@ class PreparedStrip:
     @property
     def unit(self) -> Ints:
         """CCD (J,) of each target, numbered over all cameras."""
-        return unit_numbers(self.ccd, self.camera)
+        return unit_numbers(self.ground.ccd, self.camera)
 
 
 @record(kw_only=True)
@@ -176,8 +166,7 @@ class LinearStrips:
         return out
 
 
-# What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.
-OF_GROUND = ("target_id", "ccd", "t_s", "u_c", "cov_c", "is_star")
+# What a prepared strip has from its attitude as it is there.
 OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "of_heads", "n_phi", "lasting")
 
 
@@ -230,11 +219,10 @@ def prepare_strip(
     return PreparedStrip(
         strip_id=strip.strip_id,
         strip=strip.strip_of_target,
+        ground=ground,
         attitudes=strip.fitted,
         used=strip.fitted.usable,
         camera=camera,
-        sample=ground.xy_px[:, 0],
-        line=ground.xy_px[:, 1],
         curve=curve,
         place=place,
         distortion_rad=distortion_rad,
@@ -248,10 +236,7 @@ def prepare_strip(
             -move_i @ earth_axes(ground.t_s),
         ),
         cov_coordinates=own,
-        reference=references.name,
         reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
-        reference_sigma_m=references.sigma_m,
-        reference_place=references.place,
         earth_s=attitude.R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
@@ -259,7 +244,6 @@ def prepare_strip(
         move_s=move_i @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         by_heads_s=by_rotation @ attitude.by_heads,
         carrier=strip.carrier,
-        **{name: getattr(ground, name) for name in OF_GROUND},
         **{name: getattr(attitude, name) for name in OF_ATTITUDE},
     )
 
@@ -343,9 +327,8 @@ def _group(
     """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
     members, S = [strips[n] for n in places], len(places)
     shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
-    names = ("inside", "u_c", "cov_c", "v_s")
-    stacked = {name: np.stack([getattr(strip, name) for strip in members]) for name in names}
-    tangent = tangent_axes(stacked["v_s"])  # across the known directions, along which nothing changes
+    v_s = np.stack([strip.v_s for strip in members])
+    tangent = tangent_axes(v_s)  # across the known directions, along which nothing changes
     ties = np.stack([_rows_of_ties(strip, shared) for strip in members])
     own = (tangent @ shared_s).reshape(S, -1, shared_s.shape[3])
     own, by_ties, ties = condensed(own, ties, members[0].n_phi)
@@ -353,7 +336,11 @@ def _group(
     in_c, in_s = (np.stack(part) for part in zip(*map(shared.columns, members)))
     return StripGroup(
         place=np.array(places),
+        inside=np.stack([strip.inside for strip in members]),
         which=which,
+        u_c=np.stack([strip.ground.u_c for strip in members]),
+        cov_c=np.stack([strip.ground.cov_c for strip in members]),
+        v_s=v_s,
         shared_s=np.swapaxes(tangent, 2, 3) @ own.reshape(*tangent.shape[:3], own.shape[2]),
         white_s=white,
         missed=np.stack([shared.missed(strip) for strip in members]),
@@ -361,7 +348,6 @@ def _group(
         by_ties=by_ties,
         n_common=in_c.shape[3],
         parts=tuple(_parts(which[0], in_c, in_s, len(shared.of_heads))),
-        **stacked,
     )
 
 
@@ -398,12 +384,13 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
-    ids, count = np.unique(strip.target_id, return_counts=True)
+    target_id = strip.ground.target_id
+    ids, count = np.unique(target_id, return_counts=True)
     again = [name for name in ids[count > 1].tolist() if name not in shared.targets]
     own = np.zeros((len(move), 3, 3 * len(again)))
-    white[np.isin(strip.target_id, [*shared.targets])] = 0.0
+    white[np.isin(target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):
-        rows = strip.target_id == name
+        rows = target_id == name
         values, vectors = np.linalg.eigh(covariance[rows][0])
         own[rows, :, 3 * n : 3 * n + 3] = move[rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         white[rows] = 0.0

@@ -97,10 +97,10 @@ class InteriorModel:
         """The z as a row of the table of errors: they move looks, and delay the rows of a CCD."""
 
         def delays(strip: PreparedStrip) -> Floats:
-            return strip.late_s[:, :, None] * (self.delay_change(strip.ccd) @ self.basis)[:, None, :]
+            return strip.late_s[:, :, None] * (self.delay_change(strip.ground.ccd) @ self.basis)[:, None, :]
 
         def looks(strip: PreparedStrip) -> Floats:
-            return -self.look_change(strip.ccd, strip.sample) @ self.basis
+            return -self.look_change(strip.ground.ccd, strip.ground.xy_px[:, 0]) @ self.basis
 
         return SharedError(tuple(f"interior/{n}" for n in range(self.basis.shape[1])), delays, looks)
 
