@@ -19,6 +19,7 @@ without one it is constant over a pass and independent from pass to pass.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -99,13 +100,14 @@ class SharedUnknowns:
 
     def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
         """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
-        in_c: list[Array] = [np.zeros((len(strip.ground.ccd), 3, 0))]
-        in_s: list[Array] = [np.zeros((len(strip.ground.ccd), 3, 0))]
+        in_c, in_s = np.zeros((2, len(strip.v_s), 3, len(self.names)))
+        last = 0
         for error in self.errors:
-            zero = np.zeros((len(strip.ground.ccd), 3, len(error.names)))
-            in_c.append(error.columns_c(strip) if error.columns_c else zero)
-            in_s.append(error.columns_s(strip) if error.columns_s else zero)
-        return np.concatenate(in_c, axis=2), np.concatenate(in_s, axis=2)
+            first, last = last, last + len(error.names)
+            for columns, out in ((error.columns_c, in_c), (error.columns_s, in_s)):
+                if columns:
+                    out[:, :, first:last] = columns(strip)
+        return in_c, in_s
 
     def missed(self, strip: PreparedStrip) -> Array:
         """Variance (J,) of the cameras' distortion that straight lines between its knots miss, rad²."""
@@ -155,13 +157,10 @@ def find_shared(
         curved = strip.distortion_rad > 0.0
         knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
         ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
-    count: dict[str, int] = {}
-    covariance: dict[str, Array] = {}
-    for strip in strips:
-        ids, first = np.unique(strip.ground.target_id, return_index=True)
-        for name, row in zip(ids.tolist(), first.tolist()):
-            count[name] = count.get(name, 0) + 1
-            covariance.setdefault(name, strip.cov_coordinates[row])
+    count = Counter(name for strip in strips for name in np.unique(strip.ground.target_id).tolist())
+    covariance = dict[str, Array]()
+    for strip in reversed(strips):  # of a target that strips state otherwise, that of the first
+        covariance |= zip(strip.ground.target_id[::-1].tolist(), strip.cov_coordinates[::-1])
     often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
@@ -173,10 +172,15 @@ def find_shared(
         errors=(
             _distortion(tuple(sorted(knots)), tuple(sorted(ccds))),
             *further,
-            _coordinates(kept),
+            SharedError(
+                coordinate_names(kept),
+                lambda one: of_each(one.coordinates_s, one.ground.target_id[:, None] == np.array(kept, str)),
+            ),
             *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
-            _earth(earth),
-            *(SharedError(one.names, one.columns) for one in fields),
+            SharedError(
+                earth_names(earth), lambda one: of_each(one.earth_s, np.array([earth], str) == one.earth)
+            ),
+            *map(_reference, fields),
             SharedError(heads, lambda one: of_heads(one.of_heads, one.by_heads_s, heads)),
         ),
         targets=kept,
@@ -258,40 +262,24 @@ def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
     def columns(strip: PreparedStrip) -> Array:
         of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
         along = np.column_stack([of_knots, columns_of_ccds(strip.modes_rad, strip.unit, ccds)])
-        none = np.zeros_like(along)
-        return np.stack([np.hstack([along, none]), np.hstack([none, along]), np.hstack([none, none])], axis=1)
+        return (np.eye(3, 2)[:, :, None] * along[:, None, None]).reshape(len(along), 3, -1)
 
     return SharedError(unknown_names(knots, ccds), columns_c=columns)
 
 
+def _reference(field: ReferenceField) -> SharedError:
+    return SharedError(field.names, lambda one: of_each(one.reference_s * field.sigma_m, field.weights(one)))
+
+
 def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
     """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
-    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ground.ccd), len(knots)))
+    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.v_s), len(knots)))
     weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
     return weights
 
 
-def _coordinates(targets: tuple[str, ...]) -> SharedError:
-    number = {name: n for n, name in enumerate(targets)}
-
-    def columns(strip: PreparedStrip) -> Array:
-        own = [number.get(name, -1) for name in strip.ground.target_id.tolist()]
-        return _of_each(own, len(targets), strip.coordinates_s)
-
-    return SharedError(coordinate_names(targets), columns)
-
-
-def _earth(predictions: tuple[str, ...]) -> SharedError:
-    def columns(strip: PreparedStrip) -> Array:
-        n = predictions.index(strip.earth) if strip.earth else -1
-        return _of_each([n] * len(strip.ground.ccd), len(predictions), strip.earth_s)
-
-    return SharedError(earth_names(predictions), columns)
-
-
-def _of_each(number: Sequence[int], count: int, change: Array) -> Array:
-    """Changes (J, 3, 3) by the three unknowns of an error, `number` of each target, as columns of all `count`
-    errors; -1: of none.
+def of_each(change: Array, weights: Array | Bools) -> Array:
+    """Changes (J, 3, M n) by M errors of n unknowns each, from those by the unknowns of one (J, 3, n) and the
+    parts (J, M) of the errors in that of each target.
     """
-    own = np.array(number, dtype=np.int64)[:, None] == np.arange(count)
-    return np.asarray((own[:, None, :, None] * change[:, :, None, :]).reshape(len(change), 3, 3 * count))
+    return (weights[:, None, :, None] * change[:, :, None, :]).reshape(*change.shape[:2], -1)

@@ -57,12 +57,6 @@ class ReferenceField:
             found[j] = self.root[self.row[of.place[j].tobytes()]]
         return found
 
-    def columns(self, strip: PreparedStrip) -> Floats:
-        """Change (J, 3, 3 M) of v_s by the unknowns."""
-        by_axes = strip.reference_s * self.sigma_m
-        weights = self.weights(strip)
-        return (weights[:, None, :, None] * by_axes[:, :, None, :]).reshape(*by_axes.shape[:2], -1)
-
     def rest(self, strip: PreparedStrip) -> Floats:
         """Variance (J,), in units of the stated one, that the modes leave."""
         own = strip.ground.referenced().name == self.name
