@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from boresight.calib.error_table import SharedError
+from boresight.calib.error_table import BIASES, SharedError, common_bias
 from boresight.calib.estimate import (
     HeadAgreement,
     HeadInstallation,
@@ -53,7 +53,6 @@ from boresight.calib.joint_solution import (
     solve_weighted,
     squared_mahalanobis,
 )
-from boresight.calib.orbit_bias import BIASES, common_bias
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of

@@ -28,7 +28,6 @@ __all__ = [
     "MODES",
     "OF_CAMERA",
     "ccd_modes",
-    "columns_of_ccds",
     "correlation",
     "knot_weights",
     "knots_touched",
@@ -120,12 +119,6 @@ def ccd_modes(ccd: Index, sample: Array, ccd_px: tuple[int, ...]) -> Array:
     """
     t = 2.0 * sample / (np.array(ccd_px, dtype=float)[ccd] - 1.0) - 1.0
     return np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t * t - 0.5)], axis=1)
-
-
-def columns_of_ccds(modes: Array, ccd: Index, ccds: tuple[int, ...]) -> Array:
-    """Changes (J, 3) by modes of each target's CCD as columns (J, 3 C) of CCDs `ccds` (C,), mode by mode."""
-    own = ccd[:, None] == np.array(ccds, dtype=np.int64)
-    return np.asarray((modes[:, :, None] * own[:, None, :]).reshape(len(ccd), 3 * len(ccds)))
 
 
 def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[str, ...]:

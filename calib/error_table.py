@@ -32,7 +32,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
     Knot,
-    columns_of_ccds,
     knot_weights,
     knots_touched,
     missed_between_knots,
@@ -41,7 +40,6 @@ from boresight.calib.distortion import (
 )
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import of_heads
-from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
@@ -51,10 +49,14 @@ if TYPE_CHECKING:
     from boresight.calib.strips import PreparedStrip
 
 __all__ = [
+    "BIASES",
     "MICRORADIAN",
+    "CommonBias",
     "SharedError",
     "SharedUnknowns",
+    "bias_columns",
     "by_kind",
+    "common_bias",
     "coordinate_covariance",
     "coordinate_names",
     "earth_axes",
@@ -67,6 +69,40 @@ Array = NDArray[np.float64]
 MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
+# Names of the biases common to all strips: of the orbit along the track, across it and radially (m), and of
+# the row clock (s).
+BIASES = ("bias/along", "bias/across", "bias/radial", "bias/clock")
+# In units of the stated errors of one strip: wide for the orbit, which the sky has no part in. The scan of
+# the sky itself depends on the clock: a wide prior would spoil a matrix that the sky alone determines.
+PRIOR_SIGMA = {"bias/along": 10.0, "bias/across": 10.0, "bias/radial": 10.0, "bias/clock": 1.0}
+OBSERVABLE = 0.25  # of its prior, the largest 1-sigma with which a bias counts as measured
+
+
+@record(kw_only=True)
+class CommonBias:
+    """Biases that all strips share, stated less true, as far as the data determine them.
+
+    Ground strips alone cannot tell them from the installation matrix: their position errors are taken as
+    independent from strip to strip. Strips that scan the sky measure the matrix without any position.
+    """
+
+    names: tuple[str, ...] = array(
+        "N", "along, across (to the right), radial (upwards): m; clock (of the rows): s"
+    )
+    value: Array = array("N", "stated less true")
+    covariance: Array = array("N, N", "of `value`")
+    stated: Array = array("N", "1-sigma stated for one strip")
+
+    @property
+    def sigma(self) -> Array:
+        """1-sigma (N,) of `value`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def texts(self) -> list[str]:
+        """Each bias with its 1-sigma as text, the clock in milliseconds."""
+        unit = [("ms", 1e3) if name == "clock" else ("m", 1.0) for name in self.names]
+        rows = zip(self.names, self.value, self.sigma, unit)
+        return [f"{name} {scale * b:+.3g} ± {scale * s:.2g} {of}" for name, b, s, (of, scale) in rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,12 +253,17 @@ def _of_unit(names: Sequence[str]) -> Array:
     return np.eye(len(names))
 
 
+def _of_bias(names: Sequence[str]) -> Array:
+    """Prior information (n, n) of these biases, in units of the stated errors."""
+    return np.diag([PRIOR_SIGMA[name] ** -2.0 for name in names])
+
+
 # Prior information on the unknowns of each kind by their names, which begin with it.
 PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
     "distortion": prior_information,
     "interior": _of_unit,
     "target": _of_unit,  # if nothing else is known
-    "bias": bias_prior,
+    "bias": _of_bias,
     "earth": prior_of_predictions,
     "reference": _of_unit,
     "head": lambda names: np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2,
@@ -240,6 +281,29 @@ def of_pass(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
     late, one = settings.sigma_clock_s * strip.late_s[:, :, None], np.zeros_like(strip.camera)
     moved = _process(settings.sigma_position_m * position, strip, settings.position_time_s, one)
     return np.concatenate([moved, _process(late, strip, settings.clock_time_s, strip.camera)], axis=2)
+
+
+def bias_columns(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
+    """Change (J, 3, 4) of v_s by each of `BIASES` in units of the stated errors."""
+    by_position = -settings.sigma_position_m * (strip.move_s * [1.0, 1.0, -1.0])
+    return np.concatenate([by_position, -settings.sigma_clock_s * strip.late_s[:, :, None]], axis=2)
+
+
+def common_bias(values: Array, covariance: Array, settings: CalibrationSettings) -> CommonBias | None:
+    """The biases that the data determine, from values (4,) and covariance (4, 4) of `BIASES` in units of the
+    stated errors; None if there are none.
+    """
+    prior = np.array([PRIOR_SIGMA[name] for name in BIASES])
+    rows = np.flatnonzero(np.sqrt(np.diag(covariance)) <= OBSERVABLE * prior)
+    if not len(rows):
+        return None
+    stated = np.array([settings.sigma_position_m] * 3 + [settings.sigma_clock_s])[rows]
+    return CommonBias(
+        names=tuple(BIASES[n].removeprefix("bias/") for n in rows),
+        value=stated * values[rows],
+        covariance=covariance[np.ix_(rows, rows)] * np.outer(stated, stated),
+        stated=stated,
+    )
 
 
 def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> Array:
@@ -261,7 +325,9 @@ def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> A
 def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
     def columns(strip: PreparedStrip) -> Array:
         of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
-        along = np.column_stack([of_knots, columns_of_ccds(strip.modes_rad, strip.unit, ccds)])
+        of_ccd = strip.unit[:, None] == np.array(ccds, dtype=np.int64)
+        of_modes = strip.modes_rad[:, :, None] * of_ccd[:, None, :]
+        along = np.column_stack([of_knots, of_modes.reshape(len(of_knots), -1)])
         return (np.eye(3, 2)[:, :, None] * along[:, None, None]).reshape(len(along), 3, -1)
 
     return SharedError(unknown_names(knots, ccds), columns_c=columns)
