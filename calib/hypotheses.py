@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.moved_input import SIZES, InputError, MovedInput
 from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
@@ -26,15 +25,19 @@ from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "POSITION",
+    "SIZES",
     "STABILITY",
     "USUAL",
     "Hypothesis",
     "HypothesisInputs",
     "HypothesisTable",
+    "InputError",
+    "MovedInput",
     "hypotheses",
     "vector_hypotheses",
 ]
 
+SIZES = ("too large", "too small")  # a positive and a negative size in words
 MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
@@ -97,6 +100,43 @@ MOST_JUMPS = 12  # passes from which on the mounting may have moved
 # that one of them has 0.93 of the variance of any season.
 FEWEST_DAYS, LEAST_YEARS, PHASES = 5, 0.5, 6
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
+
+
+@record(kw_only=True)
+class InputError:
+    """One kind of error of one input."""
+
+    cause: str = scalar('what is wrong: "clock of a strip"')
+    item: str = scalar('what it concerns, in words: "strip s02"', default="")
+    subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
+    unit: str = scalar("of its size")
+    words: tuple[str, str] = scalar(
+        "a positive and a negative size in words, behind the number", default=SIZES
+    )
+    file: str = scalar("file of the dump that states the input")
+    field: str = scalar("field of that file", default="")
+    most: float = scalar("largest size that is possible", default=np.inf)
+    usual: float = scalar("usual size", default=1.0)
+    usual_of: str = scalar("key under [errors] that states it; empty: set by hand", default="")
+    rarity: float = scalar("how much rarer it is than what is stated wrong by hand", default=1.0)
+
+
+@record(kw_only=True)
+class MovedInput(InputError):
+    """What one unit too much of an input does, strip by strip; a strip that is not named does not move.
+
+    Hypotheses that the estimate's own derivatives do not give (effects on light, the aberration that a head
+    has left in, the velocity of the satellite, the clock of the star camera) are two evaluations of a
+    prediction, made by who reads the dump.
+    """
+
+    directions_i: Mapping[str, Floats] = scalar(
+        "by strip: change (J, 3) of the targets' known directions, GCRS", default_factory=dict
+    )
+    turns_s: Mapping[str, Floats] = scalar(
+        "by strip: right-handed rotation (K, 3) of the exposures' attitudes, axes of s, rad",
+        default_factory=dict,
+    )
 
 
 @record(kw_only=True)

@@ -43,6 +43,7 @@ from boresight.calib.hypotheses import (
     Hypothesis,
     HypothesisInputs,
     HypothesisTable,
+    MovedInput,
     hypotheses,
 )
 from boresight.calib.joint_solution import (
@@ -55,7 +56,6 @@ from boresight.calib.joint_solution import (
     squared_mahalanobis,
     squared_over,
 )
-from boresight.calib.moved_input import MovedInput
 from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.gyro import GyroRows, longest_without_gap
 from boresight.geometry.record import Floats, Ints

@@ -14,7 +14,7 @@ import numpy as np
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.gct_match.records import Target

@@ -14,7 +14,7 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef

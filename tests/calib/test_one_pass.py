@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import groups_of, passes_of

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import HypothesisInputs, MovedInput, hypotheses
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
