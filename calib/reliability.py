@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -274,58 +273,38 @@ def examine(
     """
     passes = passes_of(with_attitudes(strips, settings.attitudes))
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
-    names = estimate.cameras
-    stated = {
-        "pixel_rad": [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
-        "inputs": moved,
-        "pivots": pivots,
-        "target_files": target_files,
-        "cameras": names,
-        "usual": {
+    first, names = estimate.heads[0].R_cs, estimate.cameras
+    passes = aligned(passes, {head.name: first.inv() * head.R_cs for head in estimate.heads})
+    passes = [carried(strip) for strip in passes]
+    prepared = prepare_strips(passes, settings, names)
+    problem = Problem.of(prepared, settings, (), names, estimate.prior)
+    passes, prepared = [passes[n] for n in problem.members], [prepared[n] for n in problem.members]
+    found, limit = estimate.targets, estimate.rejection.limit
+    effects = star_effects(passes, star_camera, limit) if star_camera else []
+    of = HypothesisInputs(
+        prepared,
+        estimate.R_cs,
+        [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
+        effects=effects,
+        inputs=moved,
+        pivots=pivots,
+        target_files=target_files,
+        cameras=names,
+        usual={
             STABILITY: settings.sigma_mounting_rad / ARCSEC,
             POSITION: max(USUAL[POSITION], settings.sigma_position_m),
         },
-    }
-    one = _adjustment(estimate, passes, settings, star_camera, table_of, sigma_understated, **stated)
-    tests = _tests(one)
-    findings, chosen, last, noise = _causes(one, tests)
-    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
-    rest = last.rest(one.limit, int(one.problem.inside.sum())) if chosen and noise is None else None
-    scatter = findings[-1] if noise is not None else None
-    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
-
-
-def _adjustment(
-    estimate: InstallationEstimate,
-    strips: Sequence[StripSightings],
-    settings: CalibrationSettings,
-    star_camera: StarCamera | None,
-    table_of: HypothesisTable,
-    tolerated: float,
-    **stated: Any,
-) -> _Adjustment:
-    """The adjustment of passes; `stated` are further fields of `HypothesisInputs`."""
-    first = estimate.heads[0].R_cs
-    strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
-    strips = [carried(strip) for strip in strips]
-    prepared = prepare_strips(strips, settings, estimate.cameras)
-    problem = Problem.of(prepared, settings, (), estimate.cameras, estimate.prior)
-    strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
-    found = estimate.targets
+    )
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
-    effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    of = HypothesisInputs(prepared, estimate.R_cs, effects=effects, **stated)
     columns = of.column("strip"), of.ground.target_id, of.ground.ccd, of.ground.xy_px[:, 0]
-    own = zip(*(column.tolist() for column in columns))
-    weight = np.array([weights.get(key, 0.0) for key in own])
-    table = table_of(of)
+    weight = np.array([weights.get(key, 0.0) for key in zip(*(column.tolist() for column in columns))])
+    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
+    table, across = table_of(of), step.across
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
-    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
-    of_stars, across = parts >= 0, step.across
     off_c: Floats = of.ground.u_c - of.in_c(of.column("v_s"))
-    return _Adjustment(
+    one = _Adjustment(
         problem=problem,
         step=step,
         of=of,
@@ -333,11 +312,17 @@ def _adjustment(
         B=_columns(across, table),
         by_place=across @ of.C @ of.column("move_s"),
         measured=(across @ off_c[:, :, None])[:, :, 0],
-        star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
-        star_right=right[parts] * of_stars,
-        limit=estimate.rejection.limit,
-        tolerated=tolerated,
+        star_information=information[np.ix_(parts, parts)] * np.outer(parts >= 0, parts >= 0),
+        star_right=right[parts] * (parts >= 0),
+        limit=limit,
+        tolerated=sigma_understated,
     )
+    tests = _tests(one)
+    findings, chosen, last, noise = _causes(one, tests)
+    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
+    rest = last.rest(limit, int(problem.inside.sum())) if chosen and noise is None else None
+    scatter = findings[-1] if noise is not None else None
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
 
 
 def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
@@ -431,7 +416,8 @@ def _causes(
     and the fit with all of them as unknowns. It ends with a group whose errors are larger than stated, where
     that explains more than any hypothesis.
     """
-    if not _suspicious(one, tests):
+    lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
+    if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
         return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
     chosen: list[int] = []
     findings: list[Finding] = []
@@ -501,12 +487,6 @@ def _of_noise(one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float)
         p_value=min(p_value, 1.0),
         explains=one.subjects(noise.inside & ~before.kept),
     )
-
-
-def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest]) -> bool:
-    """Whether a test fails as it stands, or several observations are rejected or have less weight."""
-    lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))
-    return lost > 1 or bool(min(test.p_value for test in tests) * len(tests) < PROBABILITY_FOUND)
 
 
 def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[int]:
