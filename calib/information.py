@@ -63,6 +63,8 @@ class InformationPairs:
     def of_camera(self, name: str) -> InformationPairs:
         """The pairs about the matrix of one of several cameras; theta of the others, without a prior, are the
         first shared unknowns. `ValueError` for another name."""
+        if self.cameras == (name,):
+            return self
         first = 3 * self.cameras.index(name)
         unknowns, own = self.unknowns, slice(first, first + 3)
         every = np.arange(len(unknowns))
