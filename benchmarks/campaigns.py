@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2
 
 from boresight.calib.calibration import calibrate_strips
+from boresight.calib.error_table import CommonBias
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Verdict, VerdictSettings, assess
 from boresight.features.paper.vector_experiments import MATRIX_28, NO_NUISANCES, TABLE_1

@@ -21,7 +21,6 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from four_ccds import four_ccds
 
-from boresight.calib.interior_parameters import InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import (
     InteriorEstimate,
@@ -29,6 +28,7 @@ from boresight.features.interior.interior_estimate import (
     map_difference_px,
 )
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
+from boresight.features.interior.interior_parameters import InteriorModel, InteriorPriors
 from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
 from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from boresight.accepted import Progress, RotationLike, Table, no_progress, progress_of, rotation_of
 from boresight.calib.estimate import NotObservable
-from boresight.calib.from_vectors import calibrate_vector_sets
 from boresight.features.vectors import given_vectors, vector_result
 from boresight.features.vectors.target_places import orbit_of_states
+from boresight.features.vectors.vector_estimate import calibrate_vector_sets
 from boresight.geometry.record import Floats
 from boresight.missions import UNUSED, Calibration
 from boresight.pipeline.errors import DataNotSufficientError

@@ -56,9 +56,7 @@ def uncertainty_budget(
         return forecast_from_strips(these, R_cs, model).after(len(these)).covariance
 
     now = covariance(fitted, model)
-    larger = {
-        source: covariance([change(one) for one in fitted], model) for source, change in OF_SIGHTINGS.items()
-    }
+    larger = {name: covariance([of(one) for one in fitted], model) for name, of in OF_SIGHTINGS.items()}
     for source, names in OF_SETTINGS.items():
         stated = {name: ROOT * getattr(model, name) for name in names}
         larger[source] = covariance(fitted, replace(model, **stated))

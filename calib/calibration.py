@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.error_table import BIASES, SharedError, common_bias
 from boresight.calib.estimate import (
     HeadAgreement,
     HeadInstallation,
@@ -35,9 +35,7 @@ from boresight.calib.gross_errors import (
     snoop,
     weigh,
 )
-from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import (
-    PeriodicError,
     aligned,
     alignment_names,
     carried,
@@ -48,16 +46,13 @@ from boresight.calib.heads import (
     without_head,
 )
 from boresight.calib.information import InformationPairs, Solution, corrected, theta_of
-from boresight.calib.interior_parameters import InteriorModel
 from boresight.calib.joint_solution import (
     Problem,
     Step,
-    iteration_record,
     linearised,
     solve_weighted,
     squared_mahalanobis,
 )
-from boresight.calib.orbit_bias import common_bias
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
@@ -66,7 +61,7 @@ from boresight.calib.taken_up import taken_up
 from boresight.geometry.attitude_estimate import GROSS, with_attitudes
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import GroundSightings, StripSightings
 
 __all__ = ["calibrate_strips", "strip_pairs"]
 
@@ -80,22 +75,22 @@ def calibrate_strips(
     R_cs0: Rotation | Mapping[str, Rotation],
     settings: CalibrationSettings,
     *,
-    interior: InteriorModel | None = None,
+    further: Sequence[SharedError] = (),
     prior: InformationPairs | None = None,
 ) -> InstallationEstimate | NotObservable:
     """The installation matrix with its covariance, or the rotations that the strips leave undetermined; of
     several cameras of one satellite (`StripSightings.camera`) a matrix each.
 
     `R_cs0`, star camera to remote-sensing camera, is the matrix to start from, of several cameras one each in
-    the order of the result; milliradians off are no obstacle. `interior` are parameters of the camera to be
-    estimated too, `prior` what is known of the matrix before: one pair, about `R_cs0`. The covariance is that
-    of a small rotation about the axes of c, rad². An angle whose 1-sigma would exceed
-    `settings.sigma_observable_rad` is undetermined.
+    the order of the result; milliradians off are no obstacle. `further` are errors to be estimated too,
+    `prior` what is known of the matrix before: one pair, about `R_cs0`. The covariance is that of a small
+    rotation about the axes of c, rad². An angle whose 1-sigma would exceed `settings.sigma_observable_rad` is
+    undetermined.
 
     The result is the same, bit for bit, for any order of the strips. `ValueError` if two strips share one id,
     list exposures of one instant that differ, or are of unknown cameras.
     """
-    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, interior, prior)
+    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, further, prior)
     found = _calibrated(passes, start)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
@@ -108,7 +103,7 @@ class _Start:
     cameras: tuple[str, ...]
     R_cs0: Rotation  # (C,) of several
     settings: CalibrationSettings
-    interior: InteriorModel | None
+    further: Sequence[SharedError]
     prior: InformationPairs | None  # on the matrix
 
 
@@ -179,7 +174,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     R_cs0, settings = start.R_cs0, start.settings
     of_heads = [carried(strip) for strip in strips]
     prepared = prepare_strips(of_heads, settings, start.cameras)
-    problem = Problem.of(prepared, settings, start.interior, start.cameras, start.prior)
+    problem = Problem.of(prepared, settings, start.further, start.cameras, start.prior)
     test = rejection_test(settings.probability_false_alarm)
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -191,19 +186,51 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
             sigma_along=none[:, 0],
             rejected=rejected_observations(of_heads, prepared, test.limit),
         )
-    fit = _solve(problem, R_cs0, test)
-    residuals = _residuals(strips, prepared, problem, fit, test)
+    step, iterations, rivals = _solve(problem, R_cs0, test)
+    residuals = _residuals(prepared, problem, step, rivals, test)
     rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
-    R_cs = corrected(fit.step.about.R_cs, fit.step.solution.theta)
-    if len(fit.step.solution.unobservable):
-        return _not_observable(fit.step.solution, theta_of(R_cs, R_cs0), rejected, problem)
-    heads = _heads(R_cs if R_cs.single else R_cs[0], strips, problem, fit.step.solution)
-    estimate = _estimate(prepared, problem, fit, (R_cs, R_cs0), heads, residuals, rejected, test)
-    others = [head.name for head in heads[0][1:]]
-    return replace(
-        estimate,
-        periodic=_periodic(strips, problem, fit.step.solution),
-        taken_up=taken_up(problem, fit.step, prepared, others),
+    R_cs = corrected(step.about.R_cs, step.solution.theta)
+    if len(step.solution.unobservable):
+        return _not_observable(step.solution, theta_of(R_cs, R_cs0), rejected, problem)
+    carrying = [strip for strip in prepared if strip.inside.any()]
+    exposures = [(strip.attitudes, strip.used) for strip in carrying]
+    n_kept, n_theta = int(np.sum(step.weight > 0.0)), len(step.solution.theta)
+    last, covariance = np.abs(step.solution.theta), step.solution.covariance_all
+    known = 0 if problem.prior is None else int(np.linalg.matrix_rank(problem.prior.F[0]))
+    heads, cov_heads = _heads(R_cs if R_cs.single else R_cs[0], strips, step)
+    return InstallationEstimate(
+        R_cs=R_cs,
+        R_cs0=R_cs0,
+        cameras=problem.cameras,
+        theta=theta_of(R_cs, R_cs0),
+        cov_theta=step.solution.covariance,
+        chi2=step.chi2,
+        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta + known,
+        chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
+        dof_stars=int(sum(attitudes.dof[used].sum() for attitudes, used in exposures)),
+        n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
+        n_exposures=int(sum(used.sum() for _, used in exposures)),
+        n_stars=sum(int(a.kept[a.stars(k)].sum()) for a, used in exposures for k in np.flatnonzero(used)),
+        n_targets=n_kept,
+        iterations=iterations,
+        converged_matrix=bool(np.linalg.norm(last) <= settings.tolerance_rad),
+        converged_covariance=bool(np.all(last <= settings.tolerance_sigma * step.sigma)),
+        rejected=rejected,
+        pairs=step.pairs,
+        prior_shared=problem.prior_shared,
+        shared_values=step.solution.shared,
+        shared_covariance=covariance[n_theta:, n_theta:],
+        theta_with_shared=covariance[:n_theta, n_theta:],
+        targets=residuals,
+        rejection=test,
+        agreement=problem.agreement,
+        bias=common_bias(*step.found(BIASES), settings) if BIASES[0] in step.pairs.shared else None,
+        references=tuple(one.offset(*step.found(one.names)) for one in problem.shared.references),
+        periodic=periodic_errors(strips, step.pairs.shared, step.found),
+        heads=heads,
+        cov_heads=cov_heads,
+        prior=problem.prior,
+        taken_up=taken_up(problem, step, prepared, [head.name for head in heads[1:]]),
     )
 
 
@@ -215,23 +242,19 @@ def strip_pairs(
     """
     fitted = [carried(one) for one in _passes(strips, settings)]
     cameras, about = _matrices(strips, R_cs)
-    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, None, cameras)
+    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, (), cameras)
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     step = solve_weighted(problem, linearised(problem, about), problem.inside.astype(float))
     return step.pairs, problem.prior_shared
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    step: Step
-    iterations: list[Iteration]
-    weight: Floats  # (J,)
-    rivals: dict[int, Ints]  # of targets that the search rejects or doubts
-
-
-def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
-    """Plain fit; then, if its residuals show gross errors, the search for them, and the fit to the rest."""
+def _solve(
+    problem: Problem, R_cs0: Rotation, test: RejectionTest
+) -> tuple[Step, tuple[Iteration, ...], dict[int, Ints]]:
+    """Plain fit; then, if its residuals show gross errors, the search for them, and the fit to the rest: its
+    last step, all iterations, and the rivals of targets that the search rejects or doubts.
+    """
     kept, iterations = problem.inside, list[Iteration]()
     weight, rivals = kept.astype(float), dict[int, Ints]()
     step = _iterated(problem, R_cs0, weight, iterations)
@@ -242,7 +265,7 @@ def _solve(problem: Problem, R_cs0: Rotation, test: RejectionTest) -> _Fit:
         step = snoop(problem, linearised(problem, R_cs, step), kept, test.limit, step)
         weight, rivals = weigh(problem, step, test.limit)
     step = _iterated(problem, R_cs, weight, iterations, step)
-    return _Fit(step, iterations, weight, rivals)
+    return step, tuple(iterations), rivals
 
 
 def _iterated(
@@ -254,7 +277,7 @@ def _iterated(
     settings = problem.settings
     for _ in range(settings.most_iterations):
         step = solve_weighted(problem, linearised(problem, R_cs, known), weight, known)
-        iterations.append(iteration_record(step, weight))
+        iterations.append(step.iteration)
         if np.linalg.norm(step.solution.theta) <= settings.tolerance_rad:
             break
         R_cs = corrected(R_cs, step.solution.theta)
@@ -262,40 +285,35 @@ def _iterated(
 
 
 def _residuals(
-    strips: Sequence[StripSightings],
     prepared: list[PreparedStrip],
     problem: Problem,
-    fit: _Fit,
+    step: Step,
+    all_rivals: dict[int, Ints],
     test: RejectionTest,
 ) -> TargetResiduals:
     """Residuals of all targets in order of strips; NaN for targets that the exposures do not cover."""
-    start = np.concatenate([[0], np.cumsum([len(strip.target_id) for strip in prepared])]).astype(np.int64)
-    rows = np.concatenate([np.arange(start[s], start[s + 1]) for s in problem.members])
-    covered, weight = rows[problem.inside], np.zeros(start[-1])
-    statistic, detectable = np.full((2, start[-1]), np.nan)
-    residual = np.full((start[-1], 2), np.nan)
-    range_m = np.concatenate([np.where(s.ground.is_star, np.nan, s.ground.range_m) for s in strips])
-    weight[rows] = fit.weight
-    statistic[covered] = squared_mahalanobis(fit.step)[problem.inside]
-    detectable[covered] = detectable_bias(fit.step, test.noncentrality)[problem.inside]
-    residual[covered] = fit.step.residual_c[problem.inside]
-
-    def column(name: str) -> Any:
-        return np.concatenate([getattr(strip, name) for strip in prepared])
-
-    order = np.argsort(column("strip"), kind="stable")
+    start = np.cumsum([0, *(len(strip.v_s) for strip in prepared)])
+    rows = np.concatenate([np.arange(*start[s : s + 2]) for s in problem.members])
+    weight, found = np.zeros(start[-1]), np.full((start[-1], 4), np.nan)
+    ground = GroundSightings.together([strip.ground for strip in prepared])
+    range_m = np.where(ground.is_star, np.nan, ground.range_m)
+    weight[rows] = step.weight
+    columns = squared_mahalanobis(step), detectable_bias(step, test.noncentrality), step.residual_c
+    found[rows[problem.inside]] = np.column_stack(columns)[problem.inside]
+    strip_id = np.concatenate([strip.strip for strip in prepared])
+    order = np.argsort(strip_id, kind="stable")
     place = np.argsort(order)[rows]  # row of each target of the problem
-    names = {"strip_id": "strip"} | {
-        name: name for name in ("camera", "target_id", "ccd", "sample", "is_star")
-    }
     return TargetResiduals(
-        **{field: column(name)[order] for field, name in names.items()},
-        residual_c=residual[order],
-        statistic=statistic[order],
+        strip_id=strip_id[order],
+        camera=np.concatenate([strip.camera for strip in prepared])[order],
+        **{name: getattr(ground, name)[order] for name in ("target_id", "ccd", "is_star")},
+        sample=ground.xy_px[order, 0],
+        residual_c=found[order, 2:],
+        statistic=found[order, 0],
         weight=weight[order],
-        detectable_rad=detectable[order],
-        detectable_m=(detectable * range_m)[order],
-        rivals={int(place[j]): place[others] for j, others in fit.rivals.items()},
+        detectable_rad=found[order, 1],
+        detectable_m=(found[:, 1] * range_m)[order],
+        rivals={int(place[j]): place[others] for j, others in all_rivals.items()},
     )
 
 
@@ -327,96 +345,21 @@ def _axis(d: Floats, cameras: tuple[str, ...]) -> str:
     return "[" + " ".join(f"{x:+.3f}" for x in d[n]) + "]" + (f" of {cameras[n]}" if cameras[n] else "")
 
 
-def _estimate(
-    prepared: list[PreparedStrip],
-    problem: Problem,
-    fit: _Fit,
-    matrices: tuple[Rotation, Rotation],
-    heads: tuple[tuple[HeadInstallation, ...], Floats],
-    residuals: TargetResiduals,
-    rejected: tuple[Entry, ...],
-    test: RejectionTest,
-) -> InstallationEstimate:
-    (R_cs, R_cs0), step, settings = matrices, fit.step, problem.settings
-    carrying = [strip for strip in prepared if strip.inside.any()]
-    exposures = [(strip.attitudes, strip.used) for strip in carrying]
-    n_kept, n_exposures = int(np.sum(fit.weight > 0.0)), int(sum(used.sum() for _, used in exposures))
-    dof_stars = int(sum(attitudes.dof[used].sum() for attitudes, used in exposures))
-    last, n_theta = np.abs(step.solution.theta), len(step.solution.theta)
-    known = 0 if problem.prior is None else int(np.linalg.matrix_rank(problem.prior.F[0]))
-    return InstallationEstimate(
-        R_cs=R_cs,
-        R_cs0=R_cs0,
-        cameras=problem.cameras,
-        theta=theta_of(R_cs, R_cs0),
-        cov_theta=step.solution.covariance,
-        chi2=step.chi2,
-        dof=2 * (n_kept - len(residuals.doubtful)) - n_theta + known,
-        chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
-        dof_stars=dof_stars,
-        n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
-        n_exposures=n_exposures,
-        n_stars=sum(int(a.kept[a.stars(k)].sum()) for a, used in exposures for k in np.flatnonzero(used)),
-        n_targets=n_kept,
-        iterations=tuple(fit.iterations),
-        converged_matrix=bool(np.linalg.norm(last) <= settings.tolerance_rad),
-        converged_covariance=bool(np.all(last <= settings.tolerance_sigma * step.sigma)),
-        rejected=rejected,
-        pairs=step.pairs,
-        prior_shared=problem.prior_shared,
-        shared_values=step.solution.shared,
-        shared_covariance=step.solution.covariance_all[n_theta:, n_theta:],
-        theta_with_shared=step.solution.covariance_all[:n_theta, n_theta:],
-        targets=residuals,
-        rejection=test,
-        agreement=problem.agreement,
-        bias=common_bias(problem.shared.names, step.solution, settings),
-        references=_offsets(problem, step.solution),
-        heads=heads[0],
-        cov_heads=heads[1],
-        prior=problem.prior,
-    )
-
-
-def _offsets(problem: Problem, solution: Solution) -> tuple[ReferenceOffset, ...]:
-    """Estimated offsets of the ground references."""
-    names, first = problem.shared.names, len(solution.theta)
-    rows = [[names.index(name) for name in field.names] for field in problem.shared.references]
-    covariance = solution.covariance_all[first:, first:]
-    return tuple(
-        field.offset(solution.shared[own], covariance[np.ix_(own, own)])
-        for field, own in zip(problem.shared.references, rows)
-    )
-
-
 def _heads(
-    R_cs: Rotation, strips: Sequence[StripSightings], problem: Problem, solution: Solution
+    R_cs: Rotation, strips: Sequence[StripSightings], step: Step
 ) -> tuple[tuple[HeadInstallation, ...], Floats]:
     """The matrix of the reference head and those of the other heads, R_ch = R_cs exp(alpha) R_sh, with their
     covariance; of several cameras about the first, whose `R_cs` is given.
     """
-    of_heads, C = problem.shared.of_heads, R_cs.as_matrix()
-    names = [head for head in unknown_heads(strips) if set(alignment_names(head)) <= set(of_heads)]
-    first = solution.covariance_all.shape[0] - len(of_heads)
+    unknowns, covariance, C = step.pairs.unknowns, step.solution.covariance_all, R_cs.as_matrix()
+    R_sh = {other.head: other.R_sh for strip in strips for other in strip.others}
+    names = [head for head in unknown_heads(strips) if set(alignment_names(head)) <= set(unknowns)]
     # theta of head h is that of the reference head less C alpha (theta has the paper's sign).
-    lift = np.zeros((3 + 3 * len(names), solution.covariance_all.shape[0]))
-    lift[:3, :3] = np.eye(3)
+    lift = np.tile(np.eye(3, len(unknowns)), (1 + len(names), 1))
     heads = [HeadInstallation(name="", R_cs=R_cs)]
-    for n, name in enumerate(names):
-        rows = slice(3 + 3 * n, 6 + 3 * n)
-        columns = [first + of_heads.index(one) for one in alignment_names(name)]
-        lift[rows, :3], lift[rows, columns] = np.eye(3), -C
-        alpha = np.concatenate([solution.theta, solution.shared])[columns]
-        R_sh = next(other.R_sh for strip in strips for other in strip.others if other.head == name)
-        heads.append(HeadInstallation(name=name, R_cs=R_cs * Rotation.from_rotvec(alpha) * R_sh))
-    return tuple(heads), lift @ solution.covariance_all @ lift.T
-
-
-def _periodic(
-    strips: Sequence[StripSightings], problem: Problem, solution: Solution
-) -> tuple[PeriodicError, ...]:
-    """Estimated errors of the heads that come back with a period."""
-    noise = {one.head: one.noise for strip in strips for one in strip.others}
-    noise |= {strip.carrier: strip.noise for strip in strips if strip.exposures}
-    sigma = np.sqrt(np.diag(solution.covariance_all)[len(solution.theta) :])
-    return periodic_errors(dict(sorted(noise.items())), problem.shared.names, solution.shared, sigma)
+    for n, name in enumerate(names, start=1):
+        columns = [unknowns.index(one) for one in alignment_names(name)]
+        lift[3 * n : 3 * n + 3, columns] = -C
+        alpha = Rotation.from_rotvec(step.found(alignment_names(name))[0])
+        heads.append(HeadInstallation(name=name, R_cs=R_cs * alpha * R_sh[name]))
+    return tuple(heads), lift @ covariance @ lift.T

@@ -17,7 +17,7 @@ from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.record import Floats, shape_of
-from boresight.geometry.sightings import ExposureAttitudes
+from boresight.geometry.sightings import ExposureAttitudes, GroundSightings
 
 __all__ = ["correlated_passes"]
 
@@ -48,7 +48,8 @@ def _shared(one: PreparedStrip) -> tuple[str, str]:
 
 
 def _span_s(one: PreparedStrip) -> tuple[float, float]:
-    return float(min(one.t_s, default=np.inf)), float(max(one.t_s, default=np.inf))
+    t_s = one.ground.t_s
+    return float(min(t_s, default=np.inf)), float(max(t_s, default=np.inf))
 
 
 def _together(passes: list[PreparedStrip]) -> PreparedStrip:
@@ -69,10 +70,11 @@ def _together(passes: list[PreparedStrip]) -> PreparedStrip:
     return replace(
         passes[0],
         **joined,
+        ground=GroundSightings.together([one.ground for one in passes]),
         attitudes=ExposureAttitudes.together([one.attitudes for one in passes]),
         used=np.concatenate([one.used for one in passes]),
         weights=sparse.block_diag([one.weights for one in passes], format="csr"),
-        number=np.repeat(np.arange(len(passes)), [len(one.t_s) for one in passes]),
+        number=np.repeat(np.arange(len(passes)), [len(one.v_s) for one in passes]),
         attitude_s=np.concatenate([phi, motion], axis=2),
         ties=ties,
         lasting=(),

@@ -28,7 +28,6 @@ __all__ = [
     "MODES",
     "OF_CAMERA",
     "ccd_modes",
-    "columns_of_ccds",
     "correlation",
     "knot_weights",
     "knots_touched",
@@ -90,18 +89,12 @@ def knots_touched(curve: Index, place: Array) -> tuple[Knot, ...]:
 
 
 def knot_weights(curve: Index, place: Array, knots: tuple[Knot, ...]) -> Array:
-    """Weights (J, K) of the knots in the curve's value at each target. Raises `KeyError` for a knot not
-    in `knots`.
-    """
-    column = {knot: n for n, knot in enumerate(knots)}
-    step = place / 0.5
-    left = np.floor(step).astype(np.int64)
-    weights = np.zeros((len(curve), len(knots)))
-    for j, (c, k) in enumerate(zip(curve.tolist(), left.tolist())):
-        share = step[j] - k
-        weights[j, column[c, k]] = 1.0 - share
-        weights[j, column[c, k + 1]] = share
-    return weights
+    """Weights (J, K) of the knots in the curve's value at each target: of the two that it lies between."""
+    of_curve, number = np.array(knots, dtype=np.int64).reshape(-1, 2).T
+    step = place[:, None] / 0.5
+    share = step - np.floor(step)
+    after = number - np.floor(step)
+    return (of_curve == curve[:, None]) * ((after == 0.0) * (1.0 - share) + (after == 1.0) * share)
 
 
 def missed_between_knots(weights: Array) -> Array:
@@ -126,12 +119,6 @@ def ccd_modes(ccd: Index, sample: Array, ccd_px: tuple[int, ...]) -> Array:
     """
     t = 2.0 * sample / (np.array(ccd_px, dtype=float)[ccd] - 1.0) - 1.0
     return np.stack([np.ones_like(t), np.sqrt(3.0) * t, np.sqrt(5.0) * (1.5 * t * t - 0.5)], axis=1)
-
-
-def columns_of_ccds(modes: Array, ccd: Index, ccds: tuple[int, ...]) -> Array:
-    """Changes (J, 3) by modes of each target's CCD as columns (J, 3 C) of CCDs `ccds` (C,), mode by mode."""
-    own = ccd[:, None] == np.array(ccds, dtype=np.int64)
-    return np.asarray((modes[:, :, None] * own[:, None, :]).reshape(len(ccd), 3 * len(ccds)))
 
 
 def unknown_names(knots: tuple[Knot, ...], ccds: tuple[int, ...] = ()) -> tuple[str, ...]:

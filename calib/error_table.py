@@ -19,6 +19,7 @@ without one it is constant over a pass and independent from pass to pass.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -31,7 +32,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import (
     Knot,
-    columns_of_ccds,
     knot_weights,
     knots_touched,
     missed_between_knots,
@@ -40,8 +40,6 @@ from boresight.calib.distortion import (
 )
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import of_heads
-from boresight.calib.interior_parameters import InteriorModel
-from boresight.calib.orbit_bias import BIASES, bias_columns, bias_prior
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
@@ -51,10 +49,14 @@ if TYPE_CHECKING:
     from boresight.calib.strips import PreparedStrip
 
 __all__ = [
+    "BIASES",
     "MICRORADIAN",
+    "CommonBias",
     "SharedError",
     "SharedUnknowns",
+    "bias_columns",
     "by_kind",
+    "common_bias",
     "coordinate_covariance",
     "coordinate_names",
     "earth_axes",
@@ -67,6 +69,40 @@ Array = NDArray[np.float64]
 MICRORADIAN = 1e-6  # rad: unit of stars' directions as unknowns, of a size like metres on the ground
 SIGMA_ALIGNMENT_RAD = 0.01  # of alignments between heads: wide, the attitudes themselves give arc-seconds
 NO_EFFECT = 1e-9  # of the largest variance of a process: less is rounding
+# Names of the biases common to all strips: of the orbit along the track, across it and radially (m), and of
+# the row clock (s).
+BIASES = ("bias/along", "bias/across", "bias/radial", "bias/clock")
+# In units of the stated errors of one strip: wide for the orbit, which the sky has no part in. The scan of
+# the sky itself depends on the clock: a wide prior would spoil a matrix that the sky alone determines.
+PRIOR_SIGMA = {"bias/along": 10.0, "bias/across": 10.0, "bias/radial": 10.0, "bias/clock": 1.0}
+OBSERVABLE = 0.25  # of its prior, the largest 1-sigma with which a bias counts as measured
+
+
+@record(kw_only=True)
+class CommonBias:
+    """Biases that all strips share, stated less true, as far as the data determine them.
+
+    Ground strips alone cannot tell them from the installation matrix: their position errors are taken as
+    independent from strip to strip. Strips that scan the sky measure the matrix without any position.
+    """
+
+    names: tuple[str, ...] = array(
+        "N", "along, across (to the right), radial (upwards): m; clock (of the rows): s"
+    )
+    value: Array = array("N", "stated less true")
+    covariance: Array = array("N, N", "of `value`")
+    stated: Array = array("N", "1-sigma stated for one strip")
+
+    @property
+    def sigma(self) -> Array:
+        """1-sigma (N,) of `value`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def texts(self) -> list[str]:
+        """Each bias with its 1-sigma as text, the clock in milliseconds."""
+        unit = [("ms", 1e3) if name == "clock" else ("m", 1.0) for name in self.names]
+        rows = zip(self.names, self.value, self.sigma, unit)
+        return [f"{name} {scale * b:+.3g} ± {scale * s:.2g} {of}" for name, b, s, (of, scale) in rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,13 +136,14 @@ class SharedUnknowns:
 
     def columns(self, strip: PreparedStrip) -> tuple[Array, Array]:
         """Change (J, 3, n) of u_c - w, frame c, and of v_s by all unknowns."""
-        in_c: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
-        in_s: list[Array] = [np.zeros((len(strip.ccd), 3, 0))]
+        in_c, in_s = np.zeros((2, len(strip.v_s), 3, len(self.names)))
+        last = 0
         for error in self.errors:
-            zero = np.zeros((len(strip.ccd), 3, len(error.names)))
-            in_c.append(error.columns_c(strip) if error.columns_c else zero)
-            in_s.append(error.columns_s(strip) if error.columns_s else zero)
-        return np.concatenate(in_c, axis=2), np.concatenate(in_s, axis=2)
+            first, last = last, last + len(error.names)
+            for columns, out in ((error.columns_c, in_c), (error.columns_s, in_s)):
+                if columns:
+                    out[:, :, first:last] = columns(strip)
+        return in_c, in_s
 
     def missed(self, strip: PreparedStrip) -> Array:
         """Variance (J,) of the cameras' distortion that straight lines between its knots miss, rad²."""
@@ -143,10 +180,10 @@ def find_shared(
     strips: Sequence[PreparedStrip],
     settings: CalibrationSettings,
     heads: tuple[str, ...] = (),
-    interior: InteriorModel | None = None,
+    further: Sequence[SharedError] = (),
 ) -> SharedUnknowns:
-    """The unknowns that these strips share, those of `heads` among them; biases of orbit and clock where
-    there are stars and targets on the ground.
+    """The unknowns that these strips share, those of `heads` and `further` rows of the table among them;
+    biases of orbit and clock where there are stars and targets on the ground.
 
     Of targets in several strips, those seen most often come first.
     """
@@ -156,28 +193,30 @@ def find_shared(
         curved = strip.distortion_rad > 0.0
         knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
         ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
-    count: dict[str, int] = {}
-    covariance: dict[str, Array] = {}
-    for strip in strips:
-        ids, first = np.unique(strip.target_id, return_index=True)
-        for name, row in zip(ids.tolist(), first.tolist()):
-            count[name] = count.get(name, 0) + 1
-            covariance.setdefault(name, strip.cov_coordinates[row])
+    count = Counter(name for strip in strips for name in np.unique(strip.ground.target_id).tolist())
+    covariance = dict[str, Array]()
+    for strip in reversed(strips):  # of a target that strips state otherwise, that of the first
+        covariance |= zip(strip.ground.target_id[::-1].tolist(), strip.cov_coordinates[::-1])
     often = [name for name, n in count.items() if n > 1 and np.linalg.eigvalsh(covariance[name])[0] > 0.0]
     often.sort(key=lambda name: (-count[name], name))
     kept = tuple(sorted(often[: settings.most_shared_targets]))
-    mixed = any(s.is_star.any() for s in strips) and any(not s.is_star.all() for s in strips)
+    mixed = any(s.ground.is_star.any() for s in strips) and any(not s.ground.is_star.all() for s in strips)
     earth = tuple(sorted({strip.earth for strip in strips if strip.earth}))
     fields = fields_of(strips)
     return SharedUnknowns(
         knots=tuple(sorted(knots)),
         errors=(
             _distortion(tuple(sorted(knots)), tuple(sorted(ccds))),
-            *([_interior(interior)] if interior else []),
-            _coordinates(kept),
+            *further,
+            SharedError(
+                coordinate_names(kept),
+                lambda one: of_each(one.coordinates_s, one.ground.target_id[:, None] == np.array(kept, str)),
+            ),
             *([SharedError(BIASES, lambda strip: bias_columns(strip, settings))] if mixed else []),
-            _earth(earth),
-            *(SharedError(one.names, one.columns) for one in fields),
+            SharedError(
+                earth_names(earth), lambda one: of_each(one.earth_s, np.array([earth], str) == one.earth)
+            ),
+            *map(_reference, fields),
             SharedError(heads, lambda one: of_heads(one.of_heads, one.by_heads_s, heads)),
         ),
         targets=kept,
@@ -214,12 +253,17 @@ def _of_unit(names: Sequence[str]) -> Array:
     return np.eye(len(names))
 
 
+def _of_bias(names: Sequence[str]) -> Array:
+    """Prior information (n, n) of these biases, in units of the stated errors."""
+    return np.diag([PRIOR_SIGMA[name] ** -2.0 for name in names])
+
+
 # Prior information on the unknowns of each kind by their names, which begin with it.
 PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
     "distortion": prior_information,
     "interior": _of_unit,
     "target": _of_unit,  # if nothing else is known
-    "bias": bias_prior,
+    "bias": _of_bias,
     "earth": prior_of_predictions,
     "reference": _of_unit,
     "head": lambda names: np.eye(len(names)) / SIGMA_ALIGNMENT_RAD**2,
@@ -239,13 +283,36 @@ def of_pass(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
     return np.concatenate([moved, _process(late, strip, settings.clock_time_s, strip.camera)], axis=2)
 
 
+def bias_columns(strip: PreparedStrip, settings: CalibrationSettings) -> Array:
+    """Change (J, 3, 4) of v_s by each of `BIASES` in units of the stated errors."""
+    by_position = -settings.sigma_position_m * (strip.move_s * [1.0, 1.0, -1.0])
+    return np.concatenate([by_position, -settings.sigma_clock_s * strip.late_s[:, :, None]], axis=2)
+
+
+def common_bias(values: Array, covariance: Array, settings: CalibrationSettings) -> CommonBias | None:
+    """The biases that the data determine, from values (4,) and covariance (4, 4) of `BIASES` in units of the
+    stated errors; None if there are none.
+    """
+    prior = np.array([PRIOR_SIGMA[name] for name in BIASES])
+    rows = np.flatnonzero(np.sqrt(np.diag(covariance)) <= OBSERVABLE * prior)
+    if not len(rows):
+        return None
+    stated = np.array([settings.sigma_position_m] * 3 + [settings.sigma_clock_s])[rows]
+    return CommonBias(
+        names=tuple(BIASES[n].removeprefix("bias/") for n in rows),
+        value=stated * values[rows],
+        covariance=covariance[np.ix_(rows, rows)] * np.outer(stated, stated),
+        stated=stated,
+    )
+
+
 def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> Array:
     """Change (J, 3, A M) of the targets' directions by a process, from that by an error at each target's own
     instant, (J, 3, A): its M independent parts of unit variance; processes of different `of` (J,) are
     independent.
     """
     if time_s:
-        apart = np.abs(strip.t_s[:, None] - strip.t_s)
+        apart = np.abs(strip.ground.t_s[:, None] - strip.ground.t_s)
         values, vectors = np.linalg.eigh((of[:, None] == of) * np.exp(-apart / time_s))
         large = values > NO_EFFECT * values[-1:]
         root = vectors[:, large] * np.sqrt(values[large])
@@ -258,54 +325,27 @@ def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> A
 def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
     def columns(strip: PreparedStrip) -> Array:
         of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
-        along = np.column_stack([of_knots, columns_of_ccds(strip.modes_rad, strip.unit, ccds)])
-        none = np.zeros_like(along)
-        return np.stack([np.hstack([along, none]), np.hstack([none, along]), np.hstack([none, none])], axis=1)
+        of_ccd = strip.unit[:, None] == np.array(ccds, dtype=np.int64)
+        of_modes = strip.modes_rad[:, :, None] * of_ccd[:, None, :]
+        along = np.column_stack([of_knots, of_modes.reshape(len(of_knots), -1)])
+        return (np.eye(3, 2)[:, :, None] * along[:, None, None]).reshape(len(along), 3, -1)
 
     return SharedError(unknown_names(knots, ccds), columns_c=columns)
 
 
+def _reference(field: ReferenceField) -> SharedError:
+    return SharedError(field.names, lambda one: of_each(one.reference_s * field.sigma_m, field.weights(one)))
+
+
 def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
     """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
-    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.ccd), len(knots)))
+    curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.v_s), len(knots)))
     weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
     return weights
 
 
-def _interior(model: InteriorModel) -> SharedError:
-    """Of the camera: looks, and delays of a CCD's rows."""
-
-    def delays(strip: PreparedStrip) -> Array:
-        return strip.late_s[:, :, None] * (model.delay_change(strip.ccd) @ model.basis)[:, None, :]
-
-    def looks(strip: PreparedStrip) -> Array:
-        return -model.look_change(strip.ccd, strip.sample) @ model.basis
-
-    return SharedError(model.unknowns, delays, looks)
-
-
-def _coordinates(targets: tuple[str, ...]) -> SharedError:
-    number = {name: n for n, name in enumerate(targets)}
-
-    def columns(strip: PreparedStrip) -> Array:
-        return _of_each(
-            [number.get(name, -1) for name in strip.target_id.tolist()], len(targets), strip.coordinates_s
-        )
-
-    return SharedError(coordinate_names(targets), columns)
-
-
-def _earth(predictions: tuple[str, ...]) -> SharedError:
-    def columns(strip: PreparedStrip) -> Array:
-        n = predictions.index(strip.earth) if strip.earth else -1
-        return _of_each([n] * len(strip.ccd), len(predictions), strip.earth_s)
-
-    return SharedError(earth_names(predictions), columns)
-
-
-def _of_each(number: Sequence[int], count: int, change: Array) -> Array:
-    """Changes (J, 3, 3) by the three unknowns of an error, `number` of each target, as columns of all `count`
-    errors; -1: of none.
+def of_each(change: Array, weights: Array | Bools) -> Array:
+    """Changes (J, 3, M n) by M errors of n unknowns each, from those by the unknowns of one (J, 3, n) and the
+    parts (J, M) of the errors in that of each target.
     """
-    own = np.array(number, dtype=np.int64)[:, None] == np.arange(count)
-    return np.asarray((own[:, None, :, None] * change[:, :, None, :]).reshape(len(change), 3, 3 * count))
+    return (weights[:, None, :, None] * change[:, :, None, :]).reshape(*change.shape[:2], -1)

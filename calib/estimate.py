@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from boresight.calib.error_table import CommonBias
 from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import PeriodicError
 from boresight.calib.information import InformationPairs
-from boresight.calib.orbit_bias import CommonBias
 from boresight.geometry.installation import theta_between
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar

@@ -7,7 +7,9 @@ camera, which all strips share, does not average: it sets a floor.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
+from itertools import count
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -51,13 +53,12 @@ class Forecast:
         """The least number of strips with which every axis is known to `target_rad`; None if none does."""
         if not np.all(self.floor() <= target_rad):
             return None
-        low, high = 0, 1
-        while not np.all(self.sigma(high) <= target_rad):
-            low, high = high, 2 * high
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if np.all(self.sigma(middle) <= target_rad) else (middle, high)
-        return high
+
+        def reached(strips: int) -> bool:
+            return bool(np.all(self.sigma(strips) <= target_rad))
+
+        most = next(2**n for n in count() if reached(2**n))
+        return bisect_left(range(most), True, lo=most // 2 + 1, key=reached)
 
 
 def forecast_from_strips(

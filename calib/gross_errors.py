@@ -37,7 +37,6 @@ from boresight.calib.joint_solution import (
     Linearised,
     Problem,
     Step,
-    iteration_record,
     linearised,
     readmitted,
     solve_weighted,
@@ -211,7 +210,7 @@ def refine_geman_mcclure(
     weight = problem.inside * (1.0 + (at_start / scale) ** 2) ** -2.0
     for _ in range(40):
         step = solve_weighted(problem, linearised(problem, R_cs), weight)
-        iterations.append(iteration_record(step, weight))
+        iterations.append(step.iteration)
         R_cs = corrected(R_cs, step.solution.theta)
         scale, before = max(3.0, 0.5 * scale), weight
         weight = problem.inside * (1.0 + (np.linalg.norm(step.whitened, axis=1) / scale) ** 2) ** -2.0

@@ -51,20 +51,15 @@ class ReferenceField:
 
     def weights(self, strip: PreparedStrip) -> Floats:
         """Part (J, M) of the modes in the offset of each target; zero for targets of others."""
-        found = np.zeros((len(strip.reference), self.root.shape[1]))
-        for j in np.flatnonzero(strip.reference == self.name).tolist():
-            found[j] = self.root[self.row[strip.reference_place[j].tobytes()]]
+        of = strip.ground.referenced()
+        found = np.zeros((len(of.name), self.root.shape[1]))
+        for j in np.flatnonzero(of.name == self.name).tolist():
+            found[j] = self.root[self.row[of.place[j].tobytes()]]
         return found
-
-    def columns(self, strip: PreparedStrip) -> Floats:
-        """Change (J, 3, 3 M) of v_s by the unknowns."""
-        by_axes = strip.reference_s * self.sigma_m
-        weights = self.weights(strip)
-        return (weights[:, None, :, None] * by_axes[:, :, None, :]).reshape(*by_axes.shape[:2], -1)
 
     def rest(self, strip: PreparedStrip) -> Floats:
         """Variance (J,), in units of the stated one, that the modes leave."""
-        own = strip.reference == self.name
+        own = strip.ground.referenced().name == self.name
         return np.maximum(own - np.sum(self.weights(strip) ** 2, axis=1), 0.0)
 
     def offset(self, shared: Floats, covariance: Floats) -> ReferenceOffset:
@@ -81,10 +76,11 @@ def fields_of(strips: Sequence[PreparedStrip]) -> tuple[ReferenceField, ...]:
     places: dict[str, dict[bytes, Floats]] = {}
     sigma_m: dict[str, Floats] = {}
     for strip in strips:
-        for j in np.flatnonzero((strip.reference != "") & strip.reference_sigma_m.any(axis=1)).tolist():
-            place, name = strip.reference_place[j], str(strip.reference[j])
-            places.setdefault(name, {}).setdefault(place.tobytes(), place)
-            sigma_m[name] = strip.reference_sigma_m[j]
+        of = strip.ground.referenced()
+        for j in np.flatnonzero((of.name != "") & of.sigma_m.any(axis=1)).tolist():
+            name = str(of.name[j])
+            places.setdefault(name, {}).setdefault(of.place[j].tobytes(), of.place[j])
+            sigma_m[name] = of.sigma_m[j]
     return tuple(_field(name, places[name], sigma_m[name]) for name in sorted(places))
 
 

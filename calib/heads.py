@@ -13,7 +13,7 @@ strip: its attitudes, turned to frame s by the assumed alignment, have the error
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -93,18 +93,25 @@ def lasting_of_head(head: str, noise: AttitudeNoise, t_s: Floats) -> Floats:
 
 
 def periodic_errors(
-    noise: Mapping[str, AttitudeNoise], names: Sequence[str], values: Floats, sigmas: Floats
+    strips: Sequence[StripSightings],
+    names: Sequence[str],
+    values_of: Callable[[Sequence[str]], tuple[Floats, Floats]],
 ) -> tuple[PeriodicError, ...]:
-    """The periodic errors of heads by the values (N,) and 1-sigma (N,) of the unknowns with these names."""
+    """The periodic errors of the heads of strips, as far as they are among the unknowns `names`; `values_of`
+    gives values (n,) and covariance (n, n) of some of these.
+    """
+    noise = {one.head: one.noise for strip in strips for one in strip.others}
+    noise |= {strip.carrier: strip.noise for strip in strips if strip.exposures}
     found = []
-    for head, of_head in noise.items():
+    for head, of_head in sorted(noise.items()):
         own = [name for name in unknowns_of_head(head, of_head) if name.startswith("periodic/")]
         if not own or not set(own) <= set(names):
             continue
-        rows = [names.index(name) for name in own]
+        values, covariance = values_of(own)
         unit = of_head.periodic_rad / np.sqrt(of_head.harmonics)
         (cosine, sine), (sigma_cosine, sigma_sine) = (
-            np.moveaxis(part[rows].reshape(of_head.harmonics, 2, 3) * unit, 1, 0) for part in (values, sigmas)
+            np.moveaxis(part.reshape(of_head.harmonics, 2, 3) * unit, 1, 0)
+            for part in (values, np.sqrt(np.diag(covariance)))
         )
         one = PeriodicError(
             head=head,

@@ -9,30 +9,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.moved_input import SIZES, InputError, MovedInput
 from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "POSITION",
+    "SIZES",
     "STABILITY",
     "USUAL",
     "Hypothesis",
     "HypothesisInputs",
     "HypothesisTable",
+    "InputError",
+    "MovedInput",
     "hypotheses",
     "vector_hypotheses",
 ]
 
+SIZES = ("too large", "too small")  # a positive and a negative size in words
 MILLI, PERCENT = 1e-3, 1e-2  # of a second, of a radian, of a length or rate, in units of hypotheses
 # Largest error of an input that is possible, by unit: an effect of light or of aberration is modelled or not
 # (once too much); a focal length or a row period that is a third off is that of another camera; an orbit 100
@@ -98,20 +103,49 @@ MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work g
 
 
 @record(kw_only=True)
+class InputError:
+    """One kind of error of one input."""
+
+    cause: str = scalar('what is wrong: "clock of a strip"')
+    item: str = scalar('what it concerns, in words: "strip s02"', default="")
+    subjects: tuple[Subject, ...] = scalar("the same as subjects; empty: all", default=())
+    unit: str = scalar("of its size")
+    words: tuple[str, str] = scalar(
+        "a positive and a negative size in words, behind the number", default=SIZES
+    )
+    file: str = scalar("file of the dump that states the input")
+    field: str = scalar("field of that file", default="")
+    most: float = scalar("largest size that is possible", default=np.inf)
+    usual: float = scalar("usual size", default=1.0)
+    usual_of: str = scalar("key under [errors] that states it; empty: set by hand", default="")
+    rarity: float = scalar("how much rarer it is than what is stated wrong by hand", default=1.0)
+
+
+@record(kw_only=True)
+class MovedInput(InputError):
+    """What one unit too much of an input does, strip by strip; a strip that is not named does not move.
+
+    Hypotheses that the estimate's own derivatives do not give (effects on light, the aberration that a head
+    has left in, the velocity of the satellite, the clock of the star camera) are two evaluations of a
+    prediction, made by who reads the dump.
+    """
+
+    directions_i: Mapping[str, Floats] = scalar(
+        "by strip: change (J, 3) of the targets' known directions, GCRS", default_factory=dict
+    )
+    turns_s: Mapping[str, Floats] = scalar(
+        "by strip: right-handed rotation (K, 3) of the exposures' attitudes, axes of s, rad",
+        default_factory=dict,
+    )
+
+
+@record(kw_only=True)
 class Hypothesis(InputError):
     """One kind of error of one input, and what one unit of it does."""
 
     rows: Ints = array("K", "targets that it moves, of all in order of strips")
     moves_c: Floats = array("K, 3", "change of u_c - w of these by one unit, frame c, rad")
-    n_targets: int = scalar("of all strips")
     star_part: int = scalar("which of `star_camera_error.PARTS` it is; -1: none", default=-1)
-
-    @property
-    def change_c(self) -> Floats:
-        """Change (J, 3) of u_c - w of all targets by one unit, frame c, rad."""
-        change = np.zeros((self.n_targets, 3))
-        change[self.rows] = self.moves_c
-        return change
 
     @property
     def largest(self) -> float:
@@ -152,6 +186,11 @@ class HypothesisInputs:
     cameras: Sequence[str] = ("",)  # names of several
     usual: Mapping[str, float] = field(default_factory=lambda: USUAL)  # sizes by key under [errors]
 
+    @cached_property
+    def ground(self) -> GroundSightings:
+        """All targets (J), pass after pass."""
+        return GroundSightings.together([one.ground for one in self.prepared])
+
     def column(self, name: str) -> Any:
         """A field of all targets (J, ...), pass after pass."""
         return np.concatenate([getattr(one, name) for one in self.prepared])
@@ -169,12 +208,13 @@ class HypothesisInputs:
     @property
     def number(self) -> Ints:
         """Pass (J,) of each target."""
-        return np.repeat(np.arange(len(self.prepared)), [len(one.ccd) for one in self.prepared])
+        return np.repeat(np.arange(len(self.prepared)), [len(one.v_s) for one in self.prepared])
 
     def subject(self, row: int) -> Subject:
         """The observation of a row."""
-        is_star, strip, name, ccd = (self.column(n)[row] for n in ("is_star", "strip", "target_id", "ccd"))
-        return Subject(Kind.STAR if is_star else Kind.TARGET, strip=str(strip), ccd=int(ccd), id=str(name))
+        of, strip = self.ground, str(self.column("strip")[row])
+        kind = Kind.STAR if of.is_star[row] else Kind.TARGET
+        return Subject(kind, strip=strip, ccd=int(of.ccd[row]), id=str(of.target_id[row]))
 
     def in_c(self, change_s: Floats) -> Floats:
         """Vectors (J, 3) of frame s in the frame of each target's camera."""
@@ -182,8 +222,12 @@ class HypothesisInputs:
 
     def looks(self) -> tuple[Floats, Floats]:
         """Look directions (J, 3), and what takes a small change of each to the part across it, (J, 3, 3)."""
-        u_c: Floats = self.column("u_c")
+        u_c = self.ground.u_c
         return u_c, np.eye(3) - u_c[:, :, None] * u_c[:, None, :]
+
+    def shifts(self) -> Floats:
+        """Change (2, J, 3) by looks that are a pixel too far along x and along y of c."""
+        return self.pixel * np.moveaxis(self.looks()[1][:, :, :2], 2, 0)
 
     def turns(self) -> Floats:
         """Change (3, J, 3) by a rotation of an arc-second of the attitudes about each axis of c."""
@@ -202,9 +246,9 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
     found = [*_of_clock(of), *_of_position(of), *(_of_input(of, one) for one in of.inputs), *_of_looks(of)]
     found += _of_datum(of)
     if len(of.prepared) > 1:
-        found += _in_each(_passes(of), _turns(of, "attitude or mounting", ABOUT_TRACK))
+        found += _in_each(_passes(of), _errors(of, "attitude or mounting", ABOUT_TRACK, of.turns()))
         found += _of_season(of)
-        found += _in_each(_later_passes(of), _turns(of, "mounting moved", ABOUT_AXES))
+        found += _in_each(_later_passes(of), _errors(of, "mounting moved", ABOUT_AXES, of.turns()))
         found += _of_images(of)
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
@@ -213,22 +257,20 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
 
 
 def vector_hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
-    """The hypotheses about vectors of frames (`from_vectors`): no camera, orbit or clock is known, so they
-    concern the axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
+    """The hypotheses about vectors of frames, of which no camera, orbit or clock is known: they concern the
+    axes, the scale and the attitudes. `pixel_rad` is the unit of shifts of the look vectors.
     """
-    prepared, (u_c, across) = of.prepared, of.looks()
+    prepared, (u_c, _) = of.prepared, of.looks()
     every = _all("all frames", of)
-    origin = [
-        _error(of, f"origin of the look vectors, {'xy'[axis]} of c", of.pixel * across[:, :, axis])
-        for axis in (0, 1)
-    ]
+    origin = _errors(of, "origin of the look vectors", ("x of c", "y of c"), of.shifts())
     # What aberration, light time or instants of `v_targets` do that differ from those of `v_stars`.
-    found = list(_in_each(every, [*origin, *_turns(of, "attitude and aberration of all frames", ABOUT_AXES)]))
+    attitude = _errors(of, "attitude and aberration of all frames", ABOUT_AXES, of.turns())
+    found = list(_in_each(every, [*origin, *attitude]))
     if u_c[:, 2].min() > 0.0:
         found += _in_each(every, [replace(_focal_length(of), file="w_c", field="")])
     if 1 < len(prepared) <= MOST_FRAMES:
         frames = ((f"frame {s.strip_id}", (), here) for s, (*_, here) in zip(prepared, _passes(of)))
-        found += _in_each(frames, _turns(of, "attitude of a frame", ABOUT_AXES))
+        found += _in_each(frames, _errors(of, "attitude of a frame", ABOUT_AXES, of.turns()))
     if of.effects:
         found += [
             replace(one, unit=one.unit.replace("px", "″"), file="u_s", field="", item="all frames")
@@ -254,8 +296,14 @@ def _error(of: HypothesisInputs, cause: str, change_c: Floats) -> Hypothesis:
         rarity=rarity,
         rows=np.arange(len(change_c)),
         moves_c=change_c,
-        n_targets=len(change_c),
     )
+
+
+def _errors(
+    of: HypothesisInputs, cause: str, names: Sequence[str], changes_c: Iterable[Floats]
+) -> list[Hypothesis]:
+    """A row of `ERRORS` in each of some directions, by name, with the change (J, 3) that it makes."""
+    return [_error(of, f"{cause}, {name}", change_c) for name, change_c in zip(names, changes_c)]
 
 
 def _in_each(places: Iterable[Place], errors: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
@@ -296,10 +344,10 @@ def _strips(of: HypothesisInputs, fewest: int = 1) -> Iterator[Place]:
 
 def _images(of: HypothesisInputs) -> Iterator[Place]:
     """Each CCD in each strip of the passes that have several CCDs."""
-    strip, ccd = of.column("strip"), of.column("ccd")
+    strip, ccd = of.column("strip"), of.ground.ccd
     for one in of.prepared:
-        several = len(np.unique(one.ccd)) > 1
-        for name, number in sorted(set(zip(one.strip.tolist(), one.ccd.tolist()))) if several else ():
+        several = len(np.unique(one.ground.ccd)) > 1
+        for name, number in sorted(set(zip(one.strip.tolist(), one.ground.ccd.tolist()))) if several else ():
             subject = Subject(Kind.CCD, strip=name, ccd=number)
             yield subject.words, (subject,), (strip == name) & (ccd == number)
 
@@ -314,7 +362,7 @@ def _cameras(of: HypothesisInputs) -> Iterator[Place]:
 
 def _later_passes(of: HypothesisInputs) -> Iterator[Place]:
     """All passes from one on, in order of time; from the second or the last on it is an error of one pass."""
-    when = np.array([float(min(one.t_s, default=np.inf)) for one in of.prepared])
+    when = np.array([float(min(one.ground.t_s, default=np.inf)) for one in of.prepared])
     order = np.argsort(when, kind="stable")
     before = np.argsort(order, kind="stable")[of.number]  # (J,) how many passes came before
     for n in range(2, min(len(order) - 1, MOST_JUMPS)):
@@ -336,7 +384,7 @@ def _of_clock(of: HypothesisInputs) -> Iterator[Hypothesis]:
 
 def _of_lines(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Lines that are missing, or there twice, from a line of a strip on: in all its CCDs, or in one."""
-    line, since = of.column("line"), _since_first_row(of)
+    line, since = of.ground.xy_px[:, 1], _since_first_row(of)
     period = np.divide(since, line, out=np.zeros(len(line)), where=line > 0.0)[:, None]
     late = _error(of, "lines of a strip", -period / MILLI * _late(of).moves_c)
     for places, most in ((list(_strips(of)), OF_STRIP), (list(_images(of)), OF_CCD)):
@@ -353,7 +401,7 @@ def _late(of: HypothesisInputs) -> Hypothesis:
 
 def _since_first_row(of: HypothesisInputs) -> Floats:
     """Seconds (J,) from the first row of a strip to the rows of its targets; zero where one row is known."""
-    line, t_s, since = of.column("line"), of.column("t_s"), np.zeros(len(of.number))
+    line, t_s, since = of.ground.xy_px[:, 1], of.ground.t_s, np.zeros(len(of.number))
     for _, _, own in _strips(of):
         if np.ptp(line[own]) >= 1.0:
             first, last = np.flatnonzero(own)[[np.argmin(line[own]), np.argmax(line[own])]]
@@ -363,9 +411,8 @@ def _since_first_row(of: HypothesisInputs) -> Floats:
 
 def _part_of_pass(of: HypothesisInputs) -> Floats:
     """Where (J,) targets lie in what their pass shows, 0 at its first and 1 at its last."""
-    return np.concatenate(
-        [(one.t_s - one.t_s.min()) / max(float(np.ptp(one.t_s)), 1e-9) for one in of.prepared]
-    )
+    times = [one.ground.t_s for one in of.prepared]
+    return np.concatenate([(t_s - t_s.min()) / max(float(np.ptp(t_s)), 1e-9) for t_s in times])
 
 
 def _bend(part: Floats) -> Floats:
@@ -385,7 +432,7 @@ def _breaks(line: Floats, most: int) -> list[float]:
 
 def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A yearly variation of the mounting, of phases in equal steps from that of the first pass on."""
-    t_s = of.column("t_s")
+    t_s = of.ground.t_s
     years = (t_s - t_s.min()) / (365.25 * DAY_S)
     if years.max() < LEAST_YEARS or len(np.unique(np.floor(365.25 * years))) < FEWEST_DAYS:
         return
@@ -393,7 +440,7 @@ def _of_season(of: HypothesisInputs) -> Iterator[Hypothesis]:
     for n in range(PHASES):
         place = f"every pass, most {round(182.625 * n / PHASES)} days after {first.words}"
         profile = np.cos(2.0 * np.pi * years - np.pi * n / PHASES)[:, None]
-        turns = _turns(of, "mounting varies with the season", ABOUT_AXES)
+        turns = _errors(of, "mounting varies with the season", ABOUT_AXES, of.turns())
         yield from _in_each(_all(place, of), [replace(one, moves_c=profile * one.moves_c) for one in turns])
 
 
@@ -401,13 +448,8 @@ def _of_motion(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """A drift, or a bend, of the mounting over a pass: in each of them alike, or in one."""
     places, part = [*_all("every pass", of), *_passes(of)], _part_of_pass(of)
     for what, profile in (("drifts", part - 0.5), ("bends", _bend(part))):
-        turns = _turns(of, f"mounting {what}", ABOUT_AXES)
+        turns = _errors(of, f"mounting {what}", ABOUT_AXES, of.turns())
         yield from _in_each(places, [replace(one, moves_c=profile[:, None] * one.moves_c) for one in turns])
-
-
-def _turns(of: HypothesisInputs, cause: str, axes: Sequence[str]) -> list[Hypothesis]:
-    """A rotation by an arc-second about each axis of c."""
-    return [_error(of, f"{cause}, {axis}", turn) for axis, turn in zip(axes, of.turns())]
 
 
 # --- Positions on the ground and of the satellite
@@ -415,10 +457,10 @@ def _turns(of: HypothesisInputs, cause: str, axes: Sequence[str]) -> list[Hypoth
 
 def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Positions of the satellite, or of all targets: a shift of one is the opposite shift of the other."""
-    ground = ~of.column("is_star")[:, None]
+    ground = ~of.ground.is_star[:, None]
     ahead, right, down = np.moveaxis(-of.C @ of.column("move_s"), 2, 0) * ground
-    moves = {"along the track": ahead, "across the track": right, "height": -down}
-    along, *rest = (_error(of, f"orbit or targets, {name}", change) for name, change in moves.items())
+    names = ("along the track", "across the track", "height")
+    along, *rest = _errors(of, "orbit or targets", names, (ahead, right, -down))
     yield from _in_each(_all_strips(of), [along, *rest])
     # Along the track it is the clock of a pass, but for parts in a thousand.
     yield from _in_each(_passes(of), rest)
@@ -427,13 +469,10 @@ def _of_position(of: HypothesisInputs) -> Iterator[Hypothesis]:
 def _of_datum(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Coordinates of targets that are all off alike: of a pass, of all, or of one of several references."""
     moves = np.moveaxis(-of.C @ of.column("reference_s"), 2, 0)
-    errors = [
-        _error(of, f"datum of the targets, {axis}", change)
-        for axis, change in zip(("east", "north", "height"), moves)
-    ]
+    errors = _errors(of, "datum of the targets", ("east", "north", "height"), moves)
     # The height of all, or of a pass, is that of the orbit.
     yield from _in_each([*_all_strips(of), *_passes(of)], errors[:2])
-    name = of.column("reference")
+    name = of.ground.referenced().name
     names = np.unique(name).tolist()
     places = [(f"reference {one}", (), name == one) for one in names if one and len(names) > 1]
     yield from _in_each(places, [replace(one, field="reference") for one in errors])
@@ -443,7 +482,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
     """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
     change = []
     for one in of.prepared:
-        dv_s = np.zeros((len(one.ccd), 3))
+        dv_s = np.zeros_like(one.v_s)
         directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
         if directions_i is not None:
             dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
@@ -452,7 +491,7 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
         change.append(-dv_s)
     stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
     moves_c = of.in_c(np.concatenate(change))
-    return Hypothesis(**stated, rows=np.arange(len(moves_c)), moves_c=moves_c, n_targets=len(moves_c))
+    return Hypothesis(**stated, rows=np.arange(len(moves_c)), moves_c=moves_c)
 
 
 # --- Cameras
@@ -460,17 +499,10 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
-    (_, across), ccd, camera, sample = of.looks(), *map(of.column, ("ccd", "camera", "sample"))
-    x, y = (-of.pixel * across[:, :, axis] for axis in (0, 1))
-
-    def placed(what: str) -> list[Hypothesis]:
-        return [
-            _error(of, f"place of {what}, along the track", x),
-            _error(of, f"place of {what}, across the track", y),
-        ]
-
+    ccd, camera, sample = of.ground.ccd, of.column("camera"), of.ground.xy_px[:, 0]
+    axes, (x, y) = ("along the track", "across the track"), -of.shifts()
     every = list(_cameras(of))
-    yield from _in_each(every, placed("the CCDs"))
+    yield from _in_each(every, _errors(of, "place of the CCDs", axes, (x, y)))
     numbers = sorted(set(zip(camera.tolist(), ccd.tolist())))
     for n, number in numbers:
         if sum(one == n for one, _ in numbers) == 1:
@@ -485,7 +517,8 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
             _error(of, "bend of a CCD", (at**2 - 1.0 / 3.0) * x),
         ]
         subject = Subject(Kind.CCD, camera=name, ccd=number)
-        yield from _in_each([(subject.words, (subject,), here)], [*placed("a CCD"), *shapes])
+        placed = _errors(of, "place of a CCD", axes, (x, y))
+        yield from _in_each([(subject.words, (subject,), here)], [*placed, *shapes])
     yield from _in_each(every, [_focal_length(of)])
 
 
@@ -499,12 +532,7 @@ def _focal_length(of: HypothesisInputs) -> Hypothesis:
 
 
 def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    _, across = of.looks()
-    shifts = [
-        _error(of, f"image of a CCD, {name}", of.pixel * across[:, :, axis])
-        for axis, name in enumerate(("lines", "samples"))
-    ]
-    yield from _in_each(_images(of), shifts)
+    yield from _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
 
 
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:

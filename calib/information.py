@@ -103,8 +103,6 @@ class InformationPairs:
 
     def widened(self, shared: tuple[str, ...]) -> InformationPairs:
         """The pairs extended to the unknowns `shared`: zeros for those that they do not contain."""
-        if shared == self.shared:
-            return self
         t = self.n_theta
         place = np.array([*range(t), *(t + shared.index(name) for name in self.shared)], dtype=np.int64)
         n = t + len(shared)
@@ -168,8 +166,6 @@ def exact_sum(F: Array, F_theta: Array) -> tuple[Array, Array]:
     n = F_theta.shape[1]
     if not (np.isfinite(F).all() and np.isfinite(F_theta).all()):
         raise ValueError("information that is not a finite number cannot be added")
-    if len(F) == 1:
-        return F[0] + 0.0, F_theta[0] + 0.0
     rows, columns = np.triu_indices(n)
     sums, total = _rounded_once(np.concatenate([F[:, rows, columns], F_theta], axis=1)), np.empty((n, n))
     total[rows, columns] = total[columns, rows] = sums[:-n]

@@ -15,12 +15,10 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
-from boresight.calib.error_table import SharedUnknowns, find_shared, prior_of
+from boresight.calib.error_table import SharedError, SharedUnknowns, find_shared, prior_of
 from boresight.calib.estimate import HeadAgreement, Iteration
 from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
-from boresight.calib.interior_parameters import InteriorModel
-from boresight.calib.own_unknowns import condensed
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
@@ -30,7 +28,6 @@ __all__ = [
     "Problem",
     "Step",
     "absorbed",
-    "iteration_record",
     "linearised",
     "readmitted",
     "respond",
@@ -61,12 +58,12 @@ class Problem:
         cls,
         prepared: list[PreparedStrip],
         settings: CalibrationSettings,
-        interior: InteriorModel | None = None,
+        further: Sequence[SharedError] = (),
         cameras: tuple[str, ...] = ("",),
         prior: InformationPairs | None = None,
     ) -> Problem:
-        """The problem that these strips of `cameras` pose, the camera's interior unknown if there is a model
-        of it; without groups where no target is covered. `prior` is on theta.
+        """The problem that these strips of `cameras` pose, with `further` rows of the table of errors;
+        without groups where no target is covered. `prior` is on theta.
         """
         units = correlated_passes(prepared, settings)
         passes = [one for one, _ in units]
@@ -74,17 +71,12 @@ class Problem:
         of_any = {name for strip in carrying for name in strip.of_heads}
         heads = tuple(sorted(of_any, key=lambda name: name.split("/")))
         seen = [one for one in passes if one.inside.any()]
-        shared = find_shared(seen, settings, heads, interior)
-        groups = [condensed(group) for group in group_strips(passes, shared, settings)]
+        shared = find_shared(seen, settings, heads, further)
+        groups = group_strips(passes, shared, settings)
         places = [n for group in groups for n in group.place.tolist()]
         members = [passes[n] for n in places]
-        keys = [
-            key
-            for strip in members
-            for key in zip(strip.strip.tolist(), strip.target_id.tolist(), strip.ccd.tolist())
-        ]
-        rank = np.empty(len(keys), dtype=np.int64)
-        rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+        keys = [[strip.ground.ccd, strip.ground.target_id, strip.strip] for strip in members]
+        rows = np.lexsort([np.concatenate(column) for column in zip(*keys)]) if keys else np.arange(0)
         return cls(
             groups=groups,
             names=np.array([strip.strip_id for strip in members], dtype=str),
@@ -92,7 +84,7 @@ class Problem:
             shared=shared,
             prior_shared=shared.prior_information(),
             inside=np.concatenate([np.zeros(0, dtype=bool), *(group.inside.ravel() for group in groups)]),
-            rank=rank,
+            rank=np.argsort(rows),
             settings=settings,
             cameras=cameras,
             agreement=_agreement(carrying, heads),
@@ -158,6 +150,11 @@ class Step:
         return np.concatenate([line.whitener.reshape(-1, 2, 2) for line in self.about.strips])
 
     @property
+    def across(self) -> Floats:
+        """(J, 2, 3), takes a change of a look, frame c, to that of the whitened residual."""
+        return np.concatenate([line.across.reshape(-1, 2, 3) for line in self.about.strips])
+
+    @property
     def residual_c(self) -> Floats:
         """Residuals (J, 2) along x and y of frame c, rad."""
         return np.asarray(np.linalg.solve(self.whitener, self.whitened[:, :, None])[:, :, 0])
@@ -171,6 +168,17 @@ class Step:
     def sigma(self) -> Floats:
         """1-sigma (3 C,) of theta, rad."""
         return np.sqrt(np.diag(self.solution.covariance))
+
+    @property
+    def iteration(self) -> Iteration:
+        """The step as `InstallationEstimate.iterations` keeps it."""
+        return Iteration(self.solution.theta, self.sigma, self.chi2, float(np.sum(self.weight)))
+
+    def found(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Best values (n,) and covariance (n, n) of some of the shared unknowns."""
+        rows = np.array([self.pairs.shared.index(name) for name in names], dtype=np.int64)
+        columns = len(self.solution.theta) + rows
+        return self.solution.shared[rows], self.solution.covariance_all[np.ix_(columns, columns)]
 
 
 def linearised(problem: Problem, R_cs: Rotation, known: Step | None = None) -> Linearised:
@@ -224,16 +232,15 @@ class _Reduced:
 
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:
     root: Floats = np.repeat(np.sqrt(weight), 2, axis=1)[:, :, None]
-    of_heads = np.concatenate([line.tie_common, line.tie_r[:, :, None]], axis=2)
-    X_q, tie_qT = root * line.X_q, np.swapaxes(line.tie_q, 1, 2)
-    informed = np.eye(X_q.shape[2]) + np.swapaxes(X_q, 1, 2) @ X_q + tie_qT @ line.tie_q
-    cov_q = np.asarray(np.linalg.inv(informed), dtype=np.float64)
-    N, G = np.swapaxes(of_heads, 1, 2) @ of_heads, tie_qT @ of_heads
+    (S, _, n_q), n, A = line.X_q.shape, line.n_common + 1, line.ties.shape[2]
+    X_q, N, G = root * line.X_q, np.zeros((S, n, n)), np.zeros((S, n_q, n))
+    cov_q = np.asarray(np.linalg.inv(np.eye(n_q) + np.swapaxes(X_q, 1, 2) @ X_q), dtype=np.float64)
+    N[:, n - A :, n - A :] = np.swapaxes(line.ties, 1, 2) @ line.ties
     for part in line.common:
         at = np.append(part.columns, line.n_common)
-        Y = part.of(root) * np.concatenate([part.X, part.of(line.r[:, :, None])], axis=2)
+        Y = root[:, part.rows] * np.concatenate([part.X, line.r[:, part.rows, None]], axis=2)
         N[:, at[:, None], at] += np.swapaxes(Y, 1, 2) @ Y
-        G[:, :, at] += np.swapaxes(part.of(X_q), 1, 2) @ Y
+        G[:, :, at] += np.swapaxes(X_q[:, part.rows], 1, 2) @ Y
     back = cov_q @ G
     N -= np.swapaxes(G, 1, 2) @ back
     return _Reduced(np.asarray(0.5 * (N + np.swapaxes(N, 1, 2))), back, cov_q)
@@ -256,9 +263,10 @@ def _leverage(line: LinearStrips, part: _Reduced, cov_x: Floats) -> Floats:
         at = own.columns
         across, of_x = with_x[:, :, at], np.broadcast_to(cov_x[at[:, None], at], (S, len(at), len(at)))
         both = np.block([[cov_q, across], [np.swapaxes(across, 1, 2), of_x]])
-        X = np.concatenate([own.of(line.X_q), own.X], axis=2)
+        X = np.concatenate([line.X_q[:, own.rows], own.X], axis=2)
         pairs = X.reshape(-1, 2, X.shape[2])
-        line.rows(leverage, own, (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2))
+        fitted = (X @ both).reshape(pairs.shape) @ np.swapaxes(pairs, 1, 2)
+        leverage[:, own.rows] = fitted.reshape(S, -1, 2)
     return leverage.reshape(-1, 2, 2)
 
 
@@ -323,7 +331,7 @@ def respond(step: Step, columns: Floats, weight: Floats | None = None) -> tuple[
         parts.append((line, part, B, part.cov_q @ of_q))
     x = step.solution.covariance_all @ right
     left = [B - _after(line, part, x) - line.X_q @ own for line, part, B, own in parts]
-    return np.concatenate([one.reshape(-1, 2, H) for one in left]), x
+    return np.concatenate([one.ravel() for one in left]).reshape(columns.shape), x
 
 
 def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tuple[Floats, Floats, Floats]:
@@ -346,13 +354,8 @@ def absorbed(step: Step, B: sparse.csc_array, chosen: Sequence[int] = ()) -> tup
             each -= np.einsum("qh,qh->h", of_q, taken)
             with_chosen -= of_q[:, chosen].T @ taken
             for common in line.common:
-                of_part = (own[common.rows_of(n)].T @ common.X[s]).T
+                of_part = (own[common.rows].T @ common.X[s]).T
                 right[common.columns] += of_part
             right -= part.back[s, :, :-1].T @ of_q
     x = step.solution.covariance_all @ right
     return each - np.einsum("nh,nh->h", right, x), with_chosen - right[:, chosen].T @ x, x
-
-
-def iteration_record(step: Step, weight: Floats) -> Iteration:
-    """The step as `InstallationEstimate.iterations` keeps it."""
-    return Iteration(step.solution.theta, step.sigma, step.chi2, float(np.sum(weight)))

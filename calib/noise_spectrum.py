@@ -55,6 +55,10 @@ class Signal:
     enters: Floats = array("H, D, 3", "of each head's axes into the signal")
     lowest_hz: float = scalar("lower frequencies hold motion of the satellite; 0: none", default=0.0)
 
+    def variance(self, of_axes: Floats) -> Floats:
+        """Variance (..., D) of the components by that of the heads' axes (..., H, 3)."""
+        return np.einsum("hda,...ha,hda->...d", self.enters, of_axes, self.enters)
+
 
 @record(kw_only=True)
 class AxisSpectrum:
@@ -104,41 +108,58 @@ def fit_noise(signal: Signal, mean_s: float) -> NoiseFit:
         raise ValueError(
             f"the longest part of the record without a gap has {longest} rows, {FEWEST_ROWS} are needed"
         )
-    omega, periodogram = _periodograms(parts, signal)
-    if len(omega) < FEWEST_FREQUENCIES:
-        raise ValueError(
-            f"rows every {signal.step_s:.3g} s show {len(omega)} frequencies above {signal.lowest_hz:g} Hz, "
-            f"where the satellite's own motion ends, {FEWEST_FREQUENCIES} are needed: such rows show motion, "
-            "not noise"
+    x, covariance, white_density, lost = _fitted(signal, parts)
+    count = max(round(mean_s / signal.step_s), 1)
+    of_parts = [_means(part, count) for part in parts]
+    means = np.concatenate(of_parts)
+    scatter2 = means.var(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1], np.nan)
+    by_axis = _variance_of_means(x, count, signal.step_s)
+    predicted2 = signal.variance(by_axis)
+    white2 = signal.variance(white_density / count)
+    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
+    level = signal.variance(of_axes)
+    # The same part, as it is in the mean of all components, of the variance of every axis: a few means of
+    # differences cannot tell more, and an axis without any would be trusted far too much.
+    share = max(float(np.mean((scatter2 - predicted2) / level)), 0.0) if len(means) > 1 else 0.0
+    r = np.exp(-signal.step_s / np.exp(x[..., 2]))
+    by_ar1 = np.exp(2.0 * x[..., 1]) * r * ((1.0 - r**count) / (1.0 - r) / count) ** 2  # of neighbours
+    near, far = (
+        _between_means(of_parts, lag, level) - float(np.mean(signal.variance(by_axis) / level))
+        for lag, by_axis in ((1, by_ar1), (2, by_ar1 * r**count))
+    )
+    share, one_sigma = max(share, near), float(np.mean(scatter2 / level)) / np.sqrt(means.size)
+    kept = np.clip((far + one_sigma) / share, 0.0, 1.0 - 0.5 / len(means)) if share > 0.0 else 0.0
+    lasts_s = min(count * signal.step_s / -np.log(kept), LONGEST_S) if kept else 0.0
+    noise = tuple(
+        AttitudeNoise(
+            white_rad=np.exp(one[:, 0]),
+            correlated_rad=np.exp(one[:, 1]),
+            correlation_time_s=np.exp(one[:, 2]),
+            constant_rad=np.sqrt(share * variance),
+            constant_time_s=np.full(3, lasts_s),
         )
-    H = len(signal.enters)
-    variance = _start_variances(signal, parts)
-    start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
-    start[:, :, 2] = np.log(5.0 * signal.step_s)
-
-    def loss(x: Floats) -> tuple[float, Floats]:
-        p = x.reshape(H, 3, 3)
-        density, by_parameters = _axes_density(p, omega, signal.step_s)
-        fit, by_density = _whittle(density, signal.enters, periodogram)
-        prior, by_prior = _unlike(p, start)
-        return fit + prior, (np.einsum("fha,fhap->hap", by_density, by_parameters) + by_prior).ravel()
-
-    found = minimize(loss, start.ravel(), jac=True)
-    x = np.asarray(found.x, dtype=np.float64).reshape(H, 3, 3)
-
-    def white_loss(y: Floats) -> tuple[float, Floats]:
-        density = np.exp(2.0 * y)
-        level = np.tile(density.reshape(H, 3), (len(omega), 1, 1))
-        fit, by_level = _whittle(level, signal.enters, periodogram)
-        return fit, 2.0 * density * by_level.sum(axis=0).ravel()
-
-    white = minimize(white_loss, 0.5 * np.log(variance).ravel(), jac=True)
-    white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
-    covariance = _errors(loss, x.ravel())
-    sigma_log = np.sqrt(np.diag(covariance)).reshape(H, 3, 3)
-    losses = float(found.fun), float(white.fun)
-    told = _told_apart(x, covariance)
-    return _with_means(signal, x, sigma_log, told, losses, white_density, mean_s, parts)
+        for one, variance in zip(x, of_axes)
+    )
+    omega: Floats = np.pi * (np.arange(48, dtype=np.float64) + 0.5) / 48.0
+    grid, _ = _axes_density(x, omega, signal.step_s)
+    return NoiseFit(
+        heads=noise,
+        sigma_log=np.sqrt(np.diag(covariance)).reshape(x.shape),
+        told_apart=_told_apart(x, covariance),
+        white_statistic=lost,
+        white_dof=2 * x.shape[0] * 3,
+        mean_s=count * signal.step_s,
+        scatter=np.sqrt(scatter2),
+        predicted=np.sqrt(predicted2),
+        predicted_white=np.sqrt(white2),
+        n_means=len(means),
+        spectrum=AxisSpectrum(
+            frequency_hz=omega / (2.0 * np.pi * signal.step_s),
+            measured=_binned(parts, signal, omega),
+            model=signal.variance(grid),
+            white=np.tile(signal.variance(white_density), (48, 1)),
+        ),
+    )
 
 
 def allan_deviation(values: Floats, step_s: float) -> tuple[Floats, Floats]:
@@ -253,68 +274,43 @@ def _told_apart(x: Floats, covariance: Floats) -> Floats:
     return np.clip(told, 0.0, 1.0)
 
 
-def _with_means(
-    signal: Signal,
-    x: Floats,
-    sigma_log: Floats,
-    told_apart: Floats,
-    losses: tuple[float, float],
-    white_density: Floats,
-    mean_s: float,
-    parts: Sequence[Floats],
-) -> NoiseFit:
-    count = max(round(mean_s / signal.step_s), 1)
-    of_parts = [_means(part, count) for part in parts]
-    means = np.concatenate(of_parts)
-    scatter2 = means.var(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1], np.nan)
-    by_axis = _variance_of_means(x, count, signal.step_s)
-    predicted2 = np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters)
-    white2 = np.einsum("hda,ha,hda->d", signal.enters, white_density / count, signal.enters)
-    of_axes = np.exp(2.0 * x[..., 0]) + np.exp(2.0 * x[..., 1])
-    level = np.einsum("hda,ha,hda->d", signal.enters, of_axes, signal.enters)
-    # The same part, as it is in the mean of all components, of the variance of every axis: a few means of
-    # differences cannot tell more, and an axis without any would be trusted far too much.
-    share = max(float(np.mean((scatter2 - predicted2) / level)), 0.0) if len(means) > 1 else 0.0
-    r = np.exp(-signal.step_s / np.exp(x[..., 2]))
-    by_ar1 = np.exp(2.0 * x[..., 1]) * r * ((1.0 - r**count) / (1.0 - r) / count) ** 2  # of neighbours
-    near, far = (
-        _between_means(of_parts, lag, level)
-        - float(np.mean(np.einsum("hda,ha,hda->d", signal.enters, by_axis, signal.enters) / level))
-        for lag, by_axis in ((1, by_ar1), (2, by_ar1 * r**count))
-    )
-    share, one_sigma = max(share, near), float(np.mean(scatter2 / level)) / np.sqrt(means.size)
-    kept = np.clip((far + one_sigma) / share, 0.0, 1.0 - 0.5 / len(means)) if share > 0.0 else 0.0
-    lasts_s = min(count * signal.step_s / -np.log(kept), LONGEST_S) if kept else 0.0
-    noise = tuple(
-        AttitudeNoise(
-            white_rad=np.exp(one[:, 0]),
-            correlated_rad=np.exp(one[:, 1]),
-            correlation_time_s=np.exp(one[:, 2]),
-            constant_rad=np.sqrt(share * variance),
-            constant_time_s=np.full(3, lasts_s),
+def _fitted(signal: Signal, parts: Sequence[Floats]) -> tuple[Floats, Floats, Floats, float]:
+    """Log parameters (H, 3, 3) of the heads' axes with their covariance, the densities (H, 3) of white noise
+    alone, and twice the log likelihood that this loses.
+    """
+    omega, periodogram = _periodograms(parts, signal)
+    if len(omega) < FEWEST_FREQUENCIES:
+        raise ValueError(
+            f"rows every {signal.step_s:.3g} s show {len(omega)} frequencies above {signal.lowest_hz:g} Hz, "
+            f"where the satellite's own motion ends, {FEWEST_FREQUENCIES} are needed: such rows show motion, "
+            "not noise"
         )
-        for one, variance in zip(x, of_axes)
-    )
-    omega: Floats = np.pi * (np.arange(48, dtype=np.float64) + 0.5) / 48.0
-    grid, _ = _axes_density(x, omega, signal.step_s)
-    return NoiseFit(
-        heads=noise,
-        sigma_log=sigma_log,
-        told_apart=told_apart,
-        white_statistic=2.0 * (losses[1] - losses[0]),
-        white_dof=2 * x.shape[0] * 3,
-        mean_s=count * signal.step_s,
-        scatter=np.sqrt(scatter2),
-        predicted=np.sqrt(predicted2),
-        predicted_white=np.sqrt(white2),
-        n_means=len(means),
-        spectrum=AxisSpectrum(
-            frequency_hz=omega / (2.0 * np.pi * signal.step_s),
-            measured=_binned(parts, signal, omega),
-            model=np.einsum("hda,fha,hda->fd", signal.enters, grid, signal.enters),
-            white=np.tile(np.einsum("hda,ha,hda->d", signal.enters, white_density, signal.enters), (48, 1)),
-        ),
-    )
+    H = len(signal.enters)
+    variance = _start_variances(signal, parts)
+    start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
+    start[:, :, 2] = np.log(5.0 * signal.step_s)
+
+    def loss(x: Floats) -> tuple[float, Floats]:
+        p = x.reshape(H, 3, 3)
+        density, by_parameters = _axes_density(p, omega, signal.step_s)
+        fit, by_density = _whittle(density, signal.enters, periodogram)
+        prior, by_prior = _unlike(p, start)
+        return fit + prior, (np.einsum("fha,fhap->hap", by_density, by_parameters) + by_prior).ravel()
+
+    found = minimize(loss, start.ravel(), jac=True)
+    x = np.asarray(found.x, dtype=np.float64).reshape(H, 3, 3)
+
+    def white_loss(y: Floats) -> tuple[float, Floats]:
+        density = np.exp(2.0 * y)
+        level = np.tile(density.reshape(H, 3), (len(omega), 1, 1))
+        fit, by_level = _whittle(level, signal.enters, periodogram)
+        return fit, 2.0 * density * by_level.sum(axis=0).ravel()
+
+    white = minimize(white_loss, 0.5 * np.log(variance).ravel(), jac=True)
+    white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
+    covariance = _errors(loss, x.ravel())
+    lost = 2.0 * (float(white.fun) - float(found.fun))
+    return x, covariance, white_density, lost
 
 
 def _means(part: Floats, count: int) -> Floats:

@@ -65,7 +65,8 @@ def is_smoothed(strip: StripSightings) -> bool:
 def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Floats:
     """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed."""
     stated = 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
-    rows = [(rows, s.gyro) for s in strips if len((rows := _rows_of(s, settings))[0].t_s)]
+    every = [([*_rows_of(strip, settings).values()], strip.gyro) for strip in strips]
+    rows = [one for one in every if len(one[0][0].t_s)]
     return most_likely_motion(*zip(*rows), stated=stated) if rows else np.full(3, stated)
 
 
@@ -118,17 +119,15 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
 
 def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -> PassAttitude:
     rows, t_s = _rows_of(strip, settings), strip.ground.t_s
-    times, J = rows[0].t_s, len(t_s)
+    times, J = rows[strip.carrier].t_s, len(t_s)
     inside = _covered(times, t_s)
-    others = [other.head for other in strip.others if _here(other.t_s, times).any()]
-    heads = [strip.carrier, *others]
     R_si, root = np.tile(np.eye(3), (J, 1, 1)), np.zeros((J, 3, 0))
-    by_constants: Floats = np.zeros((J, 3, 3 * len(heads)))
-    told: Floats = np.zeros((0, 1 + 3 * len(heads)))
+    by_constants: Floats = np.zeros((J, 3, 3 * len(rows)))
+    told: Floats = np.zeros((0, 1 + 3 * len(rows)))
     dof = 0
-    parts = [head.noise.within(*_ends(times), name) for head, name in zip(rows, heads)]
+    parts = [head.noise.within(*_ends(times), name) for name, head in rows.items()]
     if inside.any():
-        within = [replace(head, noise=rest) for head, (rest, *_) in zip(rows, parts)]
+        within = [replace(head, noise=rest) for head, (rest, *_) in zip(rows.values(), parts)]
         found = SmoothedAttitude.of(within, q, strip.gyro)
         R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
         part = found.root_s(t_s[inside])
@@ -140,16 +139,16 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     r, T = told[:, 0], told[:, 1:]
     constant = block_diag(*(columns for _, columns, _ in parts))
     lasting = tuple(one for *_, errors in parts for one in errors)
-    noises = [head.noise for head in rows]
+    noises = [(name, head.noise) for name, head in rows.items()]
     middle = np.full(1, 0.5 * sum(_ends(times)))
 
     def by_unknowns(of_constants: Floats, t: Floats) -> Floats:
-        own = enumerate(zip(heads, noises))
+        own = enumerate(noises)
         parts = [of_constants[..., 3 * n : 3 * n + 3] @ lasting_of_head(*one, t) for n, one in own]
         return np.concatenate(parts, axis=-1)
 
     tie = HeadTie(
-        unknowns=tuple(name for one in zip(heads, noises) for name in unknowns_of_head(*one)),
+        unknowns=tuple(name for one in noises for name in unknowns_of_head(*one)),
         r=r,
         by_phi=np.column_stack([np.zeros((len(r), root.shape[2])), T @ constant]),
         by_alpha=by_unknowns(T[None], middle)[0],
@@ -158,14 +157,14 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     return PassAttitude(
         inside=inside,
         R_si=R_si,
-        rate_s=_rotation_rate(times, rows[0].R_so * strip.usable()[2]),
+        rate_s=_rotation_rate(times, rows[strip.carrier].R_so * strip.usable()[2]),
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
         n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
         weights=linear_weights(times, t_s, inside),
         of_heads=tie.unknowns,
         by_heads=by_unknowns(by_constants, t_s),
-        ties=(tie,) if others and inside.any() else (),
+        ties=(tie,) if len(rows) > 1 and inside.any() else (),
     )
 
 
@@ -178,24 +177,22 @@ def _here(t_s: Floats, times: Floats) -> Bools:
     return (t_s >= times[0]) & (t_s <= times[-1]) if len(times) else np.zeros(len(t_s), dtype=bool)
 
 
-def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> list[HeadRows]:
-    """Rows of the head that carries a strip, and of all others that have some between them."""
+def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> dict[str, HeadRows]:
+    """Rows of the head that carries a strip, and of all others that have some between them, by head."""
     times, R_si, R_oi, covariance_s = strip.usable()
     vibration = settings.sigma_vibration_exposure_rad**2 * np.eye(3)
-    first = HeadRows(
+    own = HeadRows(
         t_s=times, R_so=R_si * R_oi.inv(), covariance_s=covariance_s + vibration, noise=strip.noise
     )
-    rows = [first]
+    rows = {strip.carrier: own}
     for other in strip.others:
         if (here := _here(other.t_s, times)).any():
             A = other.R_sh.as_matrix()
-            rows.append(
-                HeadRows(
-                    t_s=other.t_s[here],
-                    R_so=other.R_sh * other.R_hi[here] * other.R_oi[here].inv(),
-                    covariance_s=A @ other.covariance_h[here] @ A.T + vibration,
-                    noise=other.noise_s,
-                )
+            rows[other.head] = HeadRows(
+                t_s=other.t_s[here],
+                R_so=other.R_sh * other.R_hi[here] * other.R_oi[here].inv(),
+                covariance_s=A @ other.covariance_h[here] @ A.T + vibration,
+                noise=other.noise_s,
             )
     return rows
 

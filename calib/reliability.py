@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -43,10 +42,10 @@ from boresight.calib.hypotheses import (
     Hypothesis,
     HypothesisInputs,
     HypothesisTable,
+    MovedInput,
     hypotheses,
 )
 from boresight.calib.joint_solution import (
-    Linearised,
     Problem,
     Step,
     absorbed,
@@ -56,12 +55,11 @@ from boresight.calib.joint_solution import (
     squared_mahalanobis,
     squared_over,
 )
-from boresight.calib.moved_input import MovedInput
 from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import star_effects, summed
-from boresight.calib.strips import matrix_of_each, prepare_strips, tangent_axes, turned
+from boresight.calib.strips import prepare_strips
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Subject
@@ -69,8 +67,11 @@ from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
 
-__all__ = ["Contradiction", "HypothesisTest", "Reliability", "ReliabilitySettings", "blind_spots", "examine"]
+__all__ = ["PROBABILITY_FOUND", "Contradiction", "HypothesisTest", "Reliability", "blind_spots", "examine"]
 
+PROBABILITY_FOUND = 2e-3  # that right inputs are said to look wrong, all hypotheses together
+PROBABILITY_REFUTED = 5e-4  # that right inputs are said to spoil the matrix
+HARM_SIGMA = 1.0  # change of theta, in its 1-sigma, by which a cause refutes
 # Most causes that are named together for one calibration: with more, any pattern of residuals is explained
 # (set by hand).
 MOST_CAUSES = 3
@@ -92,16 +93,6 @@ MOST_RIVALS = 3  # that a finding names
 LEAST_RANGE_M = 4e5  # of a satellite to what it sees
 NOT_LINEAR = 0.01  # of the evidence of a cause: less may be what its linear form leaves
 AMBIGUOUS = 2.0 * np.log(19.0)  # difference of evidence below which the data do not tell two causes apart
-
-
-@record(kw_only=True)
-class ReliabilitySettings:
-    """False-alarm rate of all hypotheses together, and what counts as harm."""
-
-    probability_found: float = scalar("that right inputs are said to look wrong", default=2e-3)
-    probability_refuted: float = scalar("that right inputs are said to spoil the matrix", default=5e-4)
-    sigma_understated: float = scalar("tolerated factor of true over stated standard deviations", default=1.1)
-    harm_sigma: float = scalar("change of theta, in its 1-sigma, by which a cause refutes", default=1.0)
 
 
 @record(kw_only=True)
@@ -213,14 +204,28 @@ class _Adjustment:
     star_information: Floats = array("H, H", "of the stars of the exposures")
     star_right: Floats = array("H", "right-hand side of the stars")
     limit: float = scalar("cost of a rejected observation")
+    tolerated: float = scalar("factor of true over stated standard deviations")
 
     def solved(self, weight: Floats) -> Step:
         """The solution with other weights (J,)."""
         return solve_weighted(self.problem, self.step.about, weight, self.step)
 
-    def right(self, step: Step) -> Floats:
-        """Right-hand side (H,) of the sizes of all hypotheses beside a solution."""
-        return np.asarray((step.weight[:, None] * step.whitened).ravel() @ self.B) + self.star_right
+    def beside(self, step: Step, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Of every hypothesis beside a solution and the hypotheses `chosen`: information (H,) on its size,
+        and the same with their sizes given, right-hand side (H,), and change of theta (H, T) by one unit and,
+        in 1-sigma, its square (H,).
+        """
+        given, with_chosen, x = absorbed(step, self.B, chosen)
+        given, with_chosen = (
+            given + np.diag(self.star_information),
+            with_chosen + self.star_information[chosen],
+        )
+        lift = np.linalg.pinv(with_chosen[:, chosen], rcond=1e-10, hermitian=True) @ with_chosen
+        right = (step.weight[:, None] * step.whitened).ravel() @ self.B + self.star_right
+        theta = x[: len(step.solution.theta)].T
+        by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
+        own = given - np.sum(with_chosen * lift, axis=0)
+        return own, given, right - lift.T @ right[chosen], theta, by_theta
 
     def concerns(self, hypothesis: int) -> Bools:
         """The observations (J,) that a hypothesis moves."""
@@ -252,7 +257,7 @@ def examine(
     inputs: Sequence[MovedInput] = (),
     pivots: Mapping[tuple[str, int], float] | None = None,
     target_files: str = "targets.csv",
-    limits: ReliabilitySettings | None = None,
+    sigma_understated: float = 1.1,
     table_of: HypothesisTable = hypotheses,
 ) -> Reliability:
     """Every hypothesis held against a calibration, the `estimate` of `calibrate_strips` by `settings`: the
@@ -263,83 +268,61 @@ def examine(
     `star_camera` the one whose model gave the stars' directions, None where attitudes were delivered;
     `inputs` are further inputs whose errors were evaluated by prediction; `pivots` samples about which CCDs
     rotate, by camera and CCD, else the mean of their observations; `target_files` those with the coordinates
-    of the targets, as findings name them; `table_of` gives the hypotheses.
+    of the targets, as findings name them; true standard deviations may be `sigma_understated` times the
+    stated ones; `table_of` gives the hypotheses.
     """
-    limits = limits or ReliabilitySettings()
     passes = passes_of(with_attitudes(strips, settings.attitudes))
     moved = [moved_in_passes(one, strips, passes) for one in inputs]
-    names = estimate.cameras
-    stated = {
-        "pixel_rad": [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
-        "inputs": moved,
-        "pivots": pivots,
-        "target_files": target_files,
-        "cameras": names,
-        "usual": {
+    first, names = estimate.heads[0].R_cs, estimate.cameras
+    passes = aligned(passes, {head.name: first.inv() * head.R_cs for head in estimate.heads})
+    passes = [carried(strip) for strip in passes]
+    prepared = prepare_strips(passes, settings, names)
+    problem = Problem.of(prepared, settings, (), names, estimate.prior)
+    passes, prepared = [passes[n] for n in problem.members], [prepared[n] for n in problem.members]
+    found, limit = estimate.targets, estimate.rejection.limit
+    effects = star_effects(passes, star_camera, limit) if star_camera else []
+    of = HypothesisInputs(
+        prepared,
+        estimate.R_cs,
+        [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
+        effects=effects,
+        inputs=moved,
+        pivots=pivots,
+        target_files=target_files,
+        cameras=names,
+        usual={
             STABILITY: settings.sigma_mounting_rad / ARCSEC,
             POSITION: max(USUAL[POSITION], settings.sigma_position_m),
         },
-    }
-    one = _adjustment(estimate, passes, settings, star_camera, table_of, **stated)
-    tests = _tests(one, limits)
-    findings, chosen, last, noise = _causes(one, tests, limits)
-    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
-    rest = last.rest(one.limit, int(one.problem.inside.sum())) if chosen and noise is None else None
-    scatter = findings[-1] if noise is not None else None
-    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
-
-
-def _adjustment(
-    estimate: InstallationEstimate,
-    strips: Sequence[StripSightings],
-    settings: CalibrationSettings,
-    star_camera: StarCamera | None,
-    table_of: HypothesisTable,
-    **stated: Any,
-) -> _Adjustment:
-    """The adjustment of passes; `stated` are further fields of `HypothesisInputs`."""
-    first = estimate.heads[0].R_cs
-    strips = aligned(strips, {head.name: first.inv() * head.R_cs for head in estimate.heads})
-    strips = [carried(strip) for strip in strips]
-    prepared = prepare_strips(strips, settings, estimate.cameras)
-    problem = Problem.of(prepared, settings, None, estimate.cameras, estimate.prior)
-    strips, prepared = [strips[n] for n in problem.members], [prepared[n] for n in problem.members]
-    about = linearised(problem, estimate.R_cs)
-    found = estimate.targets
+    )
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
-    effects = star_effects(strips, star_camera, estimate.rejection.limit) if star_camera else []
-    of = HypothesisInputs(prepared, estimate.R_cs, effects=effects, **stated)
-    own = zip(*(of.column(name).tolist() for name in ("strip", "target_id", "ccd", "sample")))
-    weight = np.array([weights.get(key, 0.0) for key in own])
-    table = table_of(of)
+    columns = of.column("strip"), of.ground.target_id, of.ground.ccd, of.ground.xy_px[:, 0]
+    weight = np.array([weights.get(key, 0.0) for key in zip(*(column.tolist() for column in columns))])
+    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
+    table, across = table_of(of), step.across
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
-    of_stars, across = parts >= 0, _across(problem, about)
-    off_c: Floats = of.column("u_c") - of.in_c(of.column("v_s"))
-    return _Adjustment(
+    off_c: Floats = of.ground.u_c - of.in_c(of.column("v_s"))
+    one = _Adjustment(
         problem=problem,
-        step=solve_weighted(problem, about, weight * problem.inside),
+        step=step,
         of=of,
         table=table,
         B=_columns(across, table),
         by_place=across @ of.C @ of.column("move_s"),
         measured=(across @ off_c[:, :, None])[:, :, 0],
-        star_information=information[np.ix_(parts, parts)] * np.outer(of_stars, of_stars),
-        star_right=right[parts] * of_stars,
-        limit=estimate.rejection.limit,
+        star_information=information[np.ix_(parts, parts)] * np.outer(parts >= 0, parts >= 0),
+        star_right=right[parts] * (parts >= 0),
+        limit=limit,
+        tolerated=sigma_understated,
     )
-
-
-def _across(problem: Problem, about: Linearised) -> Floats:
-    """(J, 2, 3), takes a change of a look, frame c, to that of the whitened residual."""
-    rows = [
-        line.whitener
-        @ tangent_axes(turned(matrix_of_each(about.R_cs, group.which), group.v_s))
-        * group.inside[:, :, None, None]
-        for group, line in zip(problem.groups, about.strips)
-    ]
-    return np.concatenate([one.reshape(-1, 2, 3) for one in rows])
+    tests = _tests(one)
+    findings, chosen, last, noise = _causes(one, tests)
+    suspects, of_bias = tuple(_suspects(one, chosen, last, noise)), tuple(_of_bias(one, estimate))
+    rest = last.rest(limit, int(problem.inside.sum())) if chosen and noise is None else None
+    scatter = findings[-1] if noise is not None else None
+    return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
 
 
 def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
@@ -354,18 +337,13 @@ def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
     return B
 
 
-def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest]:
+def _tests(one: _Adjustment) -> list[HypothesisTest]:
     """Every hypothesis by itself, at the weights of the estimate."""
-    step = one.step
-    S, _, x = absorbed(step, one.B)
-    S += np.diag(one.star_information)
-    y = one.right(step)
-    theta = x[: len(step.solution.theta)].T
-    by_theta = np.einsum("ha,ab,hb->h", theta, step.solution.information, theta)
+    S, _, y, theta, by_theta = one.beside(one.step, [])
     redundancy = np.divide(S, S + by_theta, out=np.zeros(len(S)), where=S + by_theta > 0.0)
     seen = redundancy > 1e-9
-    limit = float(chdtri(1, limits.probability_found / len(S)))
-    noncentrality = noncentrality_of(limit, 1, POWER) * limits.sigma_understated**2
+    limit = float(chdtri(1, PROBABILITY_FOUND / len(S)))
+    noncentrality = noncentrality_of(limit, 1, POWER) * one.tolerated**2
     tests = []
     for n, h in enumerate(one.table):
         statistic = float(y[n] ** 2 / S[n]) if seen[n] else 0.0
@@ -375,7 +353,7 @@ def _tests(one: _Adjustment, limits: ReliabilitySettings) -> list[HypothesisTest
                 value=float(y[n] / S[n]) if seen[n] else np.nan,
                 sigma=float(S[n] ** -0.5) if seen[n] else np.inf,
                 statistic=statistic,
-                p_value=float(chdtrc(1, statistic / limits.sigma_understated**2)),
+                p_value=float(chdtrc(1, statistic / one.tolerated**2)),
                 detectable=float(np.sqrt(noncentrality / S[n])) if seen[n] else np.inf,
                 redundancy=float(redundancy[n]),
                 effect_rad=theta[n],
@@ -397,7 +375,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
-    is_star = one.of.column("is_star")
+    is_star = one.of.ground.is_star
     for n, (h, effect_m) in enumerate(zip(one.table, (x[rows] * bias.stated[:, None]).T)):
         own = float(effect_m @ weight @ effect_m)
         if np.isfinite(h.most) and not (one.concerns(n) & is_star).any() and own * h.most**2 > limit:
@@ -432,13 +410,14 @@ def _suspects(
 
 
 def _causes(
-    one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings
+    one: _Adjustment, tests: Sequence[HypothesisTest]
 ) -> tuple[list[Finding], list[int], _Fit, NoiseGroup | None]:
     """Forward selection: hypotheses that explain more than chance, each beside those before it; their rows,
     and the fit with all of them as unknowns. It ends with a group whose errors are larger than stated, where
     that explains more than any hypothesis.
     """
-    if not _suspicious(one, tests, limits):
+    lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
+    if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
         return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
     chosen: list[int] = []
     findings: list[Finding] = []
@@ -449,13 +428,13 @@ def _causes(
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
         worth = {h: gain[h] - one.table[h].price(float(fit.size[-1])) for h, fit in trials.items()}
-        strip, ccd, is_star = (one.of.column(name) for name in ("strip", "ccd", "is_star"))
-        tolerated, inside = limits.sigma_understated, one.problem.inside
-        noise = noisiest(before.statistic, one.limit, tolerated, strip, ccd, is_star, inside)
+        strip, ccd, is_star = one.of.column("strip"), one.of.ground.ccd, one.of.ground.is_star
+        inside = one.problem.inside
+        noise = noisiest(before.statistic, one.limit, one.tolerated, strip, ccd, is_star, inside)
         if noise and noise.gain > max(worth.values(), default=0.0):
             p_value = float(chdtrc(1, noise.gain)) * n
-            if p_value <= limits.probability_found:
-                return [*findings, _of_noise(one, noise, before, p_value, limits)], chosen, before, noise
+            if p_value <= PROBABILITY_FOUND:
+                return [*findings, _of_noise(one, noise, before, p_value)], chosen, before, noise
         if not gain:
             break
         most = max(worth.values())
@@ -465,13 +444,11 @@ def _causes(
         decade = {h: np.floor((gain[h] - worth[h]) / (2.0 * np.log(10.0))) for h in alike}
         # Of equals the most usual size, then what concerns most, then the first of the table.
         best = min(alike, key=lambda h: (decade[h], -one.concerns(h).sum(), h))
-        p_value = (
-            float(chdtrc(1, max(gain[best], 0.0) / limits.sigma_understated**2)) * one.table[best].rarity
-        )
-        if p_value * (n - len(chosen)) > limits.probability_found:
+        p_value = float(chdtrc(1, max(gain[best], 0.0) / one.tolerated**2)) * one.table[best].rarity
+        if p_value * (n - len(chosen)) > PROBABILITY_FOUND:
             break
         rivals = sorted(h for h in gain if most - worth[h] < AMBIGUOUS + left)
-        further = _finding(one, best, trials, rivals, p_value * (n - len(chosen)), before, limits)
+        further = _finding(one, best, trials, rivals, p_value * (n - len(chosen)), before)
         if gain[best] < NOT_LINEAR * strongest:  # what the linear form of a large error leaves is its own
             findings[0] = replace(findings[0], refutes=findings[0].refutes or further.refutes)
             break
@@ -482,9 +459,7 @@ def _causes(
     return findings, chosen, before, None
 
 
-def _of_noise(
-    one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float, limits: ReliabilitySettings
-) -> Finding:
+def _of_noise(one: _Adjustment, noise: NoiseGroup, before: _Fit, p_value: float) -> Finding:
     """The finding about a group whose errors are larger than stated, and the matrix with these. It refutes
     where that moves the matrix, or makes some direction of it much less certain than stated.
     """
@@ -494,7 +469,7 @@ def _of_noise(
     moved, information = solution.theta - one.step.solution.theta, one.step.solution.information
     effect = float(np.sqrt(moved @ information @ moved))
     larger = float(np.sqrt(np.linalg.eigvals(information @ solution.covariance).real.max()))
-    harms = effect > limits.harm_sigma or larger > LEAST_FACTOR
+    harms = effect > HARM_SIGMA or larger > LEAST_FACTOR
     return Finding(
         cause="noise of the image points or coordinates",
         item=noise.item,
@@ -506,7 +481,7 @@ def _of_noise(
         unit="times the stated",
         file="dump.toml",
         field="errors",
-        refutes=harms and p_value <= limits.probability_refuted,
+        refutes=harms and p_value <= PROBABILITY_REFUTED,
         effect_rad=-moved,
         effect_sigma=effect,
         p_value=min(p_value, 1.0),
@@ -514,35 +489,23 @@ def _of_noise(
     )
 
 
-def _suspicious(one: _Adjustment, tests: Sequence[HypothesisTest], limits: ReliabilitySettings) -> bool:
-    """Whether a test fails as it stands, or several observations are rejected or have less weight."""
-    lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))
-    return lost > 1 or bool(min(test.p_value for test in tests) * len(tests) < limits.probability_found)
-
-
 def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[int]:
     """Hypotheses to search under: those that explain most at the weights as they are, and with rejected
     observations in the fit, each with what weight its residual leaves it.
     """
-    inside, rest = one.problem.inside, [h for h in range(len(one.table)) if h not in chosen]
-    found: list[int] = []
+    inside, found = one.problem.inside, list[int]()
     plain = one.solved(before.kept.astype(float))
     statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
     for weight in (before.kept.astype(float), soft, inside.astype(float)):
         step = one.solved(weight)
-        each, with_chosen, x = absorbed(step, one.B, chosen)
-        each, with_chosen = each + np.diag(one.star_information), with_chosen + one.star_information[chosen]
-        lift = np.linalg.pinv(with_chosen[:, chosen], rcond=1e-10, hermitian=True) @ with_chosen[:, rest]
-        own = each[rest] - np.sum(with_chosen[:, rest] * lift, axis=0)
-        y, theta = one.right(step), x[: len(step.solution.theta), rest]
-        right = y[rest] - lift.T @ y[chosen]
-        by_theta = np.einsum("ah,ab,bh->h", theta, step.solution.information, theta)
-        seen = own > np.maximum(1e-9 * each[rest], NO_REDUNDANCY * (own + by_theta))
-        gain = np.divide(right**2, own, out=np.zeros(len(own)), where=seen)
+        own, given, right, _, by_theta = one.beside(step, chosen)
+        seen = own > np.maximum(1e-9 * given, NO_REDUNDANCY * (own + by_theta))
         size = np.divide(right, own, out=np.zeros(len(own)), where=seen)
-        gain -= [one.table[h].price(float(size[n])) for n, h in enumerate(rest)]
-        found += [rest[n] for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED] if gain[n] > 0.0]
+        gain = np.divide(right**2, own, out=np.zeros(len(own)), where=seen)
+        gain -= [h.price(float(of_h)) for h, of_h in zip(one.table, size)]
+        gain[chosen] = 0.0
+        found += [n for n in np.argsort(-gain, kind="stable")[:MOST_SEARCHED].tolist() if gain[n] > 0.0]
     return list(dict.fromkeys(found))
 
 
@@ -571,15 +534,10 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
     step = one.solved(kept.astype(float))
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
-    if not rows:
-        theta, none = step.solution.theta, np.zeros(0)
-        covariance, chi2 = step.solution.covariance, step.chi2 + rejected
-        statistic = squared_mahalanobis(step)
-        return _Fit(kept, chi2, theta, covariance, none, none, statistic, step.whitened, step.variance)
-    B = one.B[:, rows].toarray().reshape(-1, 2, len(rows))
-    left, x = respond(step, B)
-    weighted = (step.weight[:, None, None] * B).reshape(-1, len(rows))
-    S = weighted.T @ left.reshape(-1, len(rows)) + one.star_information[np.ix_(rows, rows)]
+    B = one.B[:, rows].toarray()
+    left, x = respond(step, B.reshape(len(kept), 2, len(rows)))
+    weighted = np.repeat(step.weight, 2)[:, None] * B
+    S = weighted.T @ left.reshape(B.shape) + one.star_information[np.ix_(rows, rows)]
     y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
     of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
     x = x[: len(step.solution.theta)]
@@ -607,7 +565,6 @@ def _finding(
     rivals: Sequence[int],
     p_value: float,
     before: _Fit,
-    limits: ReliabilitySettings,
 ) -> Finding:
     """The cause `best`; its harm is that of the rival which moves the matrix most."""
     h, fit = one.table[best], trials[best]
@@ -634,14 +591,11 @@ def _finding(
     if excluded and len(f"{h.cause} {h.item} {text}{excluded}".split()) <= MOST_WORDS:
         text += excluded
     return Finding(
-        **{name: getattr(h, name) for name in STATED if name not in ("cause", "item")},
-        cause=h.cause,
-        item=h.item,
-        subjects=h.subjects,
+        **{name: getattr(h, name) for name in (*STATED, "subjects")},
         text=f"{text}.",
         value=value,
         sigma=sigma,
-        refutes=worst > limits.harm_sigma and p_value <= limits.probability_refuted,
+        refutes=worst > HARM_SIGMA and p_value <= PROBABILITY_REFUTED,
         effect_rad=published - fit.theta,
         effect_sigma=worst,
         p_value=min(p_value, 1.0),

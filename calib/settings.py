@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.record import check_numbers
 
 __all__ = ["CalibrationSettings"]
 
@@ -66,13 +67,9 @@ class CalibrationSettings:
         )
 
     def __post_init__(self) -> None:
-        sigmas = [field.name for field in fields(self) if field.name.startswith("sigma_")]
-        for name in (*sigmas, "position_time_s", "clock_time_s", "distortion_pixel_rad"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} must be zero or positive, got {getattr(self, name)}")
-        for name in ("motion_time_s", "distortion_length_px"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        sigmas = (field.name for field in fields(self) if field.name.startswith("sigma_"))
+        others = ("position_time_s", "clock_time_s", "distortion_pixel_rad", "most_shared_targets")
+        check_numbers(self, zero=(*sigmas, *others))
         if any(samples < 2 for samples in self.ccd_px):
             raise ValueError(f"ccd_px must be 2 or more for every CCD, got {self.ccd_px}")
         if not 0.0 < self.probability_false_alarm < 0.5:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.gyro import GyroRows, longest_without_gap
 from boresight.geometry.record import Floats, Ints
@@ -78,13 +78,11 @@ def moved_in_passes(
     directions, turns = dict(moved.directions_i), dict(moved.turns_s)
     for one in passes:
         members = [by_id[name] for name, _, _ in one.parts]
-        if any(strip.strip_id in directions for strip in members):
-            own = [directions.get(s.strip_id, np.zeros((len(s.ground.t_s), 3))) for s in members]
-            directions[one.strip_id] = np.concatenate(own)
-        if any(strip.strip_id in turns for strip in members):
-            own = [turns.get(s.strip_id, np.zeros((len(s.exposures), 3))) for s in members]
-            rows = _first_of_each(np.concatenate([strip.times_s for strip in members]))
-            turns[one.strip_id] = np.concatenate(own)[rows]
+        own = [directions.get(s.strip_id, np.zeros((len(s.ground.t_s), 3))) for s in members]
+        directions[one.strip_id] = np.concatenate(own)
+        rows = _first_of_each(np.concatenate([strip.times_s for strip in members]))
+        own = [turns.get(s.strip_id, np.zeros((len(s.exposures), 3))) for s in members]
+        turns[one.strip_id] = np.concatenate(own)[rows]
     return replace(moved, directions_i=directions, turns_s=turns)
 
 

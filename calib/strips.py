@@ -31,13 +31,14 @@ from boresight.calib.error_table import (
     of_pass,
 )
 from boresight.calib.heads import HeadTie, of_heads
+from boresight.calib.own_unknowns import condensed
 from boresight.calib.pass_attitude import attitude_of, is_smoothed, smoothed_motion
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
-from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, StripSightings
+from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
 
 __all__ = [
     "LinearStrips",
@@ -57,15 +58,11 @@ class PreparedStrip:
 
     strip_id: str = scalar("the strip; of a pass of several (`simultaneous_strips`), the first of them")
     strip: Texts = array("J", "strip of each target")
+    ground: GroundSightings = scalar("the J targets")
     attitudes: ExposureAttitudes = scalar("of all exposures")
     used: Bools = array("K", "exposures whose attitudes are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
-    target_id: Texts = array("J", "target")
     camera: Ints = array("J", "number of the camera, of those that are calibrated")
-    ccd: Ints = array("J", "CCD of the camera, from 0")
-    sample: Floats = array("J", "position along the CCD, px")
-    line: Floats = array("J", "row, px")
-    t_s: Floats = array("J", "instant of the row, TAI seconds since the dump's epoch")
     weights: Floats = array(
         "J, U", "by which rotations of the exposures used rotate the attitude; dense or sparse"
     )
@@ -73,8 +70,6 @@ class PreparedStrip:
     place: Floats = array("J", "position along that curve, correlation lengths")
     distortion_rad: Floats = array("J", "1-sigma of that curve, per axis")
     modes_rad: Floats = array("J, 3", "change of the look by shift, slope and bend of its CCD, 1-sigma each")
-    u_c: Floats = array("J, 3", "measured look directions, frame c")
-    cov_c: Floats = array("J, 3, 3", "covariance of their image measurement, rad²")
     R_si: Floats = array("J, 3, 3", "attitude interpolated to the target's instant, GCRS to frame s")
     v_s: Floats = array("J, 3", "known directions of the targets, frame s by that attitude")
     number: Ints = array("J", "which pass of those that are eliminated together")
@@ -83,10 +78,7 @@ class PreparedStrip:
         "J, 3, 3", "change of v_s by the target's coordinates, Earth axes, 1/m; a star's, GCRS axes, 1/µrad"
     )
     cov_coordinates: Floats = array("J, 3, 3", "covariance of the coordinates, the same axes, m²; µrad²")
-    reference: Texts = array("J", "ground reference of each target; empty: none")
     reference_s: Floats = array("J, 3, 3", "change of v_s by true coordinates east, north, up of stated, 1/m")
-    reference_sigma_m: Floats = array("J, 3", "1-sigma of the reference's offset along these, m")
-    reference_place: Floats = array("J, 3", "place of the target in correlation lengths of that offset")
     earth_s: Floats = array("J, 3, 3", "change of v_s by rotations of the Earth, each of its 1-sigma")
     earth: str = scalar("prediction of Earth orientation; empty: measured")
     late_s: Floats = array("J, 3", "change of v_s by the true instant of the row, rad/s")
@@ -95,7 +87,6 @@ class PreparedStrip:
     ties: tuple[HeadTie, ...] = scalar("what the rows of several heads tell of their unknowns")
     of_heads: tuple[str, ...] = scalar("unknowns of heads that change the attitude at the targets")
     by_heads_s: Floats = array("J, 3, A", "change of v_s by these")
-    is_star: Bools = array("J", "targets that are stars")
     carrier: str = scalar("head that carries the strip; empty: the reference head")
     n_phi: int = scalar("how many of these, the first, the rows of heads tell of")
     lasting: tuple[LastingError, ...] = scalar("what the last of these are: constants of the heads")
@@ -103,7 +94,7 @@ class PreparedStrip:
     @property
     def unit(self) -> Ints:
         """CCD (J,) of each target, numbered over all cameras."""
-        return unit_numbers(self.ccd, self.camera)
+        return unit_numbers(self.ground.ccd, self.camera)
 
 
 @record(kw_only=True)
@@ -119,11 +110,10 @@ class StripGroup:
     shared_s: Floats = array("S, J, 3, N", "change of v_s by the strip's own unknowns, 1-sigma each, rad")
     white_s: Floats = array("S, J, 3, 3", "noise by the coordinates of targets seen once, rad²")
     missed: Floats = array("S, J", "variance of the distortion between knots, rad²")
-    ties: Floats = array("S, H, V", "rows of other heads: by phi, by unknowns of heads, residual; whitened")
+    ties: Floats = array("S, H, A", "rows of other heads: by unknowns of heads, residual; whitened")
     by_ties: Floats = array(
         "S, N, A", "own unknowns by such rows: by those of heads, residual (`own_unknowns`)"
     )
-    n_phi: int = scalar("attitude unknowns, the first of the strip's own")
     n_common: int = scalar("unknowns of the calibration beside theta")
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
@@ -133,7 +123,7 @@ class GroupPart:
     """The targets of one camera in a group, and the unknowns of the calibration that move any of them."""
 
     camera: int  # number, of those that are calibrated
-    targets: Ints | slice  # (I,) of J
+    targets: Ints  # (I,) of J
     columns: Ints  # (m,) of the unknowns
     in_c: Floats  # (S, I, 3, m) change of u_c - w by each of them, frame c, rad
     in_s: Floats  # (S, I, 3, m) change of v_s by each of them, rad
@@ -144,18 +134,9 @@ class CommonColumns:
     """Change of the residuals of some targets by the common unknowns (theta of C cameras, then those of the
     calibration) that move any of them."""
 
-    targets: Ints | slice  # (I,) of J
+    rows: Ints  # (2 I,) of 2 J, two a target
     columns: Ints  # (m,) of the 3 C + g common unknowns
     X: Floats  # (S, 2 I, m)
-
-    def rows_of(self, n: int) -> Ints | slice:
-        """Which (2 I,) of n rows, two a target, are those of the targets."""
-        own = np.arange(n).reshape(-1, 2)[self.targets].ravel()
-        return self.targets if isinstance(self.targets, slice) else own
-
-    def of(self, rows: Floats) -> Floats:
-        """(S, 2 I, n) of the rows (S, 2 J, n) of all targets."""
-        return rows[:, self.rows_of(rows.shape[1])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,33 +148,25 @@ class LinearStrips:
     n_common: int  # 3 C + g
     X_q: Floats  # (S, 2 J, n) change of r by the strip's own unknowns, units of their prior sigma
     whitener: Floats  # (S, J, 2, 2) takes residuals along the two tangent axes, rad, to rows of r
-    tie_r: Floats  # (S, h) residuals of the other heads' rows, and their derivatives; none by theta
-    tie_common: Floats  # (S, h, 3 C + g)
-    tie_q: Floats  # (S, h, n)
+    across: Floats  # (S, J, 2, 3) takes changes of looks, frame c, to rows of r; zero where not covered
+    ties: Floats  # (S, h, A + 1) rows of the other heads by unknowns of heads, the last common ones; residual
 
     def along(self, x: Floats) -> Floats:
         """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
         out = np.empty((*self.r.shape, x.shape[1]))
         for part in self.common:
-            self.rows(out, part, part.X @ x[part.columns])
+            out[:, part.rows] = part.X @ x[part.columns]
         return out
 
     def onto(self, rows: Floats) -> Floats:
         """(S, 3 C + g, n) sums of rows (S, 2 J, n) over their derivatives by the common unknowns."""
         out = np.zeros((len(rows), self.n_common, rows.shape[2]))
         for part in self.common:
-            out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ part.of(rows)
+            out[:, part.columns] += np.swapaxes(part.X, 1, 2) @ rows[:, part.rows]
         return out
 
-    @staticmethod
-    def rows(out: Floats, part: CommonColumns, values: Floats) -> None:
-        """Put the rows (S, 2 I, n) of a part's targets into those (S, 2 J, n) of all."""
-        S, _, n = out.shape
-        out.reshape(S, -1, 2, n)[:, part.targets] = values.reshape(S, -1, 2, n)
 
-
-# What a prepared strip has from its sightings of the ground, and from its attitude, as it is there.
-OF_GROUND = ("target_id", "ccd", "t_s", "u_c", "cov_c", "is_star")
+# What a prepared strip has from its attitude as it is there.
 OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "of_heads", "n_phi", "lasting")
 
 
@@ -246,11 +219,10 @@ def prepare_strip(
     return PreparedStrip(
         strip_id=strip.strip_id,
         strip=strip.strip_of_target,
+        ground=ground,
         attitudes=strip.fitted,
         used=strip.fitted.usable,
         camera=camera,
-        sample=ground.xy_px[:, 0],
-        line=ground.xy_px[:, 1],
         curve=curve,
         place=place,
         distortion_rad=distortion_rad,
@@ -264,10 +236,7 @@ def prepare_strip(
             -move_i @ earth_axes(ground.t_s),
         ),
         cov_coordinates=own,
-        reference=references.name,
         reference_s=-move_i @ _ground_axes(references, strip.R_oi_targets),
-        reference_sigma_m=references.sigma_m,
-        reference_place=references.place,
         earth_s=attitude.R_si @ ground.earth_i,
         earth=strip.earth,
         late_s=late[:, :, 0],
@@ -275,7 +244,6 @@ def prepare_strip(
         move_s=move_i @ np.swapaxes(strip.R_oi_targets.as_matrix(), 1, 2),
         by_heads_s=by_rotation @ attitude.by_heads,
         carrier=strip.carrier,
-        **{name: getattr(ground, name) for name in OF_GROUND},
         **{name: getattr(attitude, name) for name in OF_ATTITUDE},
     )
 
@@ -322,24 +290,21 @@ def linearise(group: StripGroup, R_cs: Rotation, settings: CalibrationSettings) 
         at, near, near_s = part.targets, tangent[:, part.targets], tangent_s[:, part.targets]
         changes = [near @ cross_matrices(w[:, at]), near @ part.in_c + near_s @ part.in_s]
         block = CommonColumns(
-            targets=at,
+            rows=(2 * at[:, None] + np.arange(2)).ravel(),
             columns=np.concatenate([3 * part.camera + np.arange(3), n_theta + part.columns]),
             X=two_rows(rows[:, at] @ np.concatenate(changes, axis=3)),
         )
         if n_heads := group.by_ties.shape[2] - 1:  # those of heads are the last common unknowns
-            block.X[:, :, -n_heads:] -= block.of(told[:, :, :-1])
+            block.X[:, :, -n_heads:] -= told[:, block.rows, :-1]
         common.append(block)
-    by_phi, by_heads = group.ties[:, :, : group.n_phi], group.ties[:, :, group.n_phi : -1]
-    h, unseen = group.ties.shape[1], n_common - by_heads.shape[2]
     return LinearStrips(
         r=r[:, :, 0] - told[:, :, -1],
         common=tuple(common),
         n_common=n_common,
         X_q=X_q,
         whitener=whitener,
-        tie_r=group.ties[:, :, -1],
-        tie_common=np.concatenate([np.zeros((S, h, unseen)), by_heads], axis=2),
-        tie_q=np.concatenate([by_phi, np.zeros((S, h, X_q.shape[2] - group.n_phi))], axis=2),
+        across=rows @ tangent,
+        ties=group.ties,
     )
 
 
@@ -360,24 +325,29 @@ def _group(
     shared: SharedUnknowns,
 ) -> StripGroup:
     """The strips of some places; `columns` by their own unknowns, and the noise that is white."""
-    members = [strips[n] for n in places]
+    members, S = [strips[n] for n in places], len(places)
     shared_s, white = (np.stack(part) for part in zip(*(columns[n] for n in places)))
-    names = ("inside", "u_c", "cov_c", "v_s")
-    n_phi = members[0].n_phi
+    v_s = np.stack([strip.v_s for strip in members])
+    tangent = tangent_axes(v_s)  # across the known directions, along which nothing changes
+    ties = np.stack([_rows_of_ties(strip, shared) for strip in members])
+    own = (tangent @ shared_s).reshape(S, -1, shared_s.shape[3])
+    own, by_ties, ties = condensed(own, ties, members[0].n_phi)
     which = np.stack([strip.camera for strip in members])
     in_c, in_s = (np.stack(part) for part in zip(*map(shared.columns, members)))
     return StripGroup(
         place=np.array(places),
+        inside=np.stack([strip.inside for strip in members]),
         which=which,
-        shared_s=shared_s,
+        u_c=np.stack([strip.ground.u_c for strip in members]),
+        cov_c=np.stack([strip.ground.cov_c for strip in members]),
+        v_s=v_s,
+        shared_s=np.swapaxes(tangent, 2, 3) @ own.reshape(*tangent.shape[:3], own.shape[2]),
         white_s=white,
         missed=np.stack([shared.missed(strip) for strip in members]),
-        ties=np.stack([_rows_of_ties(strip, shared, n_phi) for strip in members]),
-        by_ties=np.zeros((len(places), shared_s.shape[3], len(shared.of_heads) + 1)),
-        n_phi=n_phi,
+        ties=ties,
+        by_ties=by_ties,
         n_common=in_c.shape[3],
         parts=tuple(_parts(which[0], in_c, in_s, len(shared.of_heads))),
-        **{name: np.stack([getattr(strip, name) for strip in members]) for name in names},
     )
 
 
@@ -385,20 +355,16 @@ def _parts(which: Ints, in_c: Floats, in_s: Floats, n_heads: int) -> Iterator[Gr
     """The targets of each camera with the columns (S, J, 3, n) that are not zero for all of them; unknowns
     of heads, the last, are always among them.
     """
-    cameras, n = np.unique(which).tolist(), in_c.shape[3]
-    if len(cameras) == 1:
-        yield GroupPart(cameras[0], slice(None), np.arange(n), in_c, in_s)
-        return
-    for camera in cameras:
-        at = np.flatnonzero(which == camera)
+    for camera in np.unique(which).tolist():
+        at, n = np.flatnonzero(which == camera), in_c.shape[3]
         moved = (in_c[:, at] != 0.0).any(axis=(0, 1, 2)) | (in_s[:, at] != 0.0).any(axis=(0, 1, 2))
         columns = np.flatnonzero(moved | (np.arange(n) >= n - n_heads))
         yield GroupPart(camera, at, columns, in_c[:, at][..., columns], in_s[:, at][..., columns])
 
 
-def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns, n_phi: int) -> Floats:
+def _rows_of_ties(strip: PreparedStrip, shared: SharedUnknowns) -> Floats:
     """Rows (h, n_phi + unknowns of heads + 1) of the other heads in a strip."""
-    none = np.zeros((0, n_phi + len(shared.of_heads) + 1))
+    none = np.zeros((0, strip.n_phi + len(shared.of_heads) + 1))
     told = [(tie, of_heads(tie.unknowns, tie.by_alpha, shared.of_heads)) for tie in strip.ties]
     return np.concatenate([none, *(np.column_stack([tie.by_phi, by_alpha, tie.r]) for tie, by_alpha in told)])
 
@@ -418,12 +384,13 @@ def _coordinates(strip: PreparedStrip, shared: SharedUnknowns) -> tuple[Floats, 
     """
     move, covariance = strip.coordinates_s, strip.cov_coordinates
     white = move @ covariance @ np.swapaxes(move, 1, 2)
-    ids, count = np.unique(strip.target_id, return_counts=True)
+    target_id = strip.ground.target_id
+    ids, count = np.unique(target_id, return_counts=True)
     again = [name for name in ids[count > 1].tolist() if name not in shared.targets]
     own = np.zeros((len(move), 3, 3 * len(again)))
-    white[np.isin(strip.target_id, [*shared.targets])] = 0.0
+    white[np.isin(target_id, [*shared.targets])] = 0.0
     for n, name in enumerate(again):
-        rows = strip.target_id == name
+        rows = target_id == name
         values, vectors = np.linalg.eigh(covariance[rows][0])
         own[rows, :, 3 * n : 3 * n + 3] = move[rows] @ (vectors * np.sqrt(np.maximum(values, 0.0)))
         white[rows] = 0.0

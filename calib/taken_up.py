@@ -18,7 +18,7 @@ import numpy as np
 
 from boresight.calib.heads import alignment_names
 from boresight.calib.joint_solution import Problem, Step
-from boresight.calib.strips import PreparedStrip, matrix_of_each, tangent_axes, turned
+from boresight.calib.strips import PreparedStrip, matrix_of_each
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.record import Floats
 
@@ -40,9 +40,9 @@ def taken_up(
         first, last = last, last + S * J
         C = matrix_of_each(step.about.R_cs, group.which)
         change = C @ np.array([np.concatenate([_by_errors(prepared[p]) for p in unit]) for unit in passes])
-        weight = step.weight[first:last].reshape(S, J) * group.inside
-        rows = weight[:, :, None, None] * line.whitener @ tangent_axes(turned(C, group.v_s)) @ change
-        number = np.array([np.repeat(np.arange(len(u)), [len(prepared[p].ccd) for p in u]) for u in passes])
+        weight = step.weight[first:last].reshape(S, J)
+        rows = weight[:, :, None, None] * line.across @ change
+        number = np.array([np.repeat(np.arange(len(u)), [len(prepared[p].strip) for p in u]) for u in passes])
         for n in range(int(number.max(initial=0)) + 1):
             own = (rows * (number == n)[:, :, None, None]).reshape(S, 2 * J, -1)
             right = line.onto(own) - np.swapaxes(part.back[:, :, :-1], 1, 2) @ (
@@ -57,7 +57,7 @@ def taken_up(
 def _until(members: Iterator[int], prepared: Sequence[PreparedStrip], targets: int) -> list[int]:
     """The next of the members that have so many targets together."""
     found: list[int] = []
-    while sum(len(prepared[p].ccd) for p in found) < targets:
+    while sum(len(prepared[p].strip) for p in found) < targets:
         found.append(next(members))
     return found
 

@@ -14,7 +14,7 @@ covariance wide and the matrix no worse. What they may also mean is that the obs
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -24,7 +24,7 @@ from scipy.special import bdtrc, chdtr, chdtrc
 from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WithoutHead
 from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import Hypothesis
-from boresight.calib.reliability import HypothesisTest, Reliability, ReliabilitySettings
+from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.record import Floats, array, record, scalar
@@ -127,11 +127,6 @@ class VerdictSettings:
     sigma_overstated: float = scalar("tolerated factor of stated over true standard deviations", default=2.0)
     share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
     share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.15)
-
-    @property
-    def of_reliability(self) -> ReliabilitySettings:
-        """Limits of the tests of inputs."""
-        return ReliabilitySettings(sigma_understated=self.sigma_understated)
 
 
 @record(kw_only=True)
@@ -248,25 +243,23 @@ def assess(
     cameras one after another; without it that check is not made. The causes of `reliability` decide with the
     checks. `target_files` are those with the coordinates of the targets, as findings name them.
     """
-    settings = settings or VerdictSettings()
+    settings, agreement = settings or VerdictSettings(), estimate.agreement
+    single = agreement.dof <= 0 and agreement.dof_gain <= 0  # no checks of heads
+    kinds = len(CheckKind) - single * len(OF_HEADS) - (estimate.bias is None)
+    checks = _Checks(settings, settings.probability_false_alarm / kinds)
     found = [
-        _residuals(CheckKind.STAR_RESIDUALS, estimate.chi2_stars, estimate.dof_stars, settings),
-        _residuals(CheckKind.TARGET_RESIDUALS, estimate.chi2, estimate.dof, settings),
-        *_shares(estimate, settings),
+        checks.residuals(CheckKind.STAR_RESIDUALS, estimate.chi2_stars, estimate.dof_stars),
+        checks.residuals(CheckKind.TARGET_RESIDUALS, estimate.chi2, estimate.dof),
+        *_shares(estimate, checks),
     ]
-    heads, between = _between_heads(estimate.agreement, settings), _between_strips(estimate, settings)
+    heads, between = _between_heads(agreement, checks), _between_strips(estimate, checks)
     causes, of_bias = (reliability.findings, reliability.of_bias) if reliability else ((), ())
     # A head that moves, and a cause that refutes, set the strips against one another.
     named = any(check.names for check in heads) or any(one.refutes for one in causes)
     found += [replace(between, names=()) if named else between, *heads]
     if sigma_installation_rad is not None:
-        found.append(_from_start(estimate, sigma_installation_rad, settings))
-    found += [_duplicates(strips, settings), _convergence(estimate, settings)]
-    found += _orbit_bias(estimate, settings)
-    single = not any(check.kind in OF_HEADS for check in found)
-    no_sky = estimate.bias is None
-    limit = settings.probability_false_alarm / (len(CheckKind) - single * len(OF_HEADS) - no_sky)
-    found = [replace(check, limit=limit) for check in found]
+        found.append(_from_start(estimate, sigma_installation_rad, checks))
+    found += [_duplicates(strips, checks), _convergence(estimate, checks), *_orbit_bias(estimate, checks)]
     of_cameras = [estimate.of_camera(name)[1] for name in estimate.cameras]
     values, vectors = np.linalg.eigh(max(of_cameras, key=lambda one: float(np.linalg.eigvalsh(one)[-1])))
     verdict = Verdict(
@@ -314,26 +307,49 @@ def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> 
     return Outcome.FINDINGS if any(one.is_fault for one in findings) else Outcome.CONSISTENT
 
 
-def _check(
-    kind: CheckKind,
-    statistic: float,
-    expected: float,
-    n: int,
-    p_value: float,
-    settings: VerdictSettings,
-    names: tuple[tuple[str, ...], ...] = (),
-    p_plain: float = np.nan,
-) -> Check:
-    return Check(
-        kind=kind,
-        statistic=statistic,
-        expected=expected,
-        n=n,
-        p_value=p_value if n > 0 else np.nan,
-        p_plain=p_plain,
-        limit=settings.probability_false_alarm / len(CheckKind),
-        names=names,
-    )
+@dataclass(frozen=True, slots=True)
+class _Checks:
+    """How checks are made."""
+
+    settings: VerdictSettings
+    limit: float  # p-value below which a check fails
+
+    def of(
+        self,
+        kind: CheckKind,
+        statistic: float,
+        expected: float,
+        n: int,
+        p_value: float,
+        p_plain: float = np.nan,
+        names: tuple[tuple[str, ...], ...] = (),
+    ) -> Check:
+        return Check(
+            kind=kind,
+            statistic=statistic,
+            expected=expected,
+            n=n,
+            p_value=p_value if n > 0 else np.nan,
+            p_plain=p_plain,
+            limit=self.limit,
+            names=names,
+        )
+
+    def residuals(self, kind: CheckKind, chi2: float, dof: int) -> Check:
+        """Small residuals, too, contradict the stated errors (`Check.is_caution`)."""
+        p_value = p_residuals(chi2, dof, self.settings.sigma_understated, self.settings.sigma_overstated)
+        return self.of(kind, chi2, dof, dof, p_value, p_residuals(chi2, dof))
+
+    def too_large(
+        self, kind: CheckKind, chi2: float, dof: int, names: tuple[tuple[str, ...], ...] = ()
+    ) -> Check:
+        """One-sided: a chi-square of standard deviations that may be too small by the tolerated factor, which
+        is another one for a matrix before launch.
+        """
+        at_start = kind is CheckKind.START_MATRIX
+        tolerated = self.settings.sigma_overstated if at_start else self.settings.sigma_understated
+        p_value, p_plain = (float(chdtrc(dof, chi2 / x**2)) if dof > 0 else np.nan for x in (tolerated, 1.0))
+        return self.of(kind, chi2, dof, dof, p_value, p_plain, names)
 
 
 def p_residuals(chi2: float, dof: int, understated: float = 1.0, overstated: float = 1.0) -> float:
@@ -346,41 +362,22 @@ def p_residuals(chi2: float, dof: int, understated: float = 1.0, overstated: flo
     return float(min(1.0, 2.0 * min(above, below)))
 
 
-def _residuals(kind: CheckKind, chi2: float, dof: int, settings: VerdictSettings) -> Check:
-    """Small residuals, too, contradict the stated errors (`Check.is_caution`)."""
-    p_value = p_residuals(chi2, dof, settings.sigma_understated, settings.sigma_overstated)
-    return _check(kind, chi2, dof, dof, p_value, settings, p_plain=p_residuals(chi2, dof))
-
-
-def _too_large(
-    kind: CheckKind,
-    chi2: float,
-    dof: int,
-    tolerated: float,
-    settings: VerdictSettings,
-    names: tuple[tuple[str, ...], ...] = (),
-) -> Check:
-    """One-sided: a chi-square of standard deviations that may be `tolerated` times too small."""
-    p_value, p_plain = ((float(chdtrc(dof, chi2 / x**2)) if dof > 0 else np.nan) for x in (tolerated, 1.0))
-    return _check(kind, chi2, dof, dof, p_value, settings, names, p_plain)
-
-
-def _shares(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
+def _shares(estimate: InstallationEstimate, checks: _Checks) -> list[Check]:
     """Counts of rejected stars and targets against the tolerated shares."""
 
     def of(kind: CheckKind, reason: Reason, kept: int, share: float) -> Check:
         rejected = sum(entry.reason is reason for entry in estimate.rejected)
         n = kept + rejected
-        return _check(kind, rejected, share * n, n, float(bdtrc(rejected - 1, n, share)), settings)
+        return checks.of(kind, rejected, share * n, n, float(bdtrc(rejected - 1, n, share)))
 
-    of_stars, of_targets = settings.share_stars_rejected, settings.share_targets_rejected
+    (n_stars, n_targets), limits = (estimate.n_stars, estimate.n_targets), checks.settings
     return [
-        of(CheckKind.STARS_REJECTED, Reason.STAR_RESIDUAL, estimate.n_stars, of_stars),
-        of(CheckKind.TARGETS_REJECTED, Reason.TARGET_RESIDUAL, estimate.n_targets, of_targets),
+        of(CheckKind.STARS_REJECTED, Reason.STAR_RESIDUAL, n_stars, limits.share_stars_rejected),
+        of(CheckKind.TARGETS_REJECTED, Reason.TARGET_RESIDUAL, n_targets, limits.share_targets_rejected),
     ]
 
 
-def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
+def _between_strips(estimate: InstallationEstimate, checks: _Checks) -> Check:
     """Decrease of chi2 if each strip had a matrix of its own: chi-square of 3 (strips - 1) if one serves all.
 
     Axes that a strip alone does not determine are not counted. A check that fails names the strips without
@@ -390,21 +387,16 @@ def _between_strips(estimate: InstallationEstimate, settings: VerdictSettings) -
 
     def without(k: int | None) -> Check:
         rows = np.delete(np.arange(len(pairs.F)), [] if k is None else [k])
-        gain, dof = _gain_of_own_matrices(pairs.F[rows], pairs.F_theta[rows], prior)
-        return _too_large(CheckKind.BETWEEN_STRIPS, gain, dof, settings.sigma_understated, settings)
+        F, right = pairs.F[rows], pairs.F_theta[rows]
+        free, of_free = _explained(F, right, prior)
+        one, of_one = _explained(F.sum(axis=0)[None], right.sum(axis=0)[None], prior)
+        return checks.too_large(CheckKind.BETWEEN_STRIPS, max(free - one, 0.0), of_free - of_one)
 
     check, S = without(None), len(pairs.F)
     if not check.fails or S < 3:
         return check
     names = [str(name) for k, name in enumerate(pairs.names) if not without(k).fails]
     return replace(check, names=tuple((name,) for name in names)) if 2 * len(names) < S else check
-
-
-def _gain_of_own_matrices(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
-    """Decrease of chi2 if each of S strips had a matrix of its own, and the number of axes that it frees."""
-    free, dof_free = _explained(F, right, prior)
-    one, dof_one = _explained(F.sum(axis=0)[None], right.sum(axis=0)[None], prior)
-    return max(free - one, 0.0), dof_free - dof_one
 
 
 def _explained(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
@@ -424,20 +416,19 @@ def _explained(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
     return explained + float(b @ np.linalg.solve(N, b)), axes
 
 
-def _between_heads(agreement: HeadAgreement, settings: VerdictSettings) -> list[Check]:
+def _between_heads(agreement: HeadAgreement, checks: _Checks) -> list[Check]:
     """Differences between heads' attitudes, over all rows and from strip to strip; a check that fails names
     the head without which the rest agrees best.
     """
-    checks = []
+    found = []
     if agreement.dof > 0:
-        checks.append(_residuals(CheckKind.BETWEEN_HEADS, agreement.chi2, agreement.dof, settings))
-    if (dof := agreement.dof_gain) > 0:
-        of_gain = agreement.gain, dof, settings.sigma_understated
-        checks.append(_too_large(CheckKind.STEADY_HEADS, *of_gain, settings))
+        found.append(checks.residuals(CheckKind.BETWEEN_HEADS, agreement.chi2, agreement.dof))
+    if agreement.dof_gain > 0:
+        found.append(checks.too_large(CheckKind.STEADY_HEADS, agreement.gain, agreement.dof_gain))
     if not agreement.without:
-        return checks
+        return found
     name = min(agreement.without, key=_excess).head or "reference head"
-    return [replace(check, names=((name,),)) if check.fails else check for check in checks]
+    return [replace(check, names=((name,),)) if check.fails else check for check in found]
 
 
 def _excess(one: WithoutHead) -> float:
@@ -446,11 +437,10 @@ def _excess(one: WithoutHead) -> float:
     return float((np.cbrt(one.chi2 / max(one.dof, 1)) - 1.0 + variance) / np.sqrt(variance))
 
 
-def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, settings: VerdictSettings) -> Check:
+def _from_start(estimate: InstallationEstimate, sigma_rad: Floats, checks: _Checks) -> Check:
     covariance = estimate.cov_theta + np.diag(np.asarray(sigma_rad, dtype=float) ** 2)
     statistic = float(estimate.theta @ np.linalg.solve(covariance, estimate.theta))
-    dof = len(estimate.theta)
-    return _too_large(CheckKind.START_MATRIX, statistic, dof, settings.sigma_overstated, settings)
+    return checks.too_large(CheckKind.START_MATRIX, statistic, len(estimate.theta))
 
 
 def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
@@ -471,7 +461,7 @@ def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
         )
 
 
-def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> list[Check]:
+def _orbit_bias(estimate: InstallationEstimate, checks: _Checks) -> list[Check]:
     """Bias common to all ground strips against zero: the stated position errors are independent from strip to
     strip, and their mean is part of the bias' covariance.
     """
@@ -480,8 +470,7 @@ def _orbit_bias(estimate: InstallationEstimate, settings: VerdictSettings) -> li
     value, covariance = estimate.bias.value[rows], estimate.bias.covariance[np.ix_(rows, rows)]
     statistic = float(value @ np.linalg.solve(covariance, value))
     names = tuple((text,) for text in estimate.bias.texts() if not text.startswith("clock"))
-    of_bias = statistic, len(rows), settings.sigma_understated
-    return [_too_large(CheckKind.ORBIT_BIAS, *of_bias, settings, names)]
+    return [checks.too_large(CheckKind.ORBIT_BIAS, statistic, len(rows), names)]
 
 
 def _orbit_finding(
@@ -490,9 +479,9 @@ def _orbit_finding(
     """The bias of the orbit against the sky, where its check fails: the largest part of it in its sigmas.
     The first of `others`, which explain it too, is listed.
     """
-    if estimate.bias is None or not any(c.fails for c in checks if c.kind is CheckKind.ORBIT_BIAS):
+    failed = [check for check in checks if check.kind is CheckKind.ORBIT_BIAS and check.fails]
+    if (bias := estimate.bias) is None or not failed:
         return
-    bias = estimate.bias
     rows = [n for n, name in enumerate(bias.names) if name != "clock"]
     n = max(rows, key=lambda n: abs(bias.value[n]) / bias.sigma[n])
     value, sigma = float(bias.value[n]), float(bias.sigma[n])
@@ -508,12 +497,12 @@ def _orbit_finding(
         unit="m",
         file=f"orbit, {target_files}",
         refutes=True,
-        p_value=min(c.p_value for c in checks if c.kind is CheckKind.ORBIT_BIAS),
+        p_value=failed[0].p_value,
         rivals=tuple(f"{one.cause}, {one.item}" for one in others[:1]),
     )
 
 
-def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> Check:
+def _duplicates(strips: Sequence[StripSightings], checks: _Checks) -> Check:
     """Targets of different ids at one place on the ground; a single pair refutes the list."""
     groups: dict[str, set[str]] = {}
     for members in groups_of(strips):
@@ -526,7 +515,7 @@ def _duplicates(strips: Sequence[StripSightings], settings: VerdictSettings) -> 
     found = tuple(sorted({tuple(sorted(group)) for group in groups.values()}))
     n = len({name for strip in strips for name in strip.ground.target_id.tolist()})
     p_value = 0.0 if found else 1.0
-    return _check(CheckKind.DUPLICATED_TARGETS, len(groups), 0, n, p_value, settings, found)
+    return checks.of(CheckKind.DUPLICATED_TARGETS, len(groups), 0, n, p_value, names=found)
 
 
 def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:
@@ -541,8 +530,7 @@ def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in near[same]]
 
 
-def _convergence(estimate: InstallationEstimate, settings: VerdictSettings) -> Check:
+def _convergence(estimate: InstallationEstimate, checks: _Checks) -> Check:
     """Statistic: the last correction in units of its predicted 1-sigma, the largest of three axes."""
     size = float(np.max(np.abs(estimate.iterations[-1].theta_step) / estimate.sigma_theta))
-    p_value = 1.0 if estimate.converged_covariance else 0.0
-    return _check(CheckKind.CONVERGENCE, size, 0, 3, p_value, settings)
+    return checks.of(CheckKind.CONVERGENCE, size, 0, 3, float(estimate.converged_covariance))

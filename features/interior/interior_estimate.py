@@ -1,7 +1,7 @@
 """The interior orientation estimated together with the installation matrix, from the sky, the ground or both.
 
-The parameters (`parameters`) are shared unknowns of the calibration, eliminated and solved with the others.
-They take the place of the curve that otherwise stands for the residual distortion.
+The parameters (`interior_parameters`) are shared unknowns of the calibration, eliminated and solved with the
+others. They take the place of the curve that otherwise stands for the residual distortion.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
-from boresight.calib.interior_parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
+from boresight.features.interior.interior_parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
@@ -72,7 +72,7 @@ def calibrate_interior(
         camera, priors or InteriorPriors(), stagger=_rates_differ(strips, R_cs0, settings)
     )
     plain = replace(settings, sigma_distortion_rad=0.0, ccd_px=(), of_cameras=())
-    found = calibrate_strips(strips, R_cs0, plain, interior=model)
+    found = calibrate_strips(strips, R_cs0, plain, further=[model.row])
     if isinstance(found, NotObservable):
         return found
     columns = [n for n, name in enumerate(found.pairs.shared) if name.startswith("interior/")]

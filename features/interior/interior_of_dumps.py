@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from boresight.calib.estimate import NotObservable
-from boresight.calib.interior_parameters import InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import InteriorEstimate, calibrate_interior
+from boresight.features.interior.interior_parameters import InteriorPriors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings

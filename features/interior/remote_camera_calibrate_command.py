@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from boresight.calib.interior_parameters import InteriorPriors
 from boresight.features.interior.interior_files import interior_json, interior_lines, write_interior
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
+from boresight.features.interior.interior_parameters import InteriorPriors
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.console.progress import progress_bars

@@ -16,8 +16,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.accepted import floats_of, listed, shown, wrong
-from boresight.calib.from_vectors import VectorCalibration
 from boresight.features.vectors.target_places import SeenPlaces, seen_places
+from boresight.features.vectors.vector_estimate import VectorCalibration
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, Ints
 from boresight.geometry.vector_sets import VectorSets

@@ -13,7 +13,7 @@ import pyarrow as pa
 from scipy.special import chdtrc
 
 from boresight.calib.estimate import NotObservable
-from boresight.calib.from_vectors import INDEPENDENT, VectorCalibration
+from boresight.features.vectors.vector_estimate import INDEPENDENT, VectorCalibration
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, Ints

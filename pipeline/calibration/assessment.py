@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.ledger import Entry, Kind, Ledger

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
@@ -154,7 +154,7 @@ def calibrate_jointly(
         star_camera=first.dump.star_camera,
         inputs=_joined_inputs(calibrated),
         target_files=first.dump.target_files,
-        limits=settings.verdict.of_reliability,
+        sigma_understated=settings.verdict.sigma_understated,
     )
     verdict = assess(
         estimate,

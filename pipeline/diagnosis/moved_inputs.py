@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import ConstantRate
@@ -83,7 +83,7 @@ def examined(
         inputs=inputs,
         pivots={("", n): ccd.principal_sample for n, ccd in enumerate(ccds)},
         target_files=basis.dump.target_files,
-        limits=basis.settings.verdict.of_reliability,
+        sigma_understated=basis.settings.verdict.sigma_understated,
     )
 
 

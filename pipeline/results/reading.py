@@ -14,9 +14,8 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.distortion import MODES
-from boresight.calib.error_table import by_kind, coordinate_covariance, coordinate_names, prior_of
+from boresight.calib.error_table import BIASES, by_kind, coordinate_covariance, coordinate_names, prior_of
 from boresight.calib.information import InformationPairs
-from boresight.calib.orbit_bias import BIASES
 from boresight.calib.predicted_earth import predictions_of
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError

@@ -1,13 +1,13 @@
 """The curve that stands for the distortion's residual."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from boresight.calib.distortion import (
     MODES,
     ccd_modes,
-    columns_of_ccds,
     correlation,
     knot_weights,
     knots_touched,
@@ -15,6 +15,7 @@ from boresight.calib.distortion import (
     prior_information,
     unknown_names,
 )
+from boresight.calib.error_table import _distortion
 from boresight.simulator.cameras import calibrated_line_camera, distorted_line_camera
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, installation_by_tilt
 from boresight.simulator.scenario import ErrorSettings, LineCameraSettings
@@ -126,7 +127,17 @@ def test_modes_of_a_ccd_are_orthonormal_over_it_and_zero_on_others():
     ccd_px, ccds = (300, 512), (0, 1)
     sample = np.linspace(0.0, 511.0, 2001)
     of_one = np.ones(2001, dtype=np.int64)
-    modes = columns_of_ccds(ccd_modes(of_one, sample, ccd_px), of_one, ccds)
+    strip = SimpleNamespace(
+        v_s=np.zeros((2001, 3)),
+        distortion_rad=np.zeros(2001),
+        curve=of_one,
+        place=sample,
+        unit=of_one,
+        modes_rad=ccd_modes(of_one, sample, ccd_px),
+    )
+    change_c = _distortion((), ccds).columns_c(strip)
+    modes = change_c[:, 0, :6]
+    assert np.array_equal(change_c[:, 1, 6:], modes) and not change_c[:, 1, :6].any()
     own, other = modes[:, 1::2], modes[:, 0::2]
     np.testing.assert_allclose(own.T @ own / 2001, np.eye(3), atol=3e-3)  # the sum's ends: 2 / 2001
     assert not other.any()

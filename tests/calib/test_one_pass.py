@@ -14,12 +14,12 @@ from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.from_vectors import VectorCalibration, calibrate_vector_sets
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import groups_of, passes_of
 from boresight.calib.verdict import Verdict, assess
+from boresight.features.vectors.vector_estimate import VectorCalibration, calibrate_vector_sets
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise

@@ -13,7 +13,7 @@ from scipy.stats import binom, kstest
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.reliability import ReliabilitySettings, blind_spots, examine
+from boresight.calib.reliability import PROBABILITY_FOUND, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -34,7 +34,6 @@ PLAN = StripPlan(
     sigma_target_m=0.5,
 )
 SETTINGS = CalibrationSettings(robust=False)
-EXACT = ReliabilitySettings(sigma_understated=1.0)
 DRAWS = 8
 
 
@@ -44,12 +43,14 @@ def drawn(seed):
 
 def examined(strips, settings=SETTINGS):
     estimate = calibrate_strips(strips, BOLD, settings)
-    return estimate, examine(estimate, strips, settings, pixel_rad=CAMERAS.pixel_rad, limits=EXACT)
+    return estimate, examine(estimate, strips, settings, pixel_rad=CAMERAS.pixel_rad, sigma_understated=1.0)
 
 
-def injected(strips, change_c, size):
-    """The strips with looks that move as by an error of this size."""
+def injected(strips, h, size):
+    """The strips with looks that move as by an error of this size of a hypothesis."""
     out, last = [], 0
+    change_c = np.zeros((sum(len(strip.ground.ccd) for strip in strips), 3))
+    change_c[h.rows] = h.moves_c
     for strip in strips:
         first, last = last, last + len(strip.ground.ccd)
         u_c = strip.ground.u_c + size * change_c[first:last]
@@ -96,15 +97,15 @@ def test_an_error_is_measured_and_moves_the_matrix_as_predicted(n):
     test, h = reliability.tests[n], table_of(seed)[n]
     factor = 10.0 if n % 3 == 0 else 0.5  # a search for the cause takes half a second
     size = factor * test.detectable if not test.is_unseen else 1.0
-    size = min(size, 2e-4 / np.abs(h.change_c).max())  # rad: linear
-    spoilt, after = examined(injected(strips, h.change_c, size))
+    size = min(size, 2e-4 / np.abs(h.moves_c).max())  # rad: linear
+    spoilt, after = examined(injected(strips, h, size))
     moved = theta_between(spoilt.R_cs, estimate.R_cs)
     expected = size * test.effect_rad
     assert np.linalg.norm(moved - expected) < 0.03 * np.linalg.norm(expected) + 0.05 * estimate.sigma_theta[0]
     if test.is_unseen:
         return
     assert after.tests[n].value - test.value == pytest.approx(size, rel=0.03)
-    concerned = int(np.any(h.change_c != 0.0, axis=1).sum())
+    concerned = int(np.any(h.moves_c != 0.0, axis=1).sum())
     if factor < 1.0:
         return
     if concerned < 3:  # no more than single observations, which are named by themselves
@@ -123,11 +124,11 @@ def test_the_detectable_error_is_found_in_nine_of_ten():
     found = tried = 0
     for seed in range(DRAWS):
         strips, _, reliability = clean(seed)
-        limit = EXACT.probability_found / N
+        limit = PROBABILITY_FOUND / N
         for n in range(seed, N, 2 * DRAWS):
             test = reliability.tests[n]
             if not test.is_unseen:
-                spoilt = injected(strips, table_of(seed)[n].change_c, test.detectable)
+                spoilt = injected(strips, table_of(seed)[n], test.detectable)
                 tried += 1
                 found += examined(spoilt)[1].tests[n].p_value < limit
     low, high = binom(tried, 0.9).ppf([0.001, 0.9999])
@@ -136,8 +137,7 @@ def test_the_detectable_error_is_found_in_nine_of_ten():
 
 def test_a_tolerated_factor_of_the_stated_sigma_makes_as_much_undetectable():
     strips, estimate, reliability = clean(0)
-    tolerant = ReliabilitySettings(sigma_understated=1.5)
-    after = examine(estimate, strips, SETTINGS, pixel_rad=CAMERAS.pixel_rad, limits=tolerant)
+    after = examine(estimate, strips, SETTINGS, pixel_rad=CAMERAS.pixel_rad, sigma_understated=1.5)
     detectable = [test.detectable for test in reliability.tests]
     assert [test.detectable for test in after.tests] == pytest.approx(np.multiply(1.5, detectable))
 
@@ -153,7 +153,7 @@ def test_a_strip_that_was_rejected_whole_still_names_its_clock():
     settings = CalibrationSettings()
     strips = drawn(3)
     late = next(h for h in table_of(3) if (h.cause, h.item) == ("clock of the rows", "strip strip0002"))
-    spoilt = injected(strips, late.change_c, 20.0)
+    spoilt = injected(strips, late, 20.0)
     estimate = calibrate_strips(spoilt[:2], BOLD, settings)  # as if nothing had been matched in it
     found = examine(estimate, spoilt, settings, pixel_rad=CAMERAS.pixel_rad)
     named = found.findings[0]
@@ -167,7 +167,7 @@ def test_what_a_large_error_leaves_names_neither_a_further_cause_nor_single_targ
     late, period = (table[cause, "strip strip0001"] for cause in ("clock of the rows", "row period"))
     test_of = {(t.cause, t.item): t for t in clean(5)[2].tests}
     size = 6.0 * test_of[period.cause, period.item].sigma  # would be told by itself
-    strips = injected(injected(drawn(5), late.change_c, 200.0), period.change_c, size)
+    strips = injected(injected(drawn(5), late, 200.0), period, size)
     sigma_rad = np.radians(2.5 / 3600.0)  # a pixel: ten times the noise
     (n,) = [n for n, one in enumerate(strips) if one.strip_id == "strip0001"]
     u_c = strips[n].ground.u_c.copy()
@@ -176,7 +176,7 @@ def test_what_a_large_error_leaves_names_neither_a_further_cause_nor_single_targ
     _, found = examined(strips, CalibrationSettings())
     assert [(one.cause, one.item) for one in found.findings] == [(late.cause, late.item)]
     assert found.suspects == ()
-    apart = injected(drawn(5), period.change_c, size)
+    apart = injected(drawn(5), period, size)
     assert (period.cause, period.item) in [
         (one.cause, one.item) for one in examined(apart, CalibrationSettings())[1].findings
     ]
@@ -188,7 +188,7 @@ def test_of_causes_that_explain_the_same_the_one_of_most_observations_is_told_an
     prepared = [prepare_strip(strip, SETTINGS) for strip in strips]
     table = hypotheses(HypothesisInputs(prepared, clean(2)[1].R_cs, CAMERAS.pixel_rad))
     late = next(h for h in table if (h.cause, h.item) == ("clock of the rows", "strip strip0001"))
-    found = examined(injected(strips, late.change_c, size))[1].findings[0]
+    found = examined(injected(strips, late, size))[1].findings[0]
     assert found.cause == late.cause
     assert {found.item} | {one.rpartition(", ")[2] for one in found.rivals} == {
         "strip strip0000",

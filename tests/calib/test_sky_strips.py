@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.error_table import of_pass
+from boresight.calib.error_table import bias_columns, of_pass
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.orbit_bias import bias_columns
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess

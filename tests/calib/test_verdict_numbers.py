@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from boresight.calib.calibration import calibrate_strips
+from boresight.calib.error_table import CommonBias
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Check, CheckKind, VerdictSettings, assess
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject

@@ -23,12 +23,12 @@ from scipy.stats import chi2
 
 import boresight
 from boresight import array_stars, missions
+from boresight.calib.error_table import CommonBias
 from boresight.calib.estimate import HeadInstallation, InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import PeriodicError
 from boresight.calib.information import InformationPairs
-from boresight.calib.orbit_bias import CommonBias
 from boresight.calib.reliability import HypothesisTest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
@@ -527,7 +527,7 @@ def vars_of(settings: Any) -> dict[str, Any]:
 
 
 CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
-    "calib/orbit_bias.py": biases,
+    "calib/error_table.py": biases,
     "features/vectors/vector_result.py": residuals_of_vectors,
     "boresight/missions.py": residuals_of_a_result,
     "boresight/array_stars.py": lists_of_stars,

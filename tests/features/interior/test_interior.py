@@ -10,13 +10,13 @@ from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.calib.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import (
     InteriorEstimate,
     calibrate_interior,
     map_difference_px,
 )
+from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_sky_strips, draw_strips

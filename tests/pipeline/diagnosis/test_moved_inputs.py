@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.moved_input import MovedInput
+from boresight.calib.hypotheses import HypothesisInputs, MovedInput, hypotheses
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -96,7 +95,7 @@ def test_a_clock_of_the_exposures_that_runs_fast_does_the_opposite_of_a_row_peri
     table = hypotheses(
         HypothesisInputs([prepare_strip(strip, SETTINGS)], BOLD, CAMERAS.pixel_rad, inputs=inputs)
     )
-    change = {one.cause: one.change_c for one in table if one.item in ("all exposures", "strip sky0000")}
+    change = {one.cause: one.moves_c for one in table if one.item in ("all exposures", "strip sky0000")}
     both = change["clock of the exposures, rate"] + change["row period"]
     clock = change["clock of the exposures"]  # what is left is an offset, from the first row to an exposure
     offset = np.sum(both * clock) / np.sum(clock**2)
@@ -126,7 +125,7 @@ def test_a_moved_input_changes_the_residuals_as_its_column_says():
     )
     prepared = [prepare_strip(one, SETTINGS) for one in strips]
     table = hypotheses(HypothesisInputs(prepared, BOLD, CAMERAS.pixel_rad, inputs=[moved]))
-    (column,) = [one.change_c for one in table if one.cause == "trial"]
+    (column,) = [one.moves_c for one in table if one.cause == "trial"]
 
     def stated_otherwise(one):
         turn = Rotation.from_rotvec(turns[one.strip_id])

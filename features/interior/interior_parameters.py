@@ -26,6 +26,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag
 
+from boresight.calib.error_table import SharedError
+from boresight.calib.strips import PreparedStrip
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
 
@@ -91,9 +93,16 @@ class InteriorModel:
         return replace(bare, basis=left[:, :n] * size[:n])
 
     @property
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the z, as shared unknowns of a calibration."""
-        return tuple(f"interior/{n}" for n in range(self.basis.shape[1]))
+    def row(self) -> SharedError:
+        """The z as a row of the table of errors: they move looks, and delay the rows of a CCD."""
+
+        def delays(strip: PreparedStrip) -> Floats:
+            return strip.late_s[:, :, None] * (self.delay_change(strip.ground.ccd) @ self.basis)[:, None, :]
+
+        def looks(strip: PreparedStrip) -> Floats:
+            return -self.look_change(strip.ground.ccd, strip.ground.xy_px[:, 0]) @ self.basis
+
+        return SharedError(tuple(f"interior/{n}" for n in range(self.basis.shape[1])), delays, looks)
 
     def look_change(self, ccd: Ints, sample: Floats) -> Floats:
         """Change (J, 3, P) of the look directions of samples (J,), frame c, by each parameter."""
