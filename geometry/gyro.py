@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
+from boresight.geometry.record import Floats, Ints, Rows, array, check_numbers, record, scalar
 
 __all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up"]
 
@@ -54,7 +54,7 @@ class GyroNoise:
 
 
 @record(kw_only=True)
-class GyroRows:
+class GyroRows(Rows):
     """What a gyro tells around a pass."""
 
     t_s: Floats = array("K", "instants, increasing, TAI seconds since the epoch")
@@ -66,10 +66,6 @@ class GyroRows:
     def step_s(self) -> float:
         """Usual time from row to row."""
         return float(np.median(np.diff(self.t_s)))
-
-    def take(self, rows: Ints | slice) -> GyroRows:
-        """The rows with indices (M,)."""
-        return replace(self, t_s=self.t_s[rows], R_sz=self.R_sz[rows], R_oi=self.R_oi[rows])
 
     def within(self, first_s: float, last_s: float) -> GyroRows | None:
         """The rows from one instant to another; None for fewer than two."""

@@ -4,13 +4,14 @@ Frame c has z along the optical axis towards the ground, x along the direction o
 detectors. An image point `(x_f, y_f)` of the focal plane (metres) is seen in the direction `[-x_f, -y_f, f]`,
 normalised: the star camera's sign convention. `LineCamera` is described by its hardware (paper, Table 3),
 `LookAngleCamera` by tabulated look angles, as operators publish them. Both are a `LineSensor`, the interface
-that the pushbroom model uses.
+that the pushbroom model uses. `StripImage` is what rooms that look at a strip's pixels need to know of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +25,11 @@ __all__ = [
     "LineSensor",
     "LookAngleCamera",
     "LookTable",
+    "StripImage",
     "TimeOfRow",
     "edge_tangent",
     "end_looks",
+    "gaussian_sigma_px",
 ]
 
 Array = NDArray[np.float64]
@@ -63,6 +66,22 @@ class LineSensor(Protocol):
         """Seconds from a row's time label to the middle of its exposure."""
 
 
+class StripImage(Protocol):
+    """A strip's raw pixels, read by window: the CCDs of a camera, or the single image of the virtual CCD."""
+
+    @property
+    def ccds(self) -> Sequence[int]:
+        """The CCDs that were recorded, numbered as in the camera model."""
+
+    def shape(self, ccd: int) -> tuple[int, int]:
+        """(lines, samples) of one CCD's image."""
+
+    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
+        """Pixels (rows, columns) line0..line1, sample0..sample1 (ends excluded, inside the image), any real
+        type; NaN marks what must not be used: no data, cloud, saturation.
+        """
+
+
 def end_looks(camera: LineSensor) -> Array:
     """Unit vectors (2 C, 3) in frame c towards the first and the last sample of each CCD."""
     last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
@@ -74,6 +93,11 @@ def edge_tangent(camera: LineSensor) -> float:
     """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
     u_c = end_looks(camera)
     return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
+
+
+def gaussian_sigma_px(mtf_at_nyquist: float) -> float:
+    """Width, px, of the Gaussian whose transfer function has this value at half a cycle per pixel."""
+    return float(np.sqrt(-2.0 * np.log(mtf_at_nyquist)) / np.pi)
 
 
 @record(kw_only=True)

@@ -41,7 +41,7 @@ from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
 
-__all__ = ["Pushbroom", "RowClock"]
+__all__ = ["Pushbroom", "RowClock", "outline_deg"]
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,7 @@ _CURVATURE_M = 2e-5  # curvature of a light path that its tangent may neglect
 _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height difference d is this times d^2
 _CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
 _LATTICE = (65, 33)  # lines and samples at which the height of the ground is computed first
+_OUTLINE = 9  # points of each long side of the outline of a strip
 _LATTICE_M = 20.0  # for less relief the mean height is used
 
 
@@ -443,6 +444,27 @@ class Pushbroom:
         first, last = self.known_rows()
         first, last = max(float(row.min()) - margin, first), min(float(row.max()) + margin, last)
         return self.tabulated(first, last) if last - first > 1.0 else self
+
+
+def outline_deg(model: Pushbroom, lines: Mapping[int, int], surface: Surface) -> Array:
+    """Outline (N, 2) of what the CCDs of a strip see of `surface`: longitude and latitude in degrees, in
+    order around it; points without ground are left out. `lines` has the number of lines of each CCD.
+    """
+    ends = {
+        (ccd, sample): float(model.camera.directions_from_pixels(ccd, np.array([sample]))[0, 1])
+        for ccd in sorted(lines)
+        for sample in (0.0, model.camera.n_px(ccd) - 1.0)
+    }
+    sides = []
+    for (ccd, sample), order in ((min(ends, key=ends.__getitem__), 1), (max(ends, key=ends.__getitem__), -1)):
+        line = np.linspace(0.0, lines[ccd] - 1.0, _OUTLINE)
+        lat, lon, _ = geodetic_from_ecef(model.ground_points(ccd, sample, line, surface), WGS84)
+        lon = np.degrees(lon)
+        for middle in lon[np.isfinite(lon)][:1]:  # no step at the date line
+            lon = middle + (lon - middle + 180.0) % 360.0 - 180.0
+        sides.append(np.column_stack([lon, np.degrees(lat)])[::order])
+    outline = np.concatenate(sides)
+    return outline[np.isfinite(outline).all(axis=1)]
 
 
 def _above_shell(p_e: Array, height_m: Array) -> Array:

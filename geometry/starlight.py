@@ -8,7 +8,6 @@ and by the Earth (0.0006" at its limb). Aberration that a star camera has left i
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
 from typing import Literal
 
 import erfa
@@ -18,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import SPEED_OF_LIGHT
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar, shape_of
+from boresight.geometry.record import Bools, Floats, Ints, Rows, array, record, scalar
 
 __all__ = [
     "AberrationRemoved",
@@ -36,7 +35,7 @@ _AU_PER_DAY = erfa.DAU / erfa.DAYSEC  # m/s
 
 
 @record(kw_only=True)
-class StarPlaces:
+class StarPlaces(Rows):
     """Catalogue positions of N stars, ICRS at `epoch_jyear`. Row n of every array is the same star."""
 
     hip: Ints = array("N", "Hipparcos numbers")
@@ -67,10 +66,6 @@ class StarPlaces:
             epoch_jyear=epoch_jyear,
         )
 
-    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> StarPlaces:
-        """The stars selected by indices (M,) or a mask (N,)."""
-        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if shape_of(f)})
-
     def motions(self) -> Floats:
         """Proper motions (N, 3), rad/yr, GCRS axes."""
         ra, dec = self.ra_rad, self.dec_rad
@@ -81,7 +76,7 @@ class StarPlaces:
 
 
 @record(kw_only=True)
-class SurveyedStars:
+class SurveyedStars(Rows):
     """N stars with the errors that their catalogue states. Row n of every array is the same star."""
 
     name: str = scalar('of the catalogue, before the number of a star: "HIP"')
@@ -89,11 +84,6 @@ class SurveyedStars:
     sigma_rad: Floats = array("N", "1-sigma of the position at the catalogue's epoch, per axis, rad")
     sigma_pm_rad_yr: Floats = array("N", "1-sigma of the proper motion, per axis, rad per Julian year")
     single: Bools = array("N", "whether the catalogue describes it well by one star in linear motion")
-
-    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> SurveyedStars:
-        """The stars selected by indices (M,) or a mask (N,)."""
-        arrays = {f.name: getattr(self, f.name)[index] for f in fields(self) if shape_of(f)}
-        return replace(self, places=self.places.take(index), **arrays)
 
     def sigma_at_rad(self, jyear: float) -> Floats:
         """1-sigma (N,) of the directions at a Julian epoch, per axis, rad."""

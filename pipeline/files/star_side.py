@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation, NominalMotion
-from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
@@ -25,8 +25,7 @@ from boresight.geometry.gyro import GyroRecord, GyroRows
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
 from boresight.geometry.starlight import AberrationRemoved, with_all_aberration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
