@@ -133,13 +133,16 @@ def find_orbit_fault(
 
 def _mean_velocities(t: Floats, p: Floats, frame: str) -> Floats:
     """Means (K - 1, 3) of the velocities at the ends of each step, m/s, by the positions."""
-    a = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
-    if frame == "ITRF":
-        omega = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
-        v = np.gradient(p, t, axis=0, edge_order=2 if len(t) > 2 else 1)
-        a = a - np.cross(omega, 2.0 * v + np.cross(omega, p))
-    h = np.diff(t)[:, None]
+    v = np.gradient(p, t, axis=0, edge_order=2 if len(t) > 2 else 1)
+    a, h = _acceleration(p, v, float(frame == "ITRF")), np.diff(t)[:, None]
     return np.asarray(np.diff(p, axis=0) / h + h / 12.0 * np.diff(a, axis=0))
+
+
+def _acceleration(p: Floats, v: Floats, rate: float) -> Floats:
+    """(K, 3), m/s², of states in axes that rotate at `rate` times that of the Earth about its pole."""
+    omega = np.array([0.0, 0.0, rate * EARTH_ROTATION_RATE])
+    gravity = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
+    return np.asarray(gravity - np.cross(omega, 2.0 * v + np.cross(omega, p)))
 
 
 def _velocity_fault(
@@ -197,12 +200,10 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
     rates = {None: 0.0, OrbitFault.FRAME: 1.0, OrbitFault.MIRRORED: -1.0}
     if frame == "ITRF":
         rates = {None: 1.0, OrbitFault.INERTIAL: 0.0, OrbitFault.MIRRORED: -1.0}
-    gravity = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
-    misfit = {}
-    for fault, rate in rates.items():
-        omega = np.array([0.0, 0.0, rate * EARTH_ROTATION_RATE])
-        model = gravity - np.cross(omega, 2.0 * v + np.cross(omega, p))
-        misfit[fault] = float(np.linalg.norm(slope - model.mean(axis=0)))
+    misfit = {
+        fault: float(np.linalg.norm(slope - _acceleration(p, v, rate).mean(axis=0)))
+        for fault, rate in rates.items()
+    }
     best = min(misfit, key=lambda fault: misfit[fault])
     if best is None or misfit[None] < _ACCELERATION_M_S2 or misfit[best] > 0.3 * misfit[None]:
         return None

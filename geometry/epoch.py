@@ -46,9 +46,6 @@ _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)  # origin of `Epoch.tai_s` a
 _MJD_1972 = 41317  # 1972-01-01, MJD: the first day of UTC with whole leap seconds
 # Regular expression of a UTC date with or without time, ISO 8601, to 1e-18 s.
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
-_MINUTE = len("2024-06-30T23:59:")  # length of the text of a time to the minute, colon included
-# after the minute; a leap second is looked at with its minute
-_SECONDS = re.compile(r"([0-5]\d)(?:\.(\d{1,18}))?Z?", re.A)
 # Day 0 of MJD, 1858-11-17, in Python's count of days.
 _MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
 
@@ -173,26 +170,8 @@ def _day(year: str, month: str, day: str) -> tuple[int, int, bool]:
 
 
 def _tai_from_utc(text: str) -> tuple[int, float]:
-    """TAI seconds since the origin: whole and fraction. States of an orbit share their minutes."""
-    text = text.strip()
-    if not (seconds := _SECONDS.fullmatch(text, _MINUTE)):
-        return _parsed(text)
-    try:
-        minute = _minute(text[:_MINUTE])
-    except ValueError:
-        return _parsed(text)  # which tells what is wrong with the whole text
-    second, fraction = seconds.groups("0")
-    return minute + int(second), float(f"0.{fraction}")
-
-
-@lru_cache(maxsize=4096)
-def _minute(text: str) -> int:
-    """TAI seconds from the origin to the beginning of a minute, `2024-06-30T23:59:`."""
-    return _parsed(f"{text}00")[0]
-
-
-def _parsed(text: str) -> tuple[int, float]:
-    match = _DATE_TIME.fullmatch(text)
+    """TAI seconds since the origin: whole and fraction."""
+    match = _DATE_TIME.fullmatch(text := text.strip())
     if match is None:
         raise ValueError(f"UTC must look like 2024-06-30T23:59:59.123456789, found {text!r}")
     *date, hours, minutes, seconds, fraction = match.groups("0")

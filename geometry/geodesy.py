@@ -15,12 +15,11 @@ __all__ = [
     "columns_at_height",
     "distances_to_shell",
     "ecef_from_geodetic",
-    "ellipsoid_normals",
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
     "unit_vectors",
-    "vertical_at",
+    "verticals",
 ]
 
 Array = NDArray[np.float64]
@@ -57,21 +56,18 @@ def ecef_from_geodetic(
 
 
 def unit_vectors(longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> Array:
-    """Unit vectors (..., 3) at longitude and latitude (...), or at right ascension and declination."""
+    """Unit vectors (..., 3) at longitude and latitude (...), or at right ascension and declination. At
+    geodetic latitude they are the ellipsoid's normals, upwards, frame e.
+    """
     lon, lat = np.asarray(longitude_rad, float), np.asarray(latitude_rad, float)
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
-
-
-def ellipsoid_normals(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """Unit normals (..., 3) of the ellipsoid, upwards, frame e, at geodetic latitude and longitude."""
-    return unit_vectors(lon_rad, lat_rad)
 
 
 def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
     """Matrices (..., 3, 3) whose columns are the unit vectors east, north and up, in frame e."""
     lat, lon = np.asarray(lat_rad, float), np.asarray(lon_rad, float)
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon + lat)], axis=-1)
-    up = ellipsoid_normals(lat, lon)
+    up = unit_vectors(lon, lat)
     return np.stack([east, np.cross(up, east), up], axis=-1)
 
 
@@ -95,7 +91,7 @@ def columns_at_height(
     """Points of `ray_ellipsoid_intersection` and unit verticals there (to 3e-8 rad); vectors are (3, N)."""
     height = np.asarray(height_m, dtype=float)
     point = origin + distances_to_shell(origin, direction, height, ellipsoid) * direction
-    up = _vertical_columns(point, height, ellipsoid)
+    up = verticals(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
         a, b, sin2_lat = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, up[2] ** 2
@@ -125,16 +121,12 @@ def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ell
     return np.asarray(above / (np.sqrt(discriminant) - od))
 
 
-def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
-    """Unit verticals (N, 3) at points (N, 3), frame e, of approximately known height; to 3e-8 rad up to 9 km.
+def verticals(p: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
+    """Unit verticals (3, N) at points (3, N), frame e, of approximately known height; to 3e-8 rad up to 9 km.
 
     Faster than by latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat), with the
     mean of the radius N, whose variation matters only by h / N.
     """
-    return _vertical_columns(p_e.T, np.asarray(height_m, dtype=float), ellipsoid).T
-
-
-def _vertical_columns(p: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
     radius = ellipsoid.semi_major_m * (1.0 + 0.5 * ellipsoid.flattening)
     stretch = (radius + height) / (radius * (1.0 - ellipsoid.eccentricity_squared) + height)
     normal = np.empty(p.shape)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals
+from boresight.geometry.geodesy import ecef_from_geodetic, unit_vectors
 from boresight.geometry.record import Floats, array, record, scalar
 
 __all__ = ["Air", "GroundSite", "SiteState", "refract_by_air"]
@@ -44,7 +44,7 @@ class GroundSite:
         """Position, velocity and refraction of the site at `t_s` (TAI seconds since `earth.epoch`)."""
         matrix_ie = earth.matrices_ie([t_s])[0]
         p_e = ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m, WGS84)
-        up_e = ellipsoid_normals(self.lat_rad, self.lon_rad)
+        up_e = unit_vectors(self.lon_rad, self.lat_rad)
         a, b = erfa.refco(self.pressure_hpa, self.temperature_c, 0.0, _WAVELENGTH_UM)
         air = Air(matrix_ie @ up_e, float(a), float(b))
         return SiteState(matrix_ie @ p_e, matrix_ie @ np.cross(earth.omega_e, p_e), air)

@@ -10,7 +10,6 @@ Frame e is that of the instant of emission, in which the ground is at rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from boresight.geometry.atmosphere import Atmosphere, standard_atmosphere
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, vertical_at
+from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, verticals
 from boresight.geometry.record import record, scalar
 
 __all__ = [
@@ -78,9 +77,9 @@ def apparent_ground_directions(
 
     Raises `OrbitGapError` or `ValueError` if orbit or Earth rotation do not cover `t_s`.
     """
-    states = _states_e(t_s, orbit, earth)
-    u_e, range_m = apparent_directions_e(p_e, states.p_e, states.v_e, earth.omega_e, effects)
-    return np.einsum("nij,nj->ni", states.R_ie, u_e), range_m
+    satellite_e, v_e, R_ie = _states_e(t_s, orbit, earth)
+    u_e, range_m = apparent_directions_e(p_e, satellite_e, v_e, earth.omega_e, effects)
+    return np.einsum("nij,nj->ni", R_ie, u_e), range_m
 
 
 def apparent_directions_e(
@@ -102,7 +101,7 @@ def apparent_directions_e(
         height = geodetic_from_ecef(ground_e, WGS84)[2]
         for _ in range(2):  # contraction 1e-6 an iteration
             down = _unit(aim - satellite)
-            up = _rows(vertical_at(aim.T, height, WGS84))
+            up = verticals(aim, height, WGS84)
             aim = emitter + _refraction(down, up, height, effects.atmosphere)[0]
     u = _unit(aim - satellite)
     return (_aberrated(u, _rows(v_e)) if effects.aberration else u).T, range_m
@@ -125,9 +124,9 @@ def lines_of_sight_e(
     (refraction) metres. Returned are a point (N, 3) at the satellite's distance (not exactly the satellite),
     m, and the unit direction (N, 3) downwards; NaN for a line of sight that does not intersect the Earth.
     """
-    states = _states_e(t_s, orbit, earth)
-    u_e = np.einsum("nji,nj->ni", states.R_ie, u_i)
-    return emission_rays_e(u_e, states.p_e, states.v_e, earth.omega_e, effects, height_m)
+    satellite_e, v_e, R_ie = _states_e(t_s, orbit, earth)
+    u_e = np.einsum("nji,nj->ni", R_ie, u_i)
+    return emission_rays_e(u_e, satellite_e, v_e, earth.omega_e, effects, height_m)
 
 
 def emission_rays_e(
@@ -172,21 +171,14 @@ def _path_at_height(
     return point, _unit(down), distance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _StatesE:
-    """Satellite and Earth at N instants, in axes e of each."""
-
-    p_e: Array  # (N, 3)
-    v_e: Array  # (N, 3) inertial velocity
-    R_ie: Array  # (N, 3, 3)
-
-
-def _states_e(t_s: Array, orbit: OrbitLike, earth: EarthRotation) -> _StatesE:
-    """States at instants (N,); equal instants (pixels of one row) are evaluated once."""
+def _states_e(t_s: Array, orbit: OrbitLike, earth: EarthRotation) -> tuple[Array, Array, Array]:
+    """Positions and inertial velocities (N, 3) in axes e of instants (N,), and R_ie (N, 3, 3); equal instants
+    (pixels of one row) are evaluated once.
+    """
     instants, index = np.unique(t_s, return_inverse=True)
     R_ie = earth.matrices_ie(instants)
     p_e, v_e = (np.einsum("nji,nj->ni", R_ie, state) for state in orbit.states_i(instants))
-    return _StatesE(p_e[index], v_e[index], R_ie[index])
+    return p_e[index], v_e[index], R_ie[index]
 
 
 # Below, vectors are columns: (3, N), so that components lie together in memory.
@@ -241,8 +233,4 @@ def _unit(a: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """a (3,) times b (3, N)."""
-    product = np.empty_like(b)
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        np.multiply(b[j], a[i], out=product[k])
-        product[k] -= a[j] * b[i]
-    return product
+    return np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])

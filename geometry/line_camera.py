@@ -149,27 +149,22 @@ class Ccd:
         if len(across):
             object.__setattr__(self, "_across", CubicSpline(samples, across))
         ends = np.array([0.0, self.n_px - 1.0])
-        along, slope = self._along(ends), self._along_slope(ends)
+        along, slope = self._along(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
             raise ValueError("the distortion table reverses the order of the samples")
 
     def focal_plane(self, sample: ArrayLike) -> Array:
         """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""
-        along = self._along(np.asarray(sample, dtype=float))
-        (dx, dy), (x, y) = self._axis, self._axis_point
-        points = np.empty((2, len(along)))
-        np.multiply(along, dx, out=points[0])
-        np.multiply(along, dy, out=points[1])
-        points[0] += x
-        points[1] += y
-        if self._across is not None:
-            points -= self._off_line(sample)[0] * self._normal[:, None]
+        n = np.asarray(sample, dtype=float)
+        points = self._along(n)[0] * self._axis[:, None]  # components lie together in memory
+        points += self._axis_point[:, None]
+        points -= self._off_line(n)[0] * self._normal[:, None]
         return points.T
 
     def focal_plane_slope(self, sample: ArrayLike) -> Array:
         """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
-        slope = self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
-        return slope if self._across is None else slope - self._off_line(sample)[1][:, None] * self._normal
+        n = np.asarray(sample, dtype=float)
+        return self._along(n)[1][:, None] * self._axis - self._off_line(n)[1][:, None] * self._normal
 
     def samples(self, xy_f: Array) -> tuple[Array, Array]:
         """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
@@ -182,11 +177,12 @@ class Ccd:
         across = offset @ self._normal
         sample = self.principal_sample + along / self.pixel_m
         for _ in range(20):
-            step = (along - self._along(sample)) / self._along_slope(sample)
+            before, slope = self._along(sample)
+            step = (along - before) / slope
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
                 break
-        return sample, across if self._across is None else across + self._off_line(sample)[0]
+        return sample, across + self._off_line(sample)[0]
 
     @property
     def _normal(self) -> Array:
@@ -200,32 +196,23 @@ class Ccd:
     def _axis_point(self) -> Array:
         return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
 
-    def _along(self, sample: Array) -> Array:
-        """Ideal distance along the detector from its principal sample, m."""
-        along = (sample - self.principal_sample) * self.pixel_m
-        if self._spline is None:
-            return along
-        inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
-        along -= self._spline(inside)
-        beyond = np.flatnonzero(inside != sample)
-        if len(beyond):
-            along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
-        return along
+    def _along(self, sample: Array) -> tuple[Array, Array]:
+        """Ideal distance along the detector from its principal sample (N,), m, and its derivative, m/px."""
+        offset, beyond, slope = self._offset(self._spline, sample)
+        return (sample - self.principal_sample) * self.pixel_m - offset - beyond, self.pixel_m - slope
 
-    def _off_line(self, sample: ArrayLike) -> tuple[Array, Array]:
+    def _off_line(self, sample: Array) -> tuple[Array, Array]:
         """Offset across the detector (N,), m, and its derivative, m/px."""
-        n = np.asarray(sample, dtype=float)
-        assert self._across is not None
-        inside = np.clip(n, self.distortion_samples[0], self.distortion_samples[-1])
-        slope = self._across(inside, 1)
-        return np.asarray(self._across(inside) + slope * (n - inside)), np.asarray(slope)
+        offset, beyond, slope = self._offset(self._across, sample)
+        return offset + beyond, slope
 
-    def _along_slope(self, sample: Array) -> Array:
-        """Derivative of `_along`, m/px."""
-        if self._spline is None:
-            return np.full(len(sample), self.pixel_m)
+    def _offset(self, spline: CubicSpline | None, sample: Array) -> tuple[Array, Array, Array]:
+        """Offset (N,) of a table within its ends, m, its growth from there on, and its derivative, m/px."""
+        if spline is None:
+            return (np.zeros(len(sample)),) * 3
         inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
-        return np.asarray(self.pixel_m - self._spline(inside, 1))
+        slope = spline(inside, 1)
+        return spline(inside), slope * (sample - inside), slope
 
 
 @record
@@ -266,12 +253,8 @@ class LineCamera:
         fractional samples, which may lie beyond the ends of the detector. `ccd` is an index from 0.
         """
         x_f, y_f = self.ccds[ccd].focal_plane(sample).T
-        u_c = np.empty((3, len(x_f)))  # components lie together in memory
-        np.negative(x_f, out=u_c[0])
-        np.negative(y_f, out=u_c[1])
-        u_c[2] = self.focal_m
-        u_c *= 1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2)
-        return u_c.T
+        v_c = np.array([-x_f, -y_f, np.full(len(x_f), self.focal_m)])  # components lie together in memory
+        return (v_c * (1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2))).T
 
     def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
         """Derivative d u_c / d sample (N, 3), rad/px, at samples (N,)."""

@@ -102,38 +102,38 @@ class Orbit:
 
     def positions_i(self, t_s: ArrayLike) -> Array:
         """Positions (N, 3) in GCRS, m, at instants (N,). `OrbitGapError` where not covered."""
-        t = _instants(t_s)
-        position, _ = self._state(t)
-        return position if self.frame == "GCRF" else _to_i(self.earth.matrices_ie(t), position)
+        return self._states_in("GCRF", t_s)[0]
 
     def states_i(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Positions, m, and velocities relative to the inertial axes, m/s, in GCRS, each (N, 3)."""
-        t = _instants(t_s)
-        position, velocity = self._state(t)
-        if self.frame == "GCRF":
-            return position, velocity
-        matrix_ie = self.earth.matrices_ie(t)
-        inertial = velocity + np.cross(self.earth.omega_e, position)
-        return _to_i(matrix_ie, position), _to_i(matrix_ie, inertial)
+        return self._states_in("GCRF", t_s)
 
     def positions_e(self, t_s: ArrayLike) -> Array:
         """Positions (N, 3) in ITRS, m."""
-        t = _instants(t_s)
-        position, _ = self._state(t)
-        return position if self.frame == "ITRF" else _to_e(self.earth.matrices_ie(t), position)
+        return self._states_in("ITRF", t_s)[0]
 
     def velocities_e(self, t_s: ArrayLike) -> Array:
         """Velocities (N, 3) relative to the rotating Earth, in ITRS axes, m/s."""
-        t = _instants(t_s)
-        position, velocity = self._state(t)
-        if self.frame == "ITRF":
-            return velocity
-        matrix_ie = self.earth.matrices_ie(t)
-        return _to_e(matrix_ie, velocity) - np.cross(self.earth.omega_e, _to_e(matrix_ie, position))
+        return self._states_in("ITRF", t_s)[1]
 
     def R_oi(self, t_s: ArrayLike) -> Rotation:
         """The rotation from GCRS to the orbital frame at each instant."""
         return orbital_frame(*self.states_i(t_s))
+
+    def _states_in(self, frame: OrbitFrame, t_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions and rates of change of the coordinates (N, 3) in a frame."""
+        t = np.asarray(t_s, dtype=float)
+        if t.ndim != 1:
+            raise ValueError(f"instants must have shape (N,), got {t.shape}")
+        position, velocity = self._state(t)
+        if frame == self.frame:
+            return position, velocity
+        R_ie, omega = self.earth.matrices_ie(t), self.earth.omega_e
+        if frame == "GCRF":
+            inertial = velocity + np.cross(omega, position)
+            return np.einsum("nij,nj->ni", R_ie, position), np.einsum("nij,nj->ni", R_ie, inertial)
+        p_e, inertial = np.einsum("nji,nj->ni", R_ie, position), np.einsum("nji,nj->ni", R_ie, velocity)
+        return p_e, inertial - np.cross(omega, p_e)
 
     def _state(self, t: Array) -> tuple[Array, Array]:
         """Interpolated positions and velocities (N, 3) in the frame of the nodes."""
@@ -271,18 +271,3 @@ def _hermite(
     db = square + away * square_slope
     position = np.einsum("nk,nkj->nj", a, p) + np.einsum("nk,nkj->nj", b, v)
     return position, np.einsum("nk,nkj->nj", da, p) + np.einsum("nk,nkj->nj", db, v)
-
-
-def _instants(t_s: ArrayLike) -> Array:
-    t = np.asarray(t_s, dtype=float)
-    if t.ndim != 1:
-        raise ValueError(f"instants must have shape (N,), got {t.shape}")
-    return t
-
-
-def _to_i(matrix_ie: Array, vector_e: Array) -> Array:
-    return np.einsum("nij,nj->ni", matrix_ie, vector_e)
-
-
-def _to_e(matrix_ie: Array, vector_i: Array) -> Array:
-    return np.einsum("nji,nj->ni", matrix_ie, vector_i)

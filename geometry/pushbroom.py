@@ -261,21 +261,16 @@ class Pushbroom:
             sample[missing], row[missing] = self._pixels_by_scan(ccd, p[missing])
         return sample, self.rows.lines_of_rows(ccd, row)
 
-    def pixel_jacobian(self, ccd: int, sample: ArrayLike, line: ArrayLike, *, height_m: float = 0.0) -> Array:
-        """Derivative d u_c / d(sample, line) (N, 3, 2), rad/px, of the look directions of pixels (N,).
+    def directions_and_jacobian(
+        self, ccd: NDArray[np.int64], xy_px: Array, *, height_m: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and their derivatives
+        d u_c / d(sample, line) (N, 3, 2), rad/px.
 
         Along the line it is the motion, in frame c, of the ground that the pixel looks at (orbit, Earth
         rotation and attitude together), for ground at `height_m` above the ellipsoid. A covariance C (2, 2)
         px² of an image point gives that of its direction: `J C J^T` (3, 3) rad².
         """
-        sample, line = _pixels(sample, line)
-        ccds = np.full(len(line), ccd)
-        return self.directions_and_jacobian(ccds, np.column_stack([sample, line]), height_m=height_m)[1]
-
-    def directions_and_jacobian(
-        self, ccd: NDArray[np.int64], xy_px: Array, *, height_m: float = 0.0
-    ) -> tuple[Array, Array]:
-        """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and `pixel_jacobian`."""
         u_c, jacobian = np.empty((len(xy_px), 3)), np.empty((len(xy_px), 3, 2))
         row = self.rows.rows_of_lines(ccd, xy_px[:, 1])
         for n in np.unique(ccd).tolist():

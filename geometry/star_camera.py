@@ -219,11 +219,8 @@ class StarCamera:
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
         if self.projection != "tangent":
             ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
-        if self._is_distorted:
-            actual, own, other = self._distorted(ideal)
-            actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
-        else:
-            actual = ideal
+        actual, own, other = self._distorted(ideal)
+        actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
         xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
         return xy if self.smooth is None else self.smooth.applied(xy)
 
@@ -261,11 +258,6 @@ class StarCamera:
         t = ideal * (-1.0 / (self.focal_m * _MM))
         scale = np.sqrt(1.0 + t.real * t.real + t.imag * t.imag) * (-self.focal_m / self.pixel_m)
         slopes = np.empty((len(t), 2, 3))
-        if not self._is_distorted:
-            slopes[:, 0, 0] = slopes[:, 1, 1] = scale
-            slopes[:, 0, 1] = slopes[:, 1, 0] = 0.0
-            slopes[:, :, 2] = _pairs(-scale * t)
-            return slopes
         _, own, other = self._distorted(ideal)
         slopes[:, 0, 0], slopes[:, 1, 1] = scale * (own + other.real), scale * (own - other.real)
         slopes[:, 0, 1] = slopes[:, 1, 0] = scale * other.imag
@@ -283,9 +275,9 @@ class StarCamera:
         x0, y0 = self.principal_px
         return OpenCVParameters(
             camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f])
-            if self.q3 == 0.0
-            else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
+            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6])[
+                : 5 if self.q3 else 4
+            ],
         )
 
     @classmethod
@@ -325,11 +317,6 @@ class StarCamera:
             q2=k2 / f**4,
             q3=k3 / f**6,
         )
-
-    @property
-    def _is_distorted(self) -> bool:
-        """Whether the polynomials of eq. (5) are not zero."""
-        return any((self.p1, self.p2, self.q1, self.q2, self.q3))
 
     def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
@@ -373,8 +360,6 @@ class StarCamera:
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
-        if not self._is_distorted:
-            return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(25):
@@ -431,27 +416,16 @@ def _radially(z: Complex, f_mm: float, factor: Callable[[Array], Array]) -> Comp
     return np.asarray(z * factor(np.maximum(np.abs(z) / f_mm, 1e-12)))
 
 
-def _angle_over_tangent(tangent: Array) -> Array:
-    return np.asarray(np.arctan(tangent) / tangent)
-
-
-def _tangent_over_angle(angle: Array) -> Array:
-    return np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan)
-
-
-def _half_angle_over_tangent(tangent: Array) -> Array:
-    """2 tan(t/2) / tan t, of the tangents of angles t."""
-    return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)))
-
-
-def _tangent_over_half_angle(radius: Array) -> Array:
-    """tan t / r of r = 2 tan(t/2); NaN from t = 90 deg."""
-    return np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan)
-
-
-# Radius r over f against the tangent of the angle: r / tan t of tangents, and tan t / r of radii.
-_RADIUS_OVER_TANGENT = {"equidistant": _angle_over_tangent, "stereographic": _half_angle_over_tangent}
-_TANGENT_OVER_RADIUS = {"equidistant": _tangent_over_angle, "stereographic": _tangent_over_half_angle}
+# Radius r over f against the tangent of the angle t: r / tan t of tangents, and tan t / r of radii, NaN from
+# t = 90 deg.
+_RADIUS_OVER_TANGENT: dict[str, Callable[[Array], Array]] = {
+    "equidistant": lambda tangent: np.arctan(tangent) / tangent,
+    "stereographic": lambda tangent: 2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)),
+}
+_TANGENT_OVER_RADIUS: dict[str, Callable[[Array], Array]] = {
+    "equidistant": lambda angle: np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan),
+    "stereographic": lambda radius: np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan),
+}
 
 
 def _complex(points: Array) -> Complex:

@@ -8,7 +8,7 @@ and by the Earth (0.0006" at its limb). Aberration that a star camera has left i
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import erfa
 import numpy as np
@@ -52,19 +52,11 @@ class StarPlaces(Rows):
     @classmethod
     def uncatalogued(cls, ra_rad: Floats, dec_rad: Floats, v_mag: Floats, epoch_jyear: float) -> StarPlaces:
         """Stars at places (N,) without number, motion and parallax, of the usual colour."""
-        none, hip, b_v = 0.0 * ra_rad, np.zeros(len(ra_rad), np.int64), np.full(len(ra_rad), 0.6)
-        return cls(
-            hip=hip,
-            ra_rad=ra_rad,
-            dec_rad=dec_rad,
-            pm_ra_rad_yr=none,
-            pm_dec_rad_yr=none,
-            parallax_arcsec=none,
-            radial_velocity_km_s=none,
-            v_mag=v_mag,
-            b_v=b_v,
-            epoch_jyear=epoch_jyear,
-        )
+        motion = ("pm_ra_rad_yr", "pm_dec_rad_yr", "parallax_arcsec", "radial_velocity_km_s")
+        none: dict[str, Any] = dict.fromkeys(motion, 0.0 * ra_rad)
+        hip, b_v = np.zeros(len(ra_rad), np.int64), np.full(len(ra_rad), 0.6)
+        places = {"ra_rad": ra_rad, "dec_rad": dec_rad, "epoch_jyear": epoch_jyear}
+        return cls(hip=hip, v_mag=v_mag, b_v=b_v, **places, **none)
 
     def motions(self) -> Floats:
         """Proper motions (N, 3), rad/yr, GCRS axes."""
