@@ -20,7 +20,7 @@ from typing import Literal
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import DAY_S, EARTH_ROTATION_RATE
@@ -43,7 +43,6 @@ __all__ = [
     "rotation_to_gcrs",
 ]
 
-Array = NDArray[np.float64]
 InertialFrame = Literal["GCRF", "ICRF", "EME2000"]
 AttitudeFrame = Literal[InertialFrame, "ITRF"]  # what attitudes may be stated against
 FrameOfDate = Literal["TEME", "TOD"]
@@ -117,7 +116,7 @@ class EarthRotation:
             mjd_last_measured=float(table.mjd_last_measured),
         )
 
-    def matrices_ie(self, t_s: ArrayLike) -> Array:
+    def matrices_ie(self, t_s: ArrayLike) -> Floats:
         """Matrices `R_ie` (N, 3, 3), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
         self._check_inside(t)
@@ -135,7 +134,7 @@ class EarthRotation:
         """Rotations `R_ie` (N,), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         return Rotation.from_matrix(self.matrices_ie(t_s))
 
-    def _check_inside(self, t: Array) -> None:
+    def _check_inside(self, t: Floats) -> None:
         slack = 1e-3  # s, light times and rounding
         if t.size and not (t.min() >= self.t_start_s - slack and t.max() <= self.t_stop_s + slack):
             raise ValueError(
@@ -201,7 +200,7 @@ def _date(mjd: float) -> str:
     return f"{int(year):04d}-{int(month):02d}-{int(day):02d}"
 
 
-def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Array, Array]:
+def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Floats, Floats]:
     """Days (TAI) and values (D, 5) around an interval, with UT1 - TAI; extrapolated past the table's end."""
     tai_utc = tai_minus_utc_s(table.mjd_utc)
     days = table.mjd_utc + tai_utc / DAY_S
@@ -219,7 +218,7 @@ def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tu
     return days[low:high], values[low:high]
 
 
-def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
+def _angular_velocity(days: Floats, values: Floats, mjd: float) -> Floats:
     """Angular velocity (3,) of the ITRS in its own axes, rad/s: pole of rotation, rate by length of day."""
     about = np.array([mjd - 0.5, mjd, mjd + 0.5])
     before, middle, after = _cubic(days, values, np.clip(about, days[0], days[-1]))
@@ -228,7 +227,7 @@ def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
     return np.asarray(EARTH_ROTATION_RATE * (1.0 + ut1_rate) * pole_e)
 
 
-def _cubic(nodes: Array, values: Array, at: Array) -> Array:
+def _cubic(nodes: Floats, values: Floats, at: Floats) -> Floats:
     """Values (N, M) at `at` (N,) by cubic Lagrange interpolation of values (K, M) at nodes (K,)."""
     first = np.clip(np.searchsorted(nodes, at) - 2, 0, len(nodes) - 4)
     near = [nodes[first + k] for k in range(4)]

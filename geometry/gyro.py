@@ -19,7 +19,7 @@ from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, Ints, Rows, array, check_numbers, record, scalar
 
-__all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up"]
+__all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up", "without_gap"]
 
 GAP = 3.0  # usual steps: over a longer one nothing is summed up
 
@@ -128,15 +128,18 @@ class GyroRecord:
         return RotationSpline(at, self.R_sz[rows])(t_s)
 
 
+def without_gap(t_s: Floats) -> list[Ints]:
+    """Rows at increasing instants (K,), in stretches in which no step is three times the usual one."""
+    step = np.diff(t_s)
+    after = np.flatnonzero(step > GAP * np.median(step)) + 1 if len(step) else []
+    return np.split(np.arange(len(t_s)), after)
+
+
 def longest_without_gap(t_s: Floats) -> Ints:
     """Of rows at increasing instants (K,), those of the longest stretch in which no step is three times the
     usual one.
     """
-    step = np.diff(t_s)
-    parts = (
-        np.split(np.arange(len(t_s)), np.flatnonzero(step > GAP * np.median(step)) + 1) if len(step) else []
-    )
-    return max(parts, key=len, default=np.arange(len(t_s)))
+    return max(without_gap(t_s), key=len)
 
 
 def summed_up(turns_s: Floats) -> Rotation:

@@ -32,7 +32,6 @@ __all__ = [
     "gaussian_sigma_px",
 ]
 
-Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
 
 
@@ -46,13 +45,13 @@ class LineSensor(Protocol):
     def n_px(self, ccd: int) -> int:
         """Number of pixels of a CCD."""
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit vectors (N, 3) in frame c towards samples (N,), fractional ones included."""
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """d u_c / d sample, (N, 3), rad/px."""
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to each direction (N, 3), and its distance across the detector, px (N,).
 
         The distance is positive towards +x of frame c. NaN for directions behind the camera.
@@ -82,7 +81,7 @@ class StripImage(Protocol):
         """
 
 
-def end_looks(camera: LineSensor) -> Array:
+def end_looks(camera: LineSensor) -> Floats:
     """Unit vectors (2 C, 3) in frame c towards the first and the last sample of each CCD."""
     last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
     ends = [camera.directions_from_pixels(ccd, np.array([0.0, end])) for ccd, end in enumerate(last)]
@@ -153,7 +152,7 @@ class Ccd:
         if np.any(slope <= 0.0) or along[1] <= along[0]:
             raise ValueError("the distortion table reverses the order of the samples")
 
-    def focal_plane(self, sample: ArrayLike) -> Array:
+    def focal_plane(self, sample: ArrayLike) -> Floats:
         """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""
         n = np.asarray(sample, dtype=float)
         points = self._along(n)[0] * self._axis[:, None]  # components lie together in memory
@@ -161,12 +160,12 @@ class Ccd:
         points -= self._off_line(n)[0] * self._normal[:, None]
         return points.T
 
-    def focal_plane_slope(self, sample: ArrayLike) -> Array:
+    def focal_plane_slope(self, sample: ArrayLike) -> Floats:
         """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
         n = np.asarray(sample, dtype=float)
         return self._along(n)[1][:, None] * self._axis - self._off_line(n)[1][:, None] * self._normal
 
-    def samples(self, xy_f: Array) -> tuple[Array, Array]:
+    def samples(self, xy_f: Floats) -> tuple[Floats, Floats]:
         """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
         (N,), m.
 
@@ -185,28 +184,28 @@ class Ccd:
         return sample, across + self._off_line(sample)[0]
 
     @property
-    def _normal(self) -> Array:
+    def _normal(self) -> Floats:
         return np.array([np.cos(self.rotation_rad), np.sin(self.rotation_rad)])
 
     @property
-    def _axis(self) -> Array:
+    def _axis(self) -> Floats:
         return np.array([-np.sin(self.rotation_rad), np.cos(self.rotation_rad)])
 
     @property
-    def _axis_point(self) -> Array:
+    def _axis_point(self) -> Floats:
         return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
 
-    def _along(self, sample: Array) -> tuple[Array, Array]:
+    def _along(self, sample: Floats) -> tuple[Floats, Floats]:
         """Ideal distance along the detector from its principal sample (N,), m, and its derivative, m/px."""
         offset, beyond, slope = self._offset(self._spline, sample)
         return (sample - self.principal_sample) * self.pixel_m - offset - beyond, self.pixel_m - slope
 
-    def _off_line(self, sample: Array) -> tuple[Array, Array]:
+    def _off_line(self, sample: Floats) -> tuple[Floats, Floats]:
         """Offset across the detector (N,), m, and its derivative, m/px."""
         offset, beyond, slope = self._offset(self._across, sample)
         return offset + beyond, slope
 
-    def _offset(self, spline: CubicSpline | None, sample: Array) -> tuple[Array, Array, Array]:
+    def _offset(self, spline: CubicSpline | None, sample: Floats) -> tuple[Floats, Floats, Floats]:
         """Offset (N,) of a table within its ends, m, its growth from there on, and its derivative, m/px."""
         if spline is None:
             return (np.zeros(len(sample)),) * 3
@@ -248,7 +247,7 @@ class LineCamera:
         """Number of pixels of a CCD."""
         return self.ccds[ccd].n_px
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit look vectors (N, 3), frame c, of samples (N,) of one CCD (paper, eq. 1, with lambda < 0);
         fractional samples, which may lie beyond the ends of the detector. `ccd` is an index from 0.
         """
@@ -256,7 +255,7 @@ class LineCamera:
         v_c = np.array([-x_f, -y_f, np.full(len(x_f), self.focal_m)])  # components lie together in memory
         return (v_c * (1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2))).T
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """Derivative d u_c / d sample (N, 3), rad/px, at samples (N,)."""
         xy_f = self.ccds[ccd].focal_plane(sample)
         v_c = np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
@@ -266,7 +265,7 @@ class LineCamera:
         u_c = v_c / norm
         return (slope - u_c * np.einsum("ni,ni->n", u_c, slope)[:, None]) / norm
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to directions (N, 3), frame c, and their distance (N,) across the detector,
         px, positive towards +x_c. NaN behind the camera.
         """
@@ -331,15 +330,15 @@ class LookAngleCamera:
         """Number of pixels of a CCD."""
         return self.ccds[ccd].n_px
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit look vectors (N, 3), frame c, of samples (N,)."""
         return self._in_plane.directions_from_pixels(ccd, sample)
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """Derivative d u_c / d sample (N, 3), rad/px."""
         return self._in_plane.sample_jacobian(ccd, sample)
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
         sample, across = self._in_plane.samples_from_directions(ccd, u_c)
         return sample, across * np.sign(np.cos(self._in_plane.ccds[ccd].rotation_rad))

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import Floats, array, record, scalar, value_text
+from boresight.geometry.record import Bools, Floats, array, record, scalar, value_text
 
 __all__ = [
     "LEAST_FORWARD",
@@ -39,7 +39,6 @@ __all__ = [
 
 Projection = Literal["tangent", "equidistant", "stereographic"]
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
@@ -160,17 +159,17 @@ class StarCamera:
         """Angle between the ends of the detector's middle row (`row_ends_px`)."""
         return _fov_x(self)
 
-    def row_ends_px(self) -> Array:
+    def row_ends_px(self) -> Floats:
         """The ends (2, 2), px, of the middle row: the middles of the detector's left and right edges or, of a
         fisheye with an edge behind the camera, the last pixels within 89 degrees of its axis."""
         return _row_ends(self).copy()
 
-    def middle_axes(self) -> Array:
+    def middle_axes(self) -> Floats:
         """Rotation matrix (3, 3) whose columns, in frame s, are right, down and the direction of the image's
         middle; down points away from row 0."""
         return _middle_axes(self).copy()
 
-    def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, xy_px: ArrayLike) -> Bools:
         """Mask (N,) of points (N, 2), px, on the detector; its edge is half a pixel beyond the outer
         centres.
         """
@@ -178,7 +177,7 @@ class StarCamera:
         upper = np.array([self.width_px, self.height_px]) - 0.5
         return np.asarray(((xy >= -0.5) & (xy <= upper)).all(axis=1))
 
-    def directions_from_pixels(self, xy_px: ArrayLike) -> Array:
+    def directions_from_pixels(self, xy_px: ArrayLike) -> Floats:
         """Unit vectors (N, 3) in frame s towards points (column, row) (N, 2) of the detector, px, as
         measured, distortion not removed (paper, eqs. 3-6): `[-x, -y, f]` normalised, x and y the ideal image
         coordinates.
@@ -196,7 +195,7 @@ class StarCamera:
         """
         return _normalised(self.tangents_from_pixels(xy_px))
 
-    def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Array:
+    def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Floats:
         """Tangent-plane points (N, 2), `(u_x, u_y) / u_z`, of image points (N, 2), px; NaN as in
         `directions_from_pixels`. An allowed error `error_px` saves iterations."""
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
@@ -204,7 +203,7 @@ class StarCamera:
             ideal = _radially(ideal, self.focal_m * _MM, _TANGENT_OVER_RADIUS[self.projection])
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
-    def pixels_from_directions(self, u_s: ArrayLike) -> Array:
+    def pixels_from_directions(self, u_s: ArrayLike) -> Floats:
         """Image points (column, row) (N, 2), px, of directions (N, 3) of any length, frame s, distortion
         included.
 
@@ -224,14 +223,14 @@ class StarCamera:
         xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
         return xy if self.smooth is None else self.smooth.applied(xy)
 
-    def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
+    def pixel_jacobian(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
         A covariance C (2, 2) px² of a centroid gives that of its direction: `J C J^T` (3, 3) rad².
         """
         return self.directions_and_jacobian(xy_px)[1]
 
-    def directions_and_jacobian(self, xy_px: ArrayLike) -> tuple[Array, Array]:
+    def directions_and_jacobian(self, xy_px: ArrayLike) -> tuple[Floats, Floats]:
         """`directions_from_pixels` (N, 3) and `pixel_jacobian` (N, 3, 2): the distortion is inverted once."""
         if self.smooth is not None or self.projection != "tangent":
             return self.directions_from_pixels(xy_px), self._differences(_points(xy_px))
@@ -246,7 +245,7 @@ class StarCamera:
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
         return _normalised(_pairs(ideal * (-1.0 / f_mm))), J
 
-    def pixel_slopes(self, xy_px: ArrayLike) -> Array:
+    def pixel_slopes(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
         of pixels (N, 2), to which both rows are normal: the pseudo-inverse of `pixel_jacobian`.
         """
@@ -318,7 +317,7 @@ class StarCamera:
             q3=k3 / f**6,
         )
 
-    def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
+    def _distorted(self, z: Complex) -> tuple[Complex, Floats, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
 
         With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + q3 r^6 + 2 t.z. A
@@ -332,7 +331,7 @@ class StarCamera:
         slope = self.q1 + r2 * (2.0 * self.q2 + 3.0 * r2 * self.q3)
         return s * z + r2 * t, s + (r2 * slope + sideways), z * (slope * z + 2.0 * t)
 
-    def _is_valid(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
+    def _is_valid(self, z: Complex, own: Floats, other: Complex) -> Bools:
         """Mask (N,) of points where the distortion is monotone and keeps orientation; arguments of
         `_distorted`.
         """
@@ -351,7 +350,7 @@ class StarCamera:
         reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
         return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
 
-    def _ideal_mm(self, xy_px: Array, error_mm: float = _EXACT_MM) -> Complex:
+    def _ideal_mm(self, xy_px: Floats, error_mm: float = _EXACT_MM) -> Complex:
         """Ideal points x + iy (N,), mm, of pixels (N, 2): inverse of eq. (4); NaN where there is none.
 
         Newton's step for a residual m is  (own m - other conj(m)) / (own^2 - |other|^2).
@@ -374,7 +373,7 @@ class StarCamera:
         z[~found] = complex(np.nan, np.nan)
         return z
 
-    def _differences(self, xy_px: Array) -> Array:
+    def _differences(self, xy_px: Floats) -> Floats:
         """`pixel_jacobian` by differences of directions a tenth of a pixel apart: exact to 1e-9 of itself."""
         steps = 0.1 * np.eye(2)
         columns = [
@@ -386,7 +385,7 @@ class StarCamera:
 
 
 @lru_cache(maxsize=4)  # every image of a camera asks
-def _middle_axes(camera: StarCamera) -> Array:
+def _middle_axes(camera: StarCamera) -> Floats:
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
     middle, above = camera.directions_from_pixels([[x, y], [x, y - 1.0]])
     up = above - middle * (above @ middle)
@@ -395,7 +394,7 @@ def _middle_axes(camera: StarCamera) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _row_ends(camera: StarCamera) -> Array:
+def _row_ends(camera: StarCamera) -> Floats:
     row = 0.5 * (camera.height_px - 1)
     edges = np.array([[-0.5, row], [camera.width_px - 0.5, row]])
     if camera.projection == "tangent" or np.isfinite(camera.directions_from_pixels(edges)).all():
@@ -411,47 +410,47 @@ def _fov_x(camera: StarCamera) -> float:
     return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
 
 
-def _radially(z: Complex, f_mm: float, factor: Callable[[Array], Array]) -> Complex:
+def _radially(z: Complex, f_mm: float, factor: Callable[[Floats], Floats]) -> Complex:
     """Points z (N,), mm, with their radii multiplied by a function of radius over f."""
     return np.asarray(z * factor(np.maximum(np.abs(z) / f_mm, 1e-12)))
 
 
 # Radius r over f against the tangent of the angle t: r / tan t of tangents, and tan t / r of radii, NaN from
 # t = 90 deg.
-_RADIUS_OVER_TANGENT: dict[str, Callable[[Array], Array]] = {
+_RADIUS_OVER_TANGENT: dict[str, Callable[[Floats], Floats]] = {
     "equidistant": lambda tangent: np.arctan(tangent) / tangent,
     "stereographic": lambda tangent: 2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)),
 }
-_TANGENT_OVER_RADIUS: dict[str, Callable[[Array], Array]] = {
+_TANGENT_OVER_RADIUS: dict[str, Callable[[Floats], Floats]] = {
     "equidistant": lambda angle: np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan),
     "stereographic": lambda radius: np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan),
 }
 
 
-def _complex(points: Array) -> Complex:
+def _complex(points: Floats) -> Complex:
     """x + iy of points (N, 2)."""
     return np.ascontiguousarray(points).view(np.complex128)[:, 0]
 
 
-def _pairs(z: Complex) -> Array:
+def _pairs(z: Complex) -> Floats:
     """Points (N, 2) of x + iy."""
     return z.view(float).reshape(-1, 2)
 
 
-def _normalised(tangents: Array) -> Array:
+def _normalised(tangents: Floats) -> Floats:
     """Unit vectors (N, 3) of points (N, 2) of the tangent plane."""
     v = np.column_stack([tangents, np.ones(len(tangents))])
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def _points(xy_px: ArrayLike) -> Array:
+def _points(xy_px: ArrayLike) -> Floats:
     xy = np.asarray(xy_px, dtype=float)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise ValueError(f"xy_px must have shape (N, 2), got {xy.shape}")
     return xy
 
 
-def _inverse_2x2(J: Array) -> Array:
+def _inverse_2x2(J: Floats) -> Floats:
     a, b, c, d = J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1]
     inverse = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -25,7 +25,7 @@ from pyproj import CRS, Transformer
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.terrain_rays import (
     HeightBounds,
     bilinear,
@@ -46,8 +46,7 @@ __all__ = [
     "joined",
 ]
 
-Array = NDArray[np.float64]
-Map = Callable[[Array, Array], tuple[Array, Array]]
+Map = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 _FLAT_M = 1e-6  # relief below this is a constant height
 _CHUNK = 32_768  # rays at a time: their arrays stay in the cache
@@ -63,7 +62,7 @@ _ON_LATTICE_PX = 0.01  # by which tiles of one raster may be off, as coordinates
 class Surface(Protocol):
     """A ground surface."""
 
-    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+    def height_m(self, lat_rad: Floats, lon_rad: Floats) -> Floats:
         """Height above the ellipsoid, m, at geodetic latitudes and longitudes (N,); NaN without data."""
         ...
 
@@ -78,7 +77,7 @@ class ConstantHeight:
 
     height: float = scalar("above the ellipsoid, m")
 
-    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+    def height_m(self, lat_rad: Floats, lon_rad: Floats) -> Floats:
         """Height above the ellipsoid, m, in the broadcast shape of the arguments."""
         return np.full(np.broadcast_shapes(np.shape(lat_rad), np.shape(lon_rad)), self.height)
 
@@ -95,13 +94,13 @@ class LocalMap:
     half: tuple[float, float] = array("2", "half widths of the region, rad")
     coefficients: Floats = array("2, D + 1, D + 1", "by power of u and of v; zero above the total degree")
 
-    def covers(self, u: Array, v: Array) -> NDArray[np.bool_]:
+    def covers(self, u: Floats, v: Floats) -> Bools:
         """Mask (N,) of the points (u, v), rad, inside the region of the fit."""
         inside = np.abs(u - self.middle[0]) <= self.half[0]
         inside &= np.abs(v - self.middle[1]) <= self.half[1]
         return np.asarray(inside)
 
-    def at(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def at(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         """Both coordinates (N,) of points (u, v), rad."""
         x = (u - self.middle[0]) * (1.0 / self.half[0])
         y = (v - self.middle[1]) * (1.0 / self.half[1])
@@ -145,7 +144,7 @@ class TerrainGrid:
         local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
         return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
 
-    def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+    def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
         """Height above the ellipsoid, m, bilinear, elementwise; NaN at missing data or outside."""
         return bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
 
@@ -153,7 +152,7 @@ class TerrainGrid:
         """Lowest and highest height of the surface, m."""
         return self.bounds.lowest_m, self.bounds.highest_m
 
-    def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Array, Array]:
+    def pixels_from_geodetic(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> tuple[Floats, Floats]:
         """Fractional columns and rows of geodetic points, (0, 0) at the centre of the first pixel."""
         lat, lon = np.asarray(lat_rad, dtype=float), np.asarray(lon_rad, dtype=float)
         if self.local_map is not None and self.local_map.covers(lat, lon).all():
@@ -167,7 +166,7 @@ class TerrainGrid:
         x = np.degrees(lon)
         return _pixels_from_map(self.transform, x + 360.0 * np.round((middle - x) / 360.0), np.degrees(lat))
 
-    def pixels_along_tracks(self, tracks: Array) -> Array:
+    def pixels_along_tracks(self, tracks: Floats) -> Floats:
         """Short paths in the raster as polynomials of a parameter from -1 to 1.
 
         `tracks` (K, 3, N) are latitude and longitude, rad, and height, m, at K evenly spaced parameters, and
@@ -196,7 +195,7 @@ class TerrainTiles:
 
     grids: tuple[TerrainGrid, ...] = array("G", "the most important first")
 
-    def height_m(self, lat_rad: Array, lon_rad: Array) -> Array:
+    def height_m(self, lat_rad: Floats, lon_rad: Floats) -> Floats:
         """Height above the ellipsoid, m, elementwise; NaN where no grid has one."""
         heights = np.asarray(self.grids[0].height_m(lat_rad, lon_rad))
         for grid in self.grids[1:]:
@@ -224,7 +223,7 @@ def joined(rasters: Sequence[Raster], most_pixels: int) -> tuple[Raster, ...]:
     return tuple(done)
 
 
-def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
+def intersect(origin_e: Floats, direction_e: Floats, surface: Surface) -> Floats:
     """First intersections (N, 3), frame e, m, of rays from above all ground downwards with the surface;
     origins, m, and directions of any length, (N, 3), are in frame e.
 
@@ -246,7 +245,7 @@ def intersect(origin_e: Array, direction_e: Array, surface: Surface) -> Array:
     return p_e
 
 
-def _on_flat(origin_e: Array, direction_e: Array, surface: Surface, height: float) -> Array:
+def _on_flat(origin_e: Floats, direction_e: Floats, surface: Surface, height: float) -> Floats:
     p_e = ray_ellipsoid_intersection(origin_e, direction_e, height, WGS84)
     if isinstance(surface, ConstantHeight):
         return p_e
@@ -259,18 +258,18 @@ class _RaysOverSurface:
     """Rays from `top` to `top + path`, both (N, 3), frame e, m, over any surface."""
 
     surface: Surface
-    top: Array
-    path: Array
+    top: Floats
+    path: Floats
 
-    def above_ground(self, share: Array) -> Array:
+    def above_ground(self, share: Floats) -> Floats:
         lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.path, WGS84)
         return height - self.surface.height_m(lat, lon)
 
-    def of(self, rays: NDArray[np.int64]) -> _RaysOverSurface:
+    def of(self, rays: Ints) -> _RaysOverSurface:
         return _RaysOverSurface(self.surface, self.top[rays], self.path[rays])
 
 
-def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float, high: float) -> Array:
+def _on_relief(origin_e: Floats, direction_e: Floats, surface: Surface, low: float, high: float) -> Floats:
     """First intersections (N, 3) on each ray from just above the highest ground to just below the lowest."""
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
     near = distances_to_shell(origin, direction, high + _MARGIN_M, WGS84)
@@ -283,7 +282,7 @@ def _on_relief(origin_e: Array, direction_e: Array, surface: Surface, low: float
     return np.asarray(top + share[:, None] * path)
 
 
-def _shares_on_grid(middle: Array, half: Array, grid: TerrainGrid) -> Array:
+def _shares_on_grid(middle: Floats, half: Floats, grid: TerrainGrid) -> Floats:
     """Parameters s (N,) of the first intersections of the paths `middle + s half`, -1 <= s <= 1, both (3, N),
     frame e, m.
     """
@@ -297,12 +296,12 @@ def _shares_on_grid(middle: Array, half: Array, grid: TerrainGrid) -> Array:
     return first_crossings(grid.heights_m, grid.bounds, grid.pixels_along_tracks(tracks))
 
 
-def _nodes(degree: int) -> Array:
+def _nodes(degree: int) -> Floats:
     """Evenly spaced parameters of a path (degree + 1,), from -1 to 1."""
     return np.asarray(np.linspace(-1.0, 1.0, degree + 1), dtype=np.float64)
 
 
-def _on_tiles(origin_e: Array, direction_e: Array, tiles: TerrainTiles) -> Array:
+def _on_tiles(origin_e: Floats, direction_e: Floats, tiles: TerrainTiles) -> Floats:
     """The nearest intersection with a grid where its heights are those of the tiles.
 
     Rays that pass from grid to grid just above the ground have none: they are sampled in even steps.
@@ -343,7 +342,7 @@ def _above_ellipsoid(
     return found
 
 
-def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+def _pixels_from_map(transform: tuple[float, ...], x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
     a, b, c, d, e, f = transform
     dx, dy = np.asarray(x) - c, np.asarray(y) - f
     determinant = a * e - b * d
@@ -367,7 +366,7 @@ def _local_map(transform: tuple[float, ...], shape: tuple[int, ...], crs: str) -
     (low_v, high_v), (low_u, high_u) = ((g.min(), g.max()) for g in (np.radians(lon), np.radians(lat)))
     edge_u, edge_v = 0.02 * (high_u - low_u), 0.02 * (high_v - low_v)
 
-    def true(u: Array, v: Array) -> tuple[Array, Array]:
+    def true(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         return _pixels_from_map(transform, *to_map.transform(np.degrees(v), np.degrees(u)))
 
     return fit_local_map(
@@ -407,7 +406,7 @@ def fit_local_map(
     return None
 
 
-def _horner(coefficients: Array, x: Array, y: Array) -> Array:
+def _horner(coefficients: Floats, x: Floats, y: Floats) -> Floats:
     """Horner's scheme in x over Horner's scheme in y, without powers above the total degree."""
     degree = len(coefficients) - 1
     result = np.full(x.shape, coefficients[degree, 0])
