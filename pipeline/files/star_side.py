@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
@@ -31,6 +30,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
+from boresight.pipeline.files.consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.gyro_file import read_gyro
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck

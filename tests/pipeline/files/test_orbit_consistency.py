@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.consistency import OrbitFault, find_orbit_fault
 from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
+from boresight.pipeline.files.consistency import OrbitFault, find_orbit_fault
 
 OMEGA = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
 
