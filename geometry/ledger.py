@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from boresight.geometry.record import Rows, array, record, scalar
+from boresight.geometry.record import RowRecord, array, record, scalar
 
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
     from boresight.geometry.record import Bools, Floats, Ints, Texts
@@ -312,7 +312,7 @@ def either_of(subjects: Sequence[Subject]) -> str:
 
 
 @record(kw_only=True)
-class Ledger(Rows):
+class Ledger(RowRecord):
     """What strips must show, targets or bright stars, and what became of it. Row n of every array is the same
     observation; sets of observations are masks.
     """

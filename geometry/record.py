@@ -26,7 +26,7 @@ __all__ = [
     "Bools",
     "Floats",
     "Ints",
-    "Rows",
+    "RowRecord",
     "Texts",
     "array",
     "check_numbers",
@@ -137,7 +137,7 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
     return decorate if cls is None else decorate(cls)
 
 
-class Rows:
+class RowRecord:
     """Base of records whose arrays have a row for each of the same things, as has a record of this kind that
     they hold: some of the rows, and those of several records.
     """
@@ -147,7 +147,7 @@ class Rows:
     def take(self, rows: Any) -> Self:
         """The rows with indices (M,), in that order, or of a mask (N,)."""
         held = {name: getattr(self, name) for name in _row_fields(self)}
-        chosen = {n: v.take(rows) if isinstance(v, Rows) else v[rows] for n, v in held.items()}
+        chosen = {n: v.take(rows) if isinstance(v, RowRecord) else v[rows] for n, v in held.items()}
         return cast(Self, dataclasses.replace(cast(Any, self), **chosen))
 
     @classmethod
@@ -157,7 +157,7 @@ class Rows:
 
 
 def together(parts: Sequence[Record]) -> Record:
-    """Records of one class, whose arrays have a row for each of the same things, as one: `Rows.together`."""
+    """Records of one class, whose arrays have a row for each of the same things, as one."""
     columns = {name: [getattr(part, name) for part in parts] for name in _row_fields(parts[0])}
     joined = {name: concatenated(values) for name, values in columns.items()}
     return cast(Record, dataclasses.replace(cast(Any, parts[0]), **joined))
@@ -166,7 +166,7 @@ def together(parts: Sequence[Record]) -> Record:
 def concatenated(values: Sequence[T]) -> T:
     """Arrays, rotations or records of rows, one after another; of one itself."""
     first: Any = values[0]
-    if isinstance(first, Rows):
+    if isinstance(first, RowRecord):
         return cast(T, first.together(cast(Any, values)))
     if hasattr(first, "dtype"):
         import numpy as np
@@ -215,7 +215,7 @@ def _row_fields(record: Any) -> list[str]:
     """Names of the fields that have rows."""
     held = {field.name: getattr(record, field.name) for field in dataclasses.fields(record) if field.init}
     arrays = {field.name for field in dataclasses.fields(record) if shape_of(field)}
-    return [n for n, v in held.items() if isinstance(v, Rows) or (n in arrays and v is not None)]
+    return [n for n, v in held.items() if isinstance(v, RowRecord) or (n in arrays and v is not None)]
 
 
 def _dimension(text: str) -> Dimension:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.gyro import GyroRows
-from boresight.geometry.record import Bools, Floats, Ints, Rows, Texts, array, record, scalar, together
+from boresight.geometry.record import Bools, Floats, Ints, RowRecord, Texts, array, record, scalar, together
 
 __all__ = [
     "ExposureAttitudes",
@@ -95,7 +95,7 @@ class ExposureAttitudes:
 
 
 @record
-class GroundReferences(Rows):
+class GroundReferences(RowRecord):
     """The references (a mosaic, a survey) of targets, whose offset is an error that their targets share."""
 
     name: Texts = array("N", "id of the reference of each target; empty: none")
@@ -105,7 +105,7 @@ class GroundReferences(Rows):
 
 
 @record(kw_only=True)
-class GroundSightings(Rows):
+class GroundSightings(RowRecord):
     """Calibration targets measured in one strip. Row n of every array is the same measurement.
 
     `cov_c` holds what is independent from row to row: the error of the image measurement. Errors that are
@@ -155,7 +155,7 @@ class GroundSightings(Rows):
 
 
 @record(kw_only=True)
-class HeadAttitudes(Rows):
+class HeadAttitudes(RowRecord):
     """Attitudes of one more star camera (head) around a strip, in its own frame h."""
 
     head: str = scalar("name of the head")

@@ -272,11 +272,10 @@ class StarCamera:
         f = self.focal_m * _MM
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
+        k = [self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]
         return OpenCVParameters(
             camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6])[
-                : 5 if self.q3 else 4
-            ],
+            distortion=np.array(k if self.q3 else k[:4]),
         )
 
     @classmethod

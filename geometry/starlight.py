@@ -23,7 +23,7 @@ from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic, unit_vectors
-from boresight.geometry.record import Bools, Floats, Ints, Rows, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = [
     "AberrationRemoved",
@@ -46,7 +46,7 @@ _LOWEST_COSINE = 0.05  # of the zenith distance: 3 degrees above the horizon, wh
 
 
 @record(kw_only=True)
-class StarPlaces(Rows):
+class StarPlaces(RowRecord):
     """Catalogue positions of N stars, ICRS at `epoch_jyear`. Row n of every array is the same star."""
 
     hip: Ints = array("N", "Hipparcos numbers")
@@ -79,7 +79,7 @@ class StarPlaces(Rows):
 
 
 @record(kw_only=True)
-class SurveyedStars(Rows):
+class SurveyedStars(RowRecord):
     """N stars with the errors that their catalogue states. Row n of every array is the same star."""
 
     name: str = scalar('of the catalogue, before the number of a star: "HIP"')

@@ -30,11 +30,11 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 from boresight.pipeline.files.centroid_files import read_centroids
-from boresight.pipeline.files.consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.gyro_file import read_gyro
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
+from boresight.pipeline.files.usual_mistakes import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.star_id.centroids import Centroids
 
 __all__ = [
