@@ -131,8 +131,8 @@ class GyroRecord:
 def without_gap(t_s: Floats) -> list[Ints]:
     """Rows at increasing instants (K,), in stretches in which no step is three times the usual one."""
     step = np.diff(t_s)
-    after = np.flatnonzero(step > GAP * np.median(step)) + 1 if len(step) else []
-    return np.split(np.arange(len(t_s)), after)
+    gaps = step > GAP * np.median(step) if len(step) else np.zeros(0, dtype=bool)
+    return np.split(np.arange(len(t_s)), np.flatnonzero(gaps) + 1)
 
 
 def longest_without_gap(t_s: Floats) -> Ints:

@@ -66,7 +66,7 @@ class StarPlaces(RowRecord):
         motion = ("pm_ra_rad_yr", "pm_dec_rad_yr", "parallax_arcsec", "radial_velocity_km_s")
         none: dict[str, Any] = dict.fromkeys(motion, 0.0 * ra_rad)
         hip, b_v = np.zeros(len(ra_rad), np.int64), np.full(len(ra_rad), 0.6)
-        places = {"ra_rad": ra_rad, "dec_rad": dec_rad, "epoch_jyear": epoch_jyear}
+        places: dict[str, Any] = {"ra_rad": ra_rad, "dec_rad": dec_rad, "epoch_jyear": epoch_jyear}
         return cls(hip=hip, v_mag=v_mag, b_v=b_v, **places, **none)
 
     def motions(self) -> Floats:
