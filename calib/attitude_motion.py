@@ -129,7 +129,7 @@ def stretches(
     what the noise of the head has in common from row to row; where a gyro covers them, against that.
     """
     for part in (rows[part] for part in without_gap(t_s[rows])):
-        for here in np.array_split(part, -(-len(part) // MOST_ROWS)):
+        for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)):
             if len(here) >= FEWEST_ROWS:
                 yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise, gyro)
 
