@@ -21,14 +21,13 @@ import numpy as np
 from record import arguments_of, exit_status, head, judge_largest, not_run
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.atmosphere import layered_atmosphere, standard_atmosphere
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
+from boresight.geometry.groundlight import LightEffects, layered_atmosphere, standard_atmosphere
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock

@@ -18,13 +18,12 @@ import numpy as np
 from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.gyro import GyroRows, longest_without_gap
-from boresight.geometry.record import Floats, Ints
+from boresight.geometry.record import Floats, Ints, concatenated
 from boresight.geometry.sightings import (
     ExposureAttitudes,
     GroundSightings,
     HeadAttitudes,
     StripSightings,
-    rotations_together,
 )
 
 __all__ = ["groups_of", "moved_in_passes", "passes_of"]
@@ -131,8 +130,8 @@ def _joined(strips: list[StripSightings]) -> StripSightings:
         strips[0],
         exposures=tuple(listed[n][1] for n in rows.tolist()),
         ground=GroundSightings.together([strip.ground for strip in strips]),
-        R_oi_exposures=rotations_together([strip.R_oi_exposures for strip in strips])[rows],
-        R_oi_targets=rotations_together([strip.R_oi_targets for strip in strips]),
+        R_oi_exposures=concatenated([strip.R_oi_exposures for strip in strips])[rows],
+        R_oi_targets=concatenated([strip.R_oi_targets for strip in strips]),
         attitudes=ExposureAttitudes.together([strip.fitted for strip in strips]).take(rows),
         others=tuple(one.take(_first_of_each(one.t_s)) for one in records),
         gyro=_gyro_of(strips),
@@ -162,12 +161,7 @@ def _gyro_of(strips: Sequence[StripSightings]) -> GyroRows | None:
     parts = [strip.gyro for strip in strips if strip.gyro is not None]
     if not parts:
         return None
-    every = replace(
-        parts[0],
-        t_s=np.concatenate([part.t_s for part in parts]),
-        R_sz=rotations_together([part.R_sz for part in parts]),
-        R_oi=rotations_together([part.R_oi for part in parts]),
-    )
+    every = GyroRows.together(parts)
     once = every.take(_first_of_each(every.t_s))
     return once.take(longest_without_gap(once.t_s))
 

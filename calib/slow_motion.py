@@ -21,9 +21,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from boresight.calib.attitude_motion import motion_modes
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
-from boresight.geometry.attitude_motion import motion_modes
 from boresight.geometry.record import Floats, array, record
 from boresight.geometry.sightings import StripSightings
 

@@ -15,12 +15,12 @@ from dataclasses import field
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
     "Attitude",
@@ -34,7 +34,6 @@ __all__ = [
     "linear_weights",
 ]
 
-Array = NDArray[np.float64]
 Interpolation = Literal["lagrange", "taylor"]  # names of the ways between attitudes; see `AttitudeTrack`
 _TAYLOR_POINTS = 8  # attitudes around an instant that the operator's interpolation of Sentinel-2 takes
 _NEAR = 0.1  # of the mean step: exposures nearer to one another give no slope
@@ -87,7 +86,7 @@ class ConstantRate:
 
 def interpolation_weights(
     t_nodes: ArrayLike, t: ArrayLike, interpolation: Interpolation = "lagrange", points: int = 4
-) -> Array:
+) -> Floats:
     """Weights (J, K) by which values at nodes (K,) give values at instants (J,); each row sums to 1.
 
     "lagrange": polynomials through the `points` nodes around each instant (all nodes if fewer), at the ends
@@ -103,7 +102,7 @@ def interpolation_weights(
     return weights
 
 
-def linear_weights(t_nodes: Array, t: Array, inside: Bools | None = None) -> sparse.csr_array:
+def linear_weights(t_nodes: Floats, t: Floats, inside: Bools | None = None) -> sparse.csr_array:
     """Sparse weights (J, K) by which values at nodes (K,) give values at instants (J,), linearly between two
     nodes, beyond the ends those of the nearest; rows of zeros for instants that are not `inside`. Without
     nodes there are no columns.
@@ -175,18 +174,18 @@ class AttitudeTrack:
         default="lagrange",
     )
     is_smoothed: bool = scalar("whether errors of neighbouring attitudes are alike", default=False)
-    smoothed_errors: Callable[[Array], Array] | None = scalar(
+    smoothed_errors: Callable[[Floats], Floats] | None = scalar(
         "of smoothed attitudes: rotation (N, 3, A) about the axes of s at instants (N,), by independent "
         "errors of unit variance, rad",
         default=None,
     )
-    shares: Mapping[str, Array] = scalar(
+    shares: Mapping[str, Floats] = scalar(
         "(3, 3) by which a rotation of each head, by its name, rotates these, axes of s; none: of one head",
         default_factory=dict,
     )
-    _share: Array = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
+    _share: Floats = field(init=False, repr=False)  # (N, K) of the exposures in the nodes
     _R_so_middle: Rotation = field(init=False, repr=False)
-    _rotvec_s: Array = field(
+    _rotvec_s: Floats = field(
         init=False, repr=False
     )  # (K, 3) D_k relative to the middle one, rotation vectors
 
@@ -215,7 +214,7 @@ class AttitudeTrack:
         return float(t[0] - 0.5 * (t[1] - t[0])), float(t[-1] + 0.5 * (t[-1] - t[-2]))
 
     @property
-    def breaks_s(self) -> Array:
+    def breaks_s(self) -> Floats:
         """Instants (B,) where the interpolation is not smooth: exposures, or halfway between them."""
         return self.t_s if self.interpolation == "lagrange" else 0.5 * (self.t_s[1:] + self.t_s[:-1])
 
@@ -232,7 +231,7 @@ class AttitudeTrack:
             rotvec += weights[:, m, None] * self._rotvec_s[start + m]
         return Rotation.from_rotvec(rotvec) * self._R_so_middle
 
-    def errors_s(self, t_s: ArrayLike, covariance_s: Array | None = None) -> Array:
+    def errors_s(self, t_s: ArrayLike, covariance_s: Floats | None = None) -> Floats:
         """Rotation (N, 3, 3 K) about the axes of s, at instants (N,), by each of 3 K independent errors, 1
         sigma, of the K exposures that the track was made from, of covariance (K, 3, K, 3), rad²; of smoothed
         attitudes by their own.
@@ -247,7 +246,7 @@ class AttitudeTrack:
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).reshape(K, 3, 3 * K)
         return np.asarray(np.tensordot(weights, root, axes=1))
 
-    def covariance_s(self, t_s: ArrayLike) -> Array:
+    def covariance_s(self, t_s: ArrayLike) -> Floats:
         """Covariance (N, 3, 3), rad^2, of a small rotation of `R_si(t_s)` about the axes of s.
 
         The exposures' errors, propagated through the weights, plus the interpolation error; of smoothed
@@ -263,7 +262,7 @@ class AttitudeTrack:
             covariance += np.einsum("jk,kab->jab", weights**2, self.cov_s)
         return covariance
 
-    def interpolation_sigma_rad(self, t_s: ArrayLike) -> Array:
+    def interpolation_sigma_rad(self, t_s: ArrayLike) -> Floats:
         """1-sigma (N, 3), about the axes of s, of the interpolation error between the exposures, rad.
 
         The remainder of Lagrange's formula, `f'''' (t - t_1)...(t - t_4) / 4!` for four points, with the
@@ -313,7 +312,7 @@ class EarthFixedAttitude:
         return (self.earth.rotations_ie(t) * Rotation.from_quat(quaternion)).inv()
 
 
-def _inside(nodes: Array, t: Array) -> None:
+def _inside(nodes: Floats, t: Floats) -> None:
     """Raise `ValueError` unless all instants lie within the nodes, or half a step outside."""
     if len(nodes) < 2 or np.any(np.diff(nodes) <= 0.0):
         raise ValueError(f"two or more nodes in increasing order are needed, got {len(nodes)}")
@@ -327,15 +326,15 @@ def _inside(nodes: Array, t: Array) -> None:
         )
 
 
-def _stencil_start(nodes: Array, t: Array, points: int) -> NDArray[np.int64]:
+def _stencil_start(nodes: Floats, t: Floats, points: int) -> Ints:
     _inside(nodes, t)
     interval = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 2)
     return np.clip(interval - (points // 2 - 1), 0, len(nodes) - points)
 
 
 def _stencil_weights(
-    nodes: Array, t: Array, interpolation: Interpolation, points: int
-) -> tuple[NDArray[np.int64], Array]:
+    nodes: Floats, t: Floats, interpolation: Interpolation, points: int
+) -> tuple[Ints, Floats]:
     """First node (J,) of each stencil and the weights (J, points) of its nodes."""
     if interpolation == "taylor" and len(nodes) >= _TAYLOR_POINTS:
         return _taylor_weights(nodes, t)
@@ -352,7 +351,7 @@ def _stencil_weights(
     return start, weights
 
 
-def _taylor_weights(nodes: Array, t: Array) -> tuple[NDArray[np.int64], Array]:
+def _taylor_weights(nodes: Floats, t: Floats) -> tuple[Ints, Floats]:
     """`_stencil_weights` of the expansion about the nearest node."""
     points = _TAYLOR_POINTS
     _inside(nodes, t)
@@ -366,7 +365,7 @@ def _taylor_weights(nodes: Array, t: Array) -> tuple[NDArray[np.int64], Array]:
     return start, np.linalg.solve(np.swapaxes(powers, 1, 2), to_second_order[:, :, None])[:, :, 0]
 
 
-def _divided_difference_weights(nodes: Array, order: int) -> Array:
+def _divided_difference_weights(nodes: Floats, order: int) -> Floats:
     """Matrix (K - order, K) that takes values at the nodes to their divided differences of this order."""
     matrix = np.eye(len(nodes))
     for step in range(1, order + 1):

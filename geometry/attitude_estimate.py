@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dsyev
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
@@ -37,7 +36,6 @@ __all__ = [
     "fit_exposures",
     "sums_over",
     "wahba_matrices",
-    "wahba_rotation",
     "with_attitudes",
 ]
 
@@ -149,24 +147,6 @@ def wahba_matrices(profile: Floats) -> Floats:
     U, _, Vt = np.linalg.svd(profile)
     U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
     return U @ Vt
-
-
-def wahba_rotation(profile: Floats) -> Rotation:
-    """Rotation R that maximises tr(Rᵀ profile), profile (3, 3) = sum w a bᵀ: a = R b, for one problem.
-
-    Davenport's q-method (Wertz 1978, sec. 12.2.3), at a quarter of the time of `wahba_matrices`: the
-    quaternion is the eigenvector of the largest eigenvalue; scipy's is the conjugate of Davenport's, which
-    rotates axes.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = profile.tolist()
-    K = [
-        [xx - yy - zz, xy + yx, xz + zx, zy - yz],
-        [xy + yx, yy - xx - zz, yz + zy, xz - zx],
-        [xz + zx, yz + zy, zz - xx - yy, yx - xy],
-        [zy - yz, xz - zx, yx - xy, xx + yy + zz],
-    ]
-    _, vectors, _ = dsyev(K)  # ascending; numpy's eigh takes twice the time for so small a matrix
-    return Rotation.from_quat(vectors[:, 3])
 
 
 def cross_matrices(v: Floats) -> Floats:

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroNoise, GyroRows
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion", "smoothed_track"]
 
@@ -50,7 +50,7 @@ MOST_NODES = 240  # that are asked for the motion; more would not change it
 
 
 @record(kw_only=True)
-class HeadRows:
+class HeadRows(RowRecord):
     """Attitudes of one head over a pass, turned to frame s by its alignment as far as that is known."""
 
     t_s: Floats = array("K", "instants, increasing, TAI seconds since the epoch")
@@ -61,8 +61,7 @@ class HeadRows:
 
     def within(self, first_s: float, last_s: float) -> HeadRows:
         """The rows from one instant to another."""
-        rows = slice(*np.searchsorted(self.t_s, [first_s, last_s]))
-        return replace(self, t_s=self.t_s[rows], R_so=self.R_so[rows], covariance_s=self.covariance_s[rows])
+        return self.take(slice(*np.searchsorted(self.t_s, [first_s, last_s])))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

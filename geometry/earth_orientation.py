@@ -26,7 +26,6 @@ __all__ = [
     "expected_rotation_error_rad",
 ]
 
-Array = NDArray[np.float64]
 
 _MJD_1972 = 41317.0  # 1972-01-01, MJD: before it UTC had no leap seconds, and the table is not used
 _EQUATOR_SPEED = 465.1  # m/s on the equator: displacement per second of UT1
@@ -127,7 +126,7 @@ def _extrapolation_m(days_past: float) -> tuple[float, float]:
     return 0.25 * days**0.9, min(0.05 * days, 6.0)
 
 
-def _parse_c04(text: bytes) -> Array:
+def _parse_c04(text: bytes) -> Floats:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s and rad) of an EOP 20 C04 file."""
     lines = _lines(text[text.rindex(b"#") :].partition(b"\n")[2])
     places = ((16, 26), (50, 62), (26, 38), (38, 50), (62, 74), (74, 86))
@@ -136,7 +135,7 @@ def _parse_c04(text: bytes) -> Array:
     return columns
 
 
-def _parse_finals(text: bytes, after_mjd: float) -> tuple[Array, float]:
+def _parse_finals(text: bytes, after_mjd: float) -> tuple[Floats, float]:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s, rad) of finals2000A.all after a day, and the MJD of its last
     measured UT1.
 

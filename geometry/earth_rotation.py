@@ -1,17 +1,26 @@
-"""GCRS <-> ITRS for many epochs: IAU 2006/2000A precession-nutation, Earth rotation angle, polar motion.
+"""Rotations to GCRS: from ITRS at many epochs, and from the other frames that files name.
 
-Slow parts are interpolated by cubics: X, Y and s from nodes every six hours, the IERS parameters from their
-daily values (UT1 as UT1 - TAI, which has no leap seconds). The Earth rotation angle is exact at each epoch.
-Not modelled: diurnal and semi-diurnal tides in UT1 and polar motion (<= 0.03 m on the ground).
+ITRS: IAU 2006/2000A precession-nutation, Earth rotation angle, polar motion. Slow parts are interpolated by
+cubics: X, Y and s from nodes every six hours, the IERS parameters from their daily values (UT1 as UT1 - TAI,
+which has no leap seconds). The Earth rotation angle is exact at each epoch. Not modelled: diurnal and
+semi-diurnal tides in UT1 and polar motion (<= 0.03 m on the ground).
+
+GCRF and, with the Earth as centre, ICRF have the axes of GCRS. EME2000 has the mean equator and equinox of
+J2000; the rotation between the two is the frame bias of IAU 2000, 23 mas (erfa.bp00). Two frames are of date.
+TOD has the true equator and equinox by IAU 2006/2000A. TEME, the frame of SGP4, has the true equator and a
+mean equinox that the sidereal time of 1982 defines: rotated by it about the pole it becomes the Earth-fixed
+frame without polar motion, which the Earth rotation angle makes of the intermediate frame (as in astropy).
+Their difference changes by 1.5e-6 arcsec with a second of UT1, so that UTC serves.
 """
 
 from __future__ import annotations
 
 import warnings
+from typing import Literal
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import DAY_S, EARTH_ROTATION_RATE
@@ -22,12 +31,21 @@ from boresight.geometry.earth_orientation import (
     expected_error_m,
     expected_rotation_error_rad,
 )
-from boresight.geometry.epoch import MJD_ZERO_JD, Epoch, tai_minus_utc_s
+from boresight.geometry.epoch import J2000_JD, MJD_ZERO_JD, Epoch, tai_minus_utc_s
 from boresight.geometry.record import Floats, array, record, scalar
 
-__all__ = ["EarthRotation"]
+__all__ = [
+    "AttitudeFrame",
+    "EarthRotation",
+    "FrameOfDate",
+    "InertialFrame",
+    "of_date_to_gcrs",
+    "rotation_to_gcrs",
+]
 
-Array = NDArray[np.float64]
+InertialFrame = Literal["GCRF", "ICRF", "EME2000"]
+AttitudeFrame = Literal[InertialFrame, "ITRF"]  # what attitudes may be stated against
+FrameOfDate = Literal["TEME", "TOD"]
 
 _NODE_DAYS = 0.25  # nutation of 9 days and 50 mas is interpolated to 1e-9 rad and better
 # Days before the end of the table from which its trend is taken: a shorter baseline is biased by tides and
@@ -98,7 +116,7 @@ class EarthRotation:
             mjd_last_measured=float(table.mjd_last_measured),
         )
 
-    def matrices_ie(self, t_s: ArrayLike) -> Array:
+    def matrices_ie(self, t_s: ArrayLike) -> Floats:
         """Matrices `R_ie` (N, 3, 3), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
         self._check_inside(t)
@@ -116,13 +134,34 @@ class EarthRotation:
         """Rotations `R_ie` (N,), ITRS to GCRS, at `t_s` (N,). `ValueError` outside the interval."""
         return Rotation.from_matrix(self.matrices_ie(t_s))
 
-    def _check_inside(self, t: Array) -> None:
+    def _check_inside(self, t: Floats) -> None:
         slack = 1e-3  # s, light times and rounding
         if t.size and not (t.min() >= self.t_start_s - slack and t.max() <= self.t_stop_s + slack):
             raise ValueError(
                 f"Earth rotation was prepared for {self.t_start_s:.3f} to {self.t_stop_s:.3f} s, "
                 f"asked for {t.min():.3f} to {t.max():.3f} s"
             )
+
+
+def rotation_to_gcrs(frame: InertialFrame) -> Rotation:
+    """The rotation that takes vectors of an inertial frame to GCRS."""
+    if frame == "EME2000":
+        bias, _, _ = erfa.bp00(J2000_JD, 0.0)
+        return Rotation.from_matrix(bias).inv()
+    return Rotation.identity()
+
+
+def of_date_to_gcrs(frame: FrameOfDate, epoch: Epoch, t_s: ArrayLike) -> Rotation:
+    """The rotations (N,) that take vectors of a frame of date to GCRS at instants (N,), TAI seconds."""
+    t = np.atleast_1d(np.asarray(t_s, dtype=float))
+    tt = epoch.tt_jd(t)
+    if frame == "TOD":
+        return Rotation.from_matrix(erfa.pnm06a(*tt)).inv()
+    mjd = epoch.mjd_tai(t)
+    ut1 = MJD_ZERO_JD, mjd - tai_minus_utc_s(mjd) / DAY_S
+    turn = erfa.era00(*ut1) - erfa.gmst82(*ut1)
+    R_teme_cirs = Rotation.from_rotvec(np.outer(turn, [0.0, 0.0, -1.0]))
+    return (R_teme_cirs * Rotation.from_matrix(erfa.c2i06a(*tt))).inv()
 
 
 def _check_dates(
@@ -161,7 +200,7 @@ def _date(mjd: float) -> str:
     return f"{int(year):04d}-{int(month):02d}-{int(day):02d}"
 
 
-def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Array, Array]:
+def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tuple[Floats, Floats]:
     """Days (TAI) and values (D, 5) around an interval, with UT1 - TAI; extrapolated past the table's end."""
     tai_utc = tai_minus_utc_s(table.mjd_utc)
     days = table.mjd_utc + tai_utc / DAY_S
@@ -179,7 +218,7 @@ def _daily_values(table: EarthOrientationTable, start: float, stop: float) -> tu
     return days[low:high], values[low:high]
 
 
-def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
+def _angular_velocity(days: Floats, values: Floats, mjd: float) -> Floats:
     """Angular velocity (3,) of the ITRS in its own axes, rad/s: pole of rotation, rate by length of day."""
     about = np.array([mjd - 0.5, mjd, mjd + 0.5])
     before, middle, after = _cubic(days, values, np.clip(about, days[0], days[-1]))
@@ -188,7 +227,7 @@ def _angular_velocity(days: Array, values: Array, mjd: float) -> Array:
     return np.asarray(EARTH_ROTATION_RATE * (1.0 + ut1_rate) * pole_e)
 
 
-def _cubic(nodes: Array, values: Array, at: Array) -> Array:
+def _cubic(nodes: Floats, values: Floats, at: Floats) -> Floats:
     """Values (N, M) at `at` (N,) by cubic Lagrange interpolation of values (K, M) at nodes (K,)."""
     first = np.clip(np.searchsorted(nodes, at) - 2, 0, len(nodes) - 4)
     near = [nodes[first + k] for k in range(4)]

@@ -20,9 +20,10 @@ from functools import cache, lru_cache
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from boresight.geometry.constants import DAY_S
+from boresight.geometry.record import Floats, Ints
 
 __all__ = [
     "GPS_MINUS_TAI_S",
@@ -33,7 +34,6 @@ __all__ = [
     "tai_minus_utc_s",
 ]
 
-Array = NDArray[np.float64]
 
 TT_MINUS_TAI_S = 32.184  # s, IAU 1991 Recommendation IV
 GPS_MINUS_TAI_S = -19  # s, IS-GPS-200: GPS time met UTC on 1980-01-06
@@ -46,9 +46,6 @@ _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)  # origin of `Epoch.tai_s` a
 _MJD_1972 = 41317  # 1972-01-01, MJD: the first day of UTC with whole leap seconds
 # Regular expression of a UTC date with or without time, ISO 8601, to 1e-18 s.
 _DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
-_MINUTE = len("2024-06-30T23:59:")  # length of the text of a time to the minute, colon included
-# after the minute; a leap second is looked at with its minute
-_SECONDS = re.compile(r"([0-5]\d)(?:\.(\d{1,18}))?Z?", re.A)
 # Day 0 of MJD, 1858-11-17, in Python's count of days.
 _MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
 
@@ -68,13 +65,13 @@ class Epoch:
         """
         return Epoch(_tai_from_utc(utc)[0])
 
-    def seconds_from_utc(self, utc: Sequence[str]) -> Array:
+    def seconds_from_utc(self, utc: Sequence[str]) -> Floats:
         """TAI seconds since this epoch of UTC dates in ISO form; (N,). Errors as in `from_utc`."""
         parts = [_tai_from_utc(text) for text in utc]
         whole = np.array([second - self.tai_s for second, _ in parts], dtype=float)
         return whole + np.array([fraction for _, fraction in parts], dtype=float)
 
-    def seconds_from_gps_dates(self, dates: Sequence[str]) -> Array:
+    def seconds_from_gps_dates(self, dates: Sequence[str]) -> Floats:
         """TAI seconds since this epoch of calendar dates in GPS time, `2020-08-16T12:02:45.812731`; (N,).
 
         GPS time has no leap seconds, so such a date is 18 s ahead of UTC in 2020. `ValueError` for text of
@@ -104,29 +101,29 @@ class Epoch:
             for second, nano in zip(whole, nanoseconds)
         ]
 
-    def tai_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
+    def tai_jd(self, t_s: ArrayLike) -> tuple[Floats, Floats]:
         """Two-part Julian date (TAI), elementwise: the epoch's noon and days since then, exact to 1e-11 s."""
         day, second = divmod(self.tai_s, _DAY)
         t = np.asarray(t_s, dtype=float)
         return np.full(t.shape, J2000_JD + day), (t + second) / DAY_S
 
-    def tt_jd(self, t_s: ArrayLike) -> tuple[Array, Array]:
+    def tt_jd(self, t_s: ArrayLike) -> tuple[Floats, Floats]:
         """Two-part Julian date (TT) of TAI seconds since this epoch, elementwise, split as in `tai_jd`."""
         day, days_since = self.tai_jd(t_s)
         return day, days_since + TT_MINUS_TAI_S / DAY_S
 
-    def julian_year(self, t_s: ArrayLike) -> Array:
+    def julian_year(self, t_s: ArrayLike) -> Floats:
         """Julian epoch (TT, years, e.g. 1991.25) of TAI seconds since this epoch, elementwise."""
         day, days_since = self.tt_jd(t_s)
         return np.asarray(2000.0 + ((day - J2000_JD) + days_since) / 365.25)
 
-    def mjd_tai(self, t_s: ArrayLike) -> Array:
+    def mjd_tai(self, t_s: ArrayLike) -> Floats:
         """Modified Julian date (TAI) as floats, elementwise, exact to 1 µs: for slowly varying tables."""
         day, days_since = self.tai_jd(t_s)
         return np.asarray((day - MJD_ZERO_JD) + days_since)
 
 
-def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
+def tai_minus_utc_s(mjd_utc: ArrayLike) -> Floats:
     """TAI - UTC, whole seconds, elementwise, on UTC days given as MJD. `ValueError` before 1972."""
     days, offsets = _leap_seconds()
     index = np.searchsorted(days, np.floor(np.asarray(mjd_utc, dtype=float)), side="right") - 1
@@ -135,13 +132,13 @@ def tai_minus_utc_s(mjd_utc: ArrayLike) -> Array:
     return np.asarray(offsets[index], dtype=float)
 
 
-def ephemeris_time(epoch: Epoch, t_s: ArrayLike) -> Array:
+def ephemeris_time(epoch: Epoch, t_s: ArrayLike) -> Floats:
     """Ephemeris time (N,), s, of TAI seconds since the epoch (N,)."""
     tt = epoch.tai_s + np.asarray(t_s, dtype=float) + TT_MINUS_TAI_S
     return np.asarray(tt + _tdb_minus_tt(tt))
 
 
-def seconds_from_ephemeris_time(epoch: Epoch, et: ArrayLike) -> Array:
+def seconds_from_ephemeris_time(epoch: Epoch, et: ArrayLike) -> Floats:
     """TAI seconds since the epoch (N,) of ephemeris times (N,), s; exact to the rounding of `et`."""
     et = np.asarray(et, dtype=float)
     tt = et
@@ -151,7 +148,7 @@ def seconds_from_ephemeris_time(epoch: Epoch, et: ArrayLike) -> Array:
 
 
 @cache
-def _leap_seconds() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _leap_seconds() -> tuple[Ints, Ints]:
     """MJD of the first day on which each TAI - UTC holds, and that TAI - UTC."""
     table = [row for row in erfa.leap_seconds.get() if row["year"] >= 1972]
     days = [_mjd(int(row["year"]), int(row["month"]), 1) for row in table]
@@ -173,26 +170,8 @@ def _day(year: str, month: str, day: str) -> tuple[int, int, bool]:
 
 
 def _tai_from_utc(text: str) -> tuple[int, float]:
-    """TAI seconds since the origin: whole and fraction. States of an orbit share their minutes."""
-    text = text.strip()
-    if not (seconds := _SECONDS.fullmatch(text, _MINUTE)):
-        return _parsed(text)
-    try:
-        minute = _minute(text[:_MINUTE])
-    except ValueError:
-        return _parsed(text)  # which tells what is wrong with the whole text
-    second, fraction = seconds.groups("0")
-    return minute + int(second), float(f"0.{fraction}")
-
-
-@lru_cache(maxsize=4096)
-def _minute(text: str) -> int:
-    """TAI seconds from the origin to the beginning of a minute, `2024-06-30T23:59:`."""
-    return _parsed(f"{text}00")[0]
-
-
-def _parsed(text: str) -> tuple[int, float]:
-    match = _DATE_TIME.fullmatch(text)
+    """TAI seconds since the origin: whole and fraction."""
+    match = _DATE_TIME.fullmatch(text := text.strip())
     if match is None:
         raise ValueError(f"UTC must look like 2024-06-30T23:59:59.123456789, found {text!r}")
     *date, hours, minutes, seconds, fraction = match.groups("0")
@@ -222,7 +201,7 @@ def _utc_from_tai(tai_s: int, nanosecond: int) -> str:
     return f"{date.isoformat()}T{hour:02d}:{minute:02d}:{second + int(in_leap_second):02d}.{nanosecond:09d}"
 
 
-def _tdb_minus_tt(tt: Array) -> Array:
+def _tdb_minus_tt(tt: Floats) -> Floats:
     """K sin E, E = M + EB sin M, M = M0 + M1 t, s, with the constants of NAIF's leap-second kernels (Time
     Required Reading): 1.657 ms and yearly.
     """

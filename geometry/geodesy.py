@@ -7,26 +7,24 @@ from __future__ import annotations
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from boresight.geometry.constants import Ellipsoid
+from boresight.geometry.record import Floats
 
 __all__ = [
     "columns_at_height",
     "distances_to_shell",
     "ecef_from_geodetic",
-    "ellipsoid_normals",
     "geodetic_from_ecef",
     "local_axes_e",
     "ray_ellipsoid_intersection",
     "unit_vectors",
-    "vertical_at",
+    "verticals",
 ]
 
-Array = NDArray[np.float64]
 
-
-def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Array, Array]:
+def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Floats, Floats, Floats]:
     """Geodetic latitude, longitude (-pi to pi), rad, and height above the ellipsoid, m, (...) each, of points
     (..., 3) in frame e, m (Fukushima 2006, by ERFA). NaN gives NaN.
 
@@ -45,7 +43,7 @@ def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Array, Arr
 
 def ecef_from_geodetic(
     lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike, ellipsoid: Ellipsoid
-) -> Array:
+) -> Floats:
     """Earth-fixed coordinates (..., 3), m, of geodetic latitude, longitude and height above the ellipsoid.
 
     The arguments are broadcast. Inverse of `geodetic_from_ecef`.
@@ -56,28 +54,25 @@ def ecef_from_geodetic(
     return np.asarray(erfa.gd2gce(ellipsoid.semi_major_m, ellipsoid.flattening, lon, lat, height))
 
 
-def unit_vectors(longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> Array:
-    """Unit vectors (..., 3) at longitude and latitude (...), or at right ascension and declination."""
+def unit_vectors(longitude_rad: ArrayLike, latitude_rad: ArrayLike) -> Floats:
+    """Unit vectors (..., 3) at longitude and latitude (...), or at right ascension and declination. At
+    geodetic latitude they are the ellipsoid's normals, upwards, frame e.
+    """
     lon, lat = np.asarray(longitude_rad, float), np.asarray(latitude_rad, float)
     return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
-def ellipsoid_normals(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
-    """Unit normals (..., 3) of the ellipsoid, upwards, frame e, at geodetic latitude and longitude."""
-    return unit_vectors(lon_rad, lat_rad)
-
-
-def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
     """Matrices (..., 3, 3) whose columns are the unit vectors east, north and up, in frame e."""
     lat, lon = np.asarray(lat_rad, float), np.asarray(lon_rad, float)
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon + lat)], axis=-1)
-    up = ellipsoid_normals(lat, lon)
+    up = unit_vectors(lon, lat)
     return np.stack([east, np.cross(up, east), up], axis=-1)
 
 
 def ray_ellipsoid_intersection(
-    origin_e: Array, direction_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
-) -> Array:
+    origin_e: Floats, direction_e: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+) -> Floats:
     """First points (N, 3), frame e, m, of rays at geodetic height `height_m`, a number or (N,); rays that
     miss it, or start below, give NaN. Origins, m, and directions of any length, (N, 3), are in frame e.
 
@@ -90,12 +85,12 @@ def ray_ellipsoid_intersection(
 
 
 def columns_at_height(
-    origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid
-) -> tuple[Array, Array]:
+    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+) -> tuple[Floats, Floats]:
     """Points of `ray_ellipsoid_intersection` and unit verticals there (to 3e-8 rad); vectors are (3, N)."""
     height = np.asarray(height_m, dtype=float)
     point = origin + distances_to_shell(origin, direction, height, ellipsoid) * direction
-    up = _vertical_columns(point, height, ellipsoid)
+    up = verticals(point, height, ellipsoid)
     if np.any(height):
         slope = up[0] * direction[0] + up[1] * direction[1] + up[2] * direction[2]
         a, b, sin2_lat = ellipsoid.semi_major_m, ellipsoid.semi_minor_m, up[2] ** 2
@@ -105,7 +100,9 @@ def columns_at_height(
     return point, up
 
 
-def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
+def distances_to_shell(
+    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+) -> Floats:
     """Distances (N,) from origins (3, N), in lengths of the directions (3, N), to the first points of rays on
     the ellipsoid with semi-axes a + h, b + h; NaN as in `ray_ellipsoid_intersection`.
 
@@ -125,16 +122,12 @@ def distances_to_shell(origin: Array, direction: Array, height_m: ArrayLike, ell
     return np.asarray(above / (np.sqrt(discriminant) - od))
 
 
-def vertical_at(p_e: Array, height_m: ArrayLike, ellipsoid: Ellipsoid) -> Array:
-    """Unit verticals (N, 3) at points (N, 3), frame e, of approximately known height; to 3e-8 rad up to 9 km.
+def verticals(p: Floats, height: Floats, ellipsoid: Ellipsoid) -> Floats:
+    """Unit verticals (3, N) at points (3, N), frame e, of approximately known height; to 3e-8 rad up to 9 km.
 
     Faster than by latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat), with the
     mean of the radius N, whose variation matters only by h / N.
     """
-    return _vertical_columns(p_e.T, np.asarray(height_m, dtype=float), ellipsoid).T
-
-
-def _vertical_columns(p: Array, height: Array, ellipsoid: Ellipsoid) -> Array:
     radius = ellipsoid.semi_major_m * (1.0 + 0.5 * ellipsoid.flattening)
     stretch = (radius + height) / (radius * (1.0 - ellipsoid.eccentricity_squared) + height)
     normal = np.empty(p.shape)

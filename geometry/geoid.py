@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import importlib.resources
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Geoid", "egm96"]
-
-Array = NDArray[np.float64]
-
-_ROWS_AT_ONCE = 16  # rows of heights that `undulation_on_grid_m` computes together
 
 
 @record
@@ -61,7 +56,7 @@ class Geoid:
         grid = np.asarray(undulations_m, dtype=np.float32)
         return Geoid(grid, float(first_lat), float(first_lon), float(np.radians(e)), float(np.radians(a)))
 
-    def undulation_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+    def undulation_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
         """Height of the geoid above the ellipsoid, m, in the broadcast shape of the arguments.
 
         Longitude may exceed +-pi. Raises `ValueError` for a point outside the grid.
@@ -74,25 +69,19 @@ class Geoid:
             result += row_weights[i] * self._along_rows(near[i], column)
         return result
 
-    def undulation_on_grid_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Array:
+    def undulation_on_grid_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
         """Undulations (R, C), m, on a grid of latitudes (R,) and longitudes (C,).
 
-        Equal to `undulation_m` bit for bit, about ten times faster: each row is interpolated once.
+        Equal to `undulation_m` bit for bit, and faster: each row of the geoid is interpolated once.
         """
         lat, lon = np.asarray(lat_rad, float)[:, None], np.asarray(lon_rad, float)[None, :]
         row, column = self._row_and_column(lat, lon)
         near, row_weights = self._four_rows(row[:, 0])
         needed, index = np.unique(np.stack(near), return_inverse=True)
         lines, index = self._along_rows(needed[:, None], column), index.reshape(4, -1)
-        result = np.empty((len(row), column.shape[1]))
-        # rows between the same lines of the grid have one product; few at a time stay in the cache
-        begins = np.flatnonzero(np.diff(index, axis=1).any(axis=0)) + 1
-        ends = sorted({*begins.tolist(), *range(_ROWS_AT_ONCE, len(row), _ROWS_AT_ONCE), len(row)})
-        for first, end in pairwise([0, *ends]):
-            weights, at = np.array([weight[first:end] for weight in row_weights]), index[:, first]
-            np.multiply.outer(weights[0], lines[at[0]], out=result[first:end])
-            for k in (1, 2, 3):
-                result[first:end] += np.multiply.outer(weights[k], lines[at[k]])
+        result = np.zeros((len(row), column.shape[1]))
+        for weight, at in zip(row_weights, index):
+            result += weight[:, None] * lines[at]
         return result
 
     @property
@@ -101,7 +90,7 @@ class Geoid:
         period = round(2.0 * np.pi / abs(self.step_lon_rad))
         return period if self.undulations.shape[1] >= period else 0
 
-    def _row_and_column(self, lat: Array, lon: Array) -> tuple[Array, Array]:
+    def _row_and_column(self, lat: Floats, lon: Floats) -> tuple[Floats, Floats]:
         """Fractional row and column of points; `ValueError` outside the grid."""
         rows, columns = self.undulations.shape
         row = (lat - self.lat_first_rad) / self.step_lat_rad
@@ -120,13 +109,13 @@ class Geoid:
             )
         return np.clip(row, 0.0, rows - 1.0), column
 
-    def _four_rows(self, row: Array) -> tuple[list[NDArray[np.int64]], tuple[Array, ...]]:
+    def _four_rows(self, row: Floats) -> tuple[list[Ints], tuple[Floats, ...]]:
         """The four grid rows around fractional rows, and their weights."""
         rows = self.undulations.shape[0]
         r0 = np.clip(np.floor(row).astype(np.int64), 0, rows - 2)
         return [np.clip(r0 + i, 0, rows - 1) for i in (-1, 0, 1, 2)], _keys_weights(row - r0)
 
-    def _along_rows(self, r: NDArray[np.int64], column: Array) -> Array:
+    def _along_rows(self, r: Ints, column: Floats) -> Floats:
         """Values at fractional columns of the grid rows `r`."""
         columns, period = self.undulations.shape[1], self._period
         c0 = np.floor(column).astype(np.int64)
@@ -154,7 +143,7 @@ def egm96() -> Geoid:
     return Geoid(centimetres, -0.5 * np.pi, -np.pi, step, step, per_m=100.0)
 
 
-def _keys_weights(fraction: Array) -> tuple[Array, Array, Array, Array]:
+def _keys_weights(fraction: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Weights of points -1, 0, 1, 2 of cubic convolution with a = -1/2 (Keys 1981, eq. 15)."""
     f = fraction
     return (

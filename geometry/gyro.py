@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
+from boresight.geometry.record import Floats, Ints, RowRecord, array, check_numbers, record, scalar
 
-__all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up"]
+__all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up", "without_gap"]
 
 GAP = 3.0  # usual steps: over a longer one nothing is summed up
 
@@ -54,7 +54,7 @@ class GyroNoise:
 
 
 @record(kw_only=True)
-class GyroRows:
+class GyroRows(RowRecord):
     """What a gyro tells around a pass."""
 
     t_s: Floats = array("K", "instants, increasing, TAI seconds since the epoch")
@@ -66,10 +66,6 @@ class GyroRows:
     def step_s(self) -> float:
         """Usual time from row to row."""
         return float(np.median(np.diff(self.t_s)))
-
-    def take(self, rows: Ints | slice) -> GyroRows:
-        """The rows with indices (M,)."""
-        return replace(self, t_s=self.t_s[rows], R_sz=self.R_sz[rows], R_oi=self.R_oi[rows])
 
     def within(self, first_s: float, last_s: float) -> GyroRows | None:
         """The rows from one instant to another; None for fewer than two."""
@@ -132,15 +128,18 @@ class GyroRecord:
         return RotationSpline(at, self.R_sz[rows])(t_s)
 
 
+def without_gap(t_s: Floats) -> list[Ints]:
+    """Rows at increasing instants (K,), in stretches in which no step is three times the usual one."""
+    step = np.diff(t_s)
+    gaps = step > GAP * np.median(step) if len(step) else np.zeros(0, dtype=bool)
+    return np.split(np.arange(len(t_s)), np.flatnonzero(gaps) + 1)
+
+
 def longest_without_gap(t_s: Floats) -> Ints:
     """Of rows at increasing instants (K,), those of the longest stretch in which no step is three times the
     usual one.
     """
-    step = np.diff(t_s)
-    parts = (
-        np.split(np.arange(len(t_s)), np.flatnonzero(step > GAP * np.median(step)) + 1) if len(step) else []
-    )
-    return max(parts, key=len, default=np.arange(len(t_s)))
+    return max(without_gap(t_s), key=len)
 
 
 def summed_up(turns_s: Floats) -> Rotation:

@@ -8,30 +8,29 @@ the right-handed rotation by **-theta** about the axes of frame c. Angles in rad
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from boresight.geometry.record import Floats
 
 __all__ = ["deviation_from_theta", "euler_zxy_from_theta", "theta_between", "theta_from_deviation"]
 
-Array = NDArray[np.float64]
 
-
-def deviation_from_theta(theta: Array) -> Rotation:
+def deviation_from_theta(theta: Floats) -> Rotation:
     """M = exp[[theta]] (paper, eq. 12): the right-handed rotation by -theta; theta (3,) or (N, 3), rad."""
     return Rotation.from_rotvec(-np.asarray(theta, dtype=float))
 
 
-def theta_from_deviation(M: Rotation) -> Array:
+def theta_from_deviation(M: Rotation) -> Floats:
     """The theta (3,), rad, of `M = exp[[theta]]`, |theta| <= pi: inverse of `deviation_from_theta`."""
     return -M.as_rotvec()
 
 
-def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Array:
+def theta_between(R_cs: Rotation, R_cs0: Rotation) -> Floats:
     """The theta (3,), rad, from reference `R_cs0` to `R_cs` (paper, eq. 11): R_cs = exp[[theta]] R_cs0."""
     return theta_from_deviation(R_cs * R_cs0.inv())
 
 
-def euler_zxy_from_theta(theta: Array) -> Array:
+def euler_zxy_from_theta(theta: Floats) -> Floats:
     """Deviation angles in the order Z-X-Y (paper, section 3.3), rad, returned as (..., 3) = about x, y, z.
 
     M changes axes, so the *axes* are rotated, first about Z, then about the new X, then about the new Y.

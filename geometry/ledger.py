@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from boresight.geometry.record import array, record, scalar
+from boresight.geometry.record import RowRecord, array, record, scalar
 
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
     from boresight.geometry.record import Bools, Floats, Ints, Texts
@@ -312,7 +312,7 @@ def either_of(subjects: Sequence[Subject]) -> str:
 
 
 @record(kw_only=True)
-class Ledger:
+class Ledger(RowRecord):
     """What strips must show, targets or bright stars, and what became of it. Row n of every array is the same
     observation; sets of observations are masks.
     """
@@ -344,11 +344,6 @@ class Ledger:
     def is_of(self, reason: Reason) -> Bools:
         """Which observations (N,) are in their state for one reason."""
         return self.reason == reason.number
-
-    def take(self, rows: Bools | Ints) -> Ledger:
-        """The ledger of some rows: a mask (N,), or their numbers (K,)."""
-        columns = ("strip", "ccd", "id", "part", "along", "magnitude", "reason")
-        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def of_strip(self, strip_id: str) -> Ledger:
         """The rows of one strip."""

@@ -4,13 +4,14 @@ Frame c has z along the optical axis towards the ground, x along the direction o
 detectors. An image point `(x_f, y_f)` of the focal plane (metres) is seen in the direction `[-x_f, -y_f, f]`,
 normalised: the star camera's sign convention. `LineCamera` is described by its hardware (paper, Table 3),
 `LookAngleCamera` by tabulated look angles, as operators publish them. Both are a `LineSensor`, the interface
-that the pushbroom model uses.
+that the pushbroom model uses. `StripImage` is what rooms that look at a strip's pixels need to know of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +25,13 @@ __all__ = [
     "LineSensor",
     "LookAngleCamera",
     "LookTable",
+    "StripImage",
     "TimeOfRow",
     "edge_tangent",
     "end_looks",
+    "gaussian_sigma_px",
 ]
 
-Array = NDArray[np.float64]
 TimeOfRow = Literal["start", "middle", "end"]
 
 
@@ -43,13 +45,13 @@ class LineSensor(Protocol):
     def n_px(self, ccd: int) -> int:
         """Number of pixels of a CCD."""
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit vectors (N, 3) in frame c towards samples (N,), fractional ones included."""
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """d u_c / d sample, (N, 3), rad/px."""
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to each direction (N, 3), and its distance across the detector, px (N,).
 
         The distance is positive towards +x of frame c. NaN for directions behind the camera.
@@ -63,7 +65,23 @@ class LineSensor(Protocol):
         """Seconds from a row's time label to the middle of its exposure."""
 
 
-def end_looks(camera: LineSensor) -> Array:
+class StripImage(Protocol):
+    """A strip's raw pixels, read by window: the CCDs of a camera, or the single image of the virtual CCD."""
+
+    @property
+    def ccds(self) -> Sequence[int]:
+        """The CCDs that were recorded, numbered as in the camera model."""
+
+    def shape(self, ccd: int) -> tuple[int, int]:
+        """(lines, samples) of one CCD's image."""
+
+    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> NDArray[Any]:
+        """Pixels (rows, columns) line0..line1, sample0..sample1 (ends excluded, inside the image), any real
+        type; NaN marks what must not be used: no data, cloud, saturation.
+        """
+
+
+def end_looks(camera: LineSensor) -> Floats:
     """Unit vectors (2 C, 3) in frame c towards the first and the last sample of each CCD."""
     last = [camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)]
     ends = [camera.directions_from_pixels(ccd, np.array([0.0, end])) for ccd, end in enumerate(last)]
@@ -74,6 +92,11 @@ def edge_tangent(camera: LineSensor) -> float:
     """Largest tangent of the angle between a pixel's look direction and the camera's axis."""
     u_c = end_looks(camera)
     return float(np.max(np.hypot(u_c[:, 0], u_c[:, 1]) / u_c[:, 2]))
+
+
+def gaussian_sigma_px(mtf_at_nyquist: float) -> float:
+    """Width, px, of the Gaussian whose transfer function has this value at half a cycle per pixel."""
+    return float(np.sqrt(-2.0 * np.log(mtf_at_nyquist)) / np.pi)
 
 
 @record(kw_only=True)
@@ -125,29 +148,24 @@ class Ccd:
         if len(across):
             object.__setattr__(self, "_across", CubicSpline(samples, across))
         ends = np.array([0.0, self.n_px - 1.0])
-        along, slope = self._along(ends), self._along_slope(ends)
+        along, slope = self._along(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
             raise ValueError("the distortion table reverses the order of the samples")
 
-    def focal_plane(self, sample: ArrayLike) -> Array:
+    def focal_plane(self, sample: ArrayLike) -> Floats:
         """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""
-        along = self._along(np.asarray(sample, dtype=float))
-        (dx, dy), (x, y) = self._axis, self._axis_point
-        points = np.empty((2, len(along)))
-        np.multiply(along, dx, out=points[0])
-        np.multiply(along, dy, out=points[1])
-        points[0] += x
-        points[1] += y
-        if self._across is not None:
-            points -= self._off_line(sample)[0] * self._normal[:, None]
+        n = np.asarray(sample, dtype=float)
+        points = self._along(n)[0] * self._axis[:, None]  # components lie together in memory
+        points += self._axis_point[:, None]
+        points -= self._off_line(n)[0] * self._normal[:, None]
         return points.T
 
-    def focal_plane_slope(self, sample: ArrayLike) -> Array:
+    def focal_plane_slope(self, sample: ArrayLike) -> Floats:
         """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
-        slope = self._along_slope(np.asarray(sample, dtype=float))[:, None] * self._axis
-        return slope if self._across is None else slope - self._off_line(sample)[1][:, None] * self._normal
+        n = np.asarray(sample, dtype=float)
+        return self._along(n)[1][:, None] * self._axis - self._off_line(n)[1][:, None] * self._normal
 
-    def samples(self, xy_f: Array) -> tuple[Array, Array]:
+    def samples(self, xy_f: Floats) -> tuple[Floats, Floats]:
         """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
         (N,), m.
 
@@ -158,50 +176,42 @@ class Ccd:
         across = offset @ self._normal
         sample = self.principal_sample + along / self.pixel_m
         for _ in range(20):
-            step = (along - self._along(sample)) / self._along_slope(sample)
+            before, slope = self._along(sample)
+            step = (along - before) / slope
             sample = sample + step
             if np.nanmax(np.abs(step), initial=0.0) < 1e-10:
                 break
-        return sample, across if self._across is None else across + self._off_line(sample)[0]
+        return sample, across + self._off_line(sample)[0]
 
     @property
-    def _normal(self) -> Array:
+    def _normal(self) -> Floats:
         return np.array([np.cos(self.rotation_rad), np.sin(self.rotation_rad)])
 
     @property
-    def _axis(self) -> Array:
+    def _axis(self) -> Floats:
         return np.array([-np.sin(self.rotation_rad), np.cos(self.rotation_rad)])
 
     @property
-    def _axis_point(self) -> Array:
+    def _axis_point(self) -> Floats:
         return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
 
-    def _along(self, sample: Array) -> Array:
-        """Ideal distance along the detector from its principal sample, m."""
-        along = (sample - self.principal_sample) * self.pixel_m
-        if self._spline is None:
-            return along
-        inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
-        along -= self._spline(inside)
-        beyond = np.flatnonzero(inside != sample)
-        if len(beyond):
-            along[beyond] -= self._spline(inside[beyond], 1) * (sample[beyond] - inside[beyond])
-        return along
+    def _along(self, sample: Floats) -> tuple[Floats, Floats]:
+        """Ideal distance along the detector from its principal sample (N,), m, and its derivative, m/px."""
+        offset, beyond, slope = self._offset(self._spline, sample)
+        return (sample - self.principal_sample) * self.pixel_m - offset - beyond, self.pixel_m - slope
 
-    def _off_line(self, sample: ArrayLike) -> tuple[Array, Array]:
+    def _off_line(self, sample: Floats) -> tuple[Floats, Floats]:
         """Offset across the detector (N,), m, and its derivative, m/px."""
-        n = np.asarray(sample, dtype=float)
-        assert self._across is not None
-        inside = np.clip(n, self.distortion_samples[0], self.distortion_samples[-1])
-        slope = self._across(inside, 1)
-        return np.asarray(self._across(inside) + slope * (n - inside)), np.asarray(slope)
+        offset, beyond, slope = self._offset(self._across, sample)
+        return offset + beyond, slope
 
-    def _along_slope(self, sample: Array) -> Array:
-        """Derivative of `_along`, m/px."""
-        if self._spline is None:
-            return np.full(len(sample), self.pixel_m)
+    def _offset(self, spline: CubicSpline | None, sample: Floats) -> tuple[Floats, Floats, Floats]:
+        """Offset (N,) of a table within its ends, m, its growth from there on, and its derivative, m/px."""
+        if spline is None:
+            return (np.zeros(len(sample)),) * 3
         inside = np.clip(sample, self.distortion_samples[0], self.distortion_samples[-1])
-        return np.asarray(self.pixel_m - self._spline(inside, 1))
+        slope = spline(inside, 1)
+        return spline(inside), slope * (sample - inside), slope
 
 
 @record
@@ -237,19 +247,15 @@ class LineCamera:
         """Number of pixels of a CCD."""
         return self.ccds[ccd].n_px
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit look vectors (N, 3), frame c, of samples (N,) of one CCD (paper, eq. 1, with lambda < 0);
         fractional samples, which may lie beyond the ends of the detector. `ccd` is an index from 0.
         """
         x_f, y_f = self.ccds[ccd].focal_plane(sample).T
-        u_c = np.empty((3, len(x_f)))  # components lie together in memory
-        np.negative(x_f, out=u_c[0])
-        np.negative(y_f, out=u_c[1])
-        u_c[2] = self.focal_m
-        u_c *= 1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2)
-        return u_c.T
+        v_c = np.array([-x_f, -y_f, np.full(len(x_f), self.focal_m)])  # components lie together in memory
+        return (v_c * (1.0 / np.sqrt(x_f * x_f + y_f * y_f + self.focal_m**2))).T
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """Derivative d u_c / d sample (N, 3), rad/px, at samples (N,)."""
         xy_f = self.ccds[ccd].focal_plane(sample)
         v_c = np.column_stack([-xy_f, np.full(len(xy_f), self.focal_m)])
@@ -259,7 +265,7 @@ class LineCamera:
         u_c = v_c / norm
         return (slope - u_c * np.einsum("ni,ni->n", u_c, slope)[:, None]) / norm
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to directions (N, 3), frame c, and their distance (N,) across the detector,
         px, positive towards +x_c. NaN behind the camera.
         """
@@ -324,15 +330,15 @@ class LookAngleCamera:
         """Number of pixels of a CCD."""
         return self.ccds[ccd].n_px
 
-    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Array:
+    def directions_from_pixels(self, ccd: int, sample: ArrayLike) -> Floats:
         """Unit look vectors (N, 3), frame c, of samples (N,)."""
         return self._in_plane.directions_from_pixels(ccd, sample)
 
-    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Array:
+    def sample_jacobian(self, ccd: int, sample: ArrayLike) -> Floats:
         """Derivative d u_c / d sample (N, 3), rad/px."""
         return self._in_plane.sample_jacobian(ccd, sample)
 
-    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Array, Array]:
+    def samples_from_directions(self, ccd: int, u_c: ArrayLike) -> tuple[Floats, Floats]:
         """The nearest sample (N,) to directions (N, 3), and their distance across, px, towards +x_c."""
         sample, across = self._in_plane.samples_from_directions(ccd, u_c)
         return sample, across * np.sign(np.cos(self._in_plane.ccds[ccd].rotation_rad))

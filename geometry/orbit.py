@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Literal
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Orbit", "OrbitGapError", "argument_of_latitude", "beta_angle", "orbital_frame"]
 
-Array = NDArray[np.float64]
 OrbitFrame = Literal["GCRF", "ITRF"]
 OrbitMethod = Literal["lagrange", "hermite"]
 
@@ -59,9 +58,9 @@ class Orbit:
     )
     max_step_s: float | None = scalar("longer steps are gaps; None: 1.5 times the median step", default=None)
     begins: tuple[int, ...] = scalar("first nodes of parts beside the first one", default=())
-    _segment: NDArray[np.int64] = field(init=False, repr=False)  # (K,) number of the gap-free segment
-    _scale: Array = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
-    _slope_at_node: Array = field(
+    _segment: Ints = field(init=False, repr=False)  # (K,) number of the gap-free segment
+    _scale: Floats = field(init=False, repr=False)  # (windows, nodes_needed), of Lagrange's polynomials
+    _slope_at_node: Floats = field(
         init=False, repr=False
     )  # (windows, nodes_needed), their derivative at their own node
 
@@ -100,42 +99,42 @@ class Orbit:
         """Instants of the first and the last node; there may be gaps between them."""
         return float(self.t_s[0]), float(self.t_s[-1])
 
-    def positions_i(self, t_s: ArrayLike) -> Array:
+    def positions_i(self, t_s: ArrayLike) -> Floats:
         """Positions (N, 3) in GCRS, m, at instants (N,). `OrbitGapError` where not covered."""
-        t = _instants(t_s)
-        position, _ = self._state(t)
-        return position if self.frame == "GCRF" else _to_i(self.earth.matrices_ie(t), position)
+        return self._states_in("GCRF", t_s)[0]
 
-    def states_i(self, t_s: ArrayLike) -> tuple[Array, Array]:
+    def states_i(self, t_s: ArrayLike) -> tuple[Floats, Floats]:
         """Positions, m, and velocities relative to the inertial axes, m/s, in GCRS, each (N, 3)."""
-        t = _instants(t_s)
-        position, velocity = self._state(t)
-        if self.frame == "GCRF":
-            return position, velocity
-        matrix_ie = self.earth.matrices_ie(t)
-        inertial = velocity + np.cross(self.earth.omega_e, position)
-        return _to_i(matrix_ie, position), _to_i(matrix_ie, inertial)
+        return self._states_in("GCRF", t_s)
 
-    def positions_e(self, t_s: ArrayLike) -> Array:
+    def positions_e(self, t_s: ArrayLike) -> Floats:
         """Positions (N, 3) in ITRS, m."""
-        t = _instants(t_s)
-        position, _ = self._state(t)
-        return position if self.frame == "ITRF" else _to_e(self.earth.matrices_ie(t), position)
+        return self._states_in("ITRF", t_s)[0]
 
-    def velocities_e(self, t_s: ArrayLike) -> Array:
+    def velocities_e(self, t_s: ArrayLike) -> Floats:
         """Velocities (N, 3) relative to the rotating Earth, in ITRS axes, m/s."""
-        t = _instants(t_s)
-        position, velocity = self._state(t)
-        if self.frame == "ITRF":
-            return velocity
-        matrix_ie = self.earth.matrices_ie(t)
-        return _to_e(matrix_ie, velocity) - np.cross(self.earth.omega_e, _to_e(matrix_ie, position))
+        return self._states_in("ITRF", t_s)[1]
 
     def R_oi(self, t_s: ArrayLike) -> Rotation:
         """The rotation from GCRS to the orbital frame at each instant."""
         return orbital_frame(*self.states_i(t_s))
 
-    def _state(self, t: Array) -> tuple[Array, Array]:
+    def _states_in(self, frame: OrbitFrame, t_s: ArrayLike) -> tuple[Floats, Floats]:
+        """Positions and rates of change of the coordinates (N, 3) in a frame."""
+        t = np.asarray(t_s, dtype=float)
+        if t.ndim != 1:
+            raise ValueError(f"instants must have shape (N,), got {t.shape}")
+        position, velocity = self._state(t)
+        if frame == self.frame:
+            return position, velocity
+        R_ie, omega = self.earth.matrices_ie(t), self.earth.omega_e
+        if frame == "GCRF":
+            inertial = velocity + np.cross(omega, position)
+            return np.einsum("nij,nj->ni", R_ie, position), np.einsum("nij,nj->ni", R_ie, inertial)
+        p_e, inertial = np.einsum("nji,nj->ni", R_ie, position), np.einsum("nji,nj->ni", R_ie, velocity)
+        return p_e, inertial - np.cross(omega, p_e)
+
+    def _state(self, t: Floats) -> tuple[Floats, Floats]:
         """Interpolated positions and velocities (N, 3) in the frame of the nodes."""
         begin = self._stencils(t)
         nodes = begin[:, None] + np.arange(self.nodes_needed)
@@ -152,7 +151,7 @@ class Orbit:
             return position, np.einsum("nk,nkj->nj", _lagrange_slopes(away, scale), p)
         return position, np.einsum("nk,nkj->nj", basis, self.velocities_m_s[nodes])
 
-    def _stencils(self, t: Array) -> NDArray[np.int64]:
+    def _stencils(self, t: Floats) -> Ints:
         """First (N,) of the nodes around each instant, all in one gap-free segment."""
         if len(t) == 0:
             return np.zeros(0, dtype=np.int64)
@@ -199,7 +198,7 @@ def orbital_frame(p_i: ArrayLike, v_i: ArrayLike) -> Rotation:
     return Rotation.from_matrix(np.stack([np.cross(y, z), y, z], axis=1))
 
 
-def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Array:
+def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Floats:
     """Angle (N,), 0 to 2 pi, in the orbital plane from the ascending node on the equator of GCRS.
 
     Positions and velocities (N, 3) in GCRS. For an equatorial orbit the angle is from the x axis.
@@ -214,7 +213,7 @@ def argument_of_latitude(p_i: ArrayLike, v_i: ArrayLike) -> Array:
     return np.asarray(angle % (2.0 * np.pi))
 
 
-def beta_angle(p_i: ArrayLike, v_i: ArrayLike, epoch: Epoch, t_s: Array) -> Array:
+def beta_angle(p_i: ArrayLike, v_i: ArrayLike, epoch: Epoch, t_s: Floats) -> Floats:
     """Angle (N,), rad, of the Sun above the orbital plane, positive on the side of the angular momentum.
 
     Positions and velocities (N, 3) in GCRS at instants t_s (N,) after `epoch`; the Sun is ERFA's (`epv00`).
@@ -225,11 +224,11 @@ def beta_angle(p_i: ArrayLike, v_i: ArrayLike, epoch: Epoch, t_s: Array) -> Arra
     return np.asarray(np.arcsin((normal * sun).sum(axis=-1) / lengths))
 
 
-def _lagrange_basis(away: Array, scale: Array) -> Array:
+def _lagrange_basis(away: Floats, scale: Floats) -> Floats:
     """Lagrange's polynomials (N, K): products of the other nodes' distances `away`, times `scale`, (N, K)."""
     basis = scale.copy()
-    left: Array = np.ones(len(away))
-    right: Array = left
+    left: Floats = np.ones(len(away))
+    right: Floats = left
     for j in range(away.shape[1]):
         basis[:, j] *= left
         basis[:, -1 - j] *= right
@@ -237,13 +236,13 @@ def _lagrange_basis(away: Array, scale: Array) -> Array:
     return basis
 
 
-def _lagrange_slopes(away: Array, scale: Array) -> Array:
+def _lagrange_slopes(away: Floats, scale: Floats) -> Floats:
     """Derivatives of `_lagrange_basis`, (N, K), by the product rule."""
     n, k = away.shape
     slopes = np.zeros((n, k))
     for j in range(k):
-        value: Array = np.ones(n)
-        slope: Array = np.zeros(n)
+        value: Floats = np.ones(n)
+        slope: Floats = np.zeros(n)
         for m in range(k):
             if m != j:
                 value, slope = value * away[:, m], slope * away[:, m] + value
@@ -251,7 +250,7 @@ def _lagrange_slopes(away: Array, scale: Array) -> Array:
     return slopes
 
 
-def _window_scales(t_nodes: Array, k: int) -> tuple[Array, Array]:
+def _window_scales(t_nodes: Floats, k: int) -> tuple[Floats, Floats]:
     """Of each node's distances to the others in a window of k: 1 / product and sum of 1 / distance."""
     windows = np.lib.stride_tricks.sliding_window_view(t_nodes, k)
     difference = windows[:, :, None] - windows[:, None, :]
@@ -261,8 +260,8 @@ def _window_scales(t_nodes: Array, k: int) -> tuple[Array, Array]:
 
 
 def _hermite(
-    away: Array, p: Array, v: Array, basis: Array, slope: Array, slope_at_node: Array
-) -> tuple[Array, Array]:
+    away: Floats, p: Floats, v: Floats, basis: Floats, slope: Floats, slope_at_node: Floats
+) -> tuple[Floats, Floats]:
     """Hermite's polynomial through positions and velocities (N, K, 3), and its derivative."""
     square, square_slope = basis**2, 2.0 * basis * slope
     factor = 1.0 - 2.0 * slope_at_node * away
@@ -271,18 +270,3 @@ def _hermite(
     db = square + away * square_slope
     position = np.einsum("nk,nkj->nj", a, p) + np.einsum("nk,nkj->nj", b, v)
     return position, np.einsum("nk,nkj->nj", da, p) + np.einsum("nk,nkj->nj", db, v)
-
-
-def _instants(t_s: ArrayLike) -> Array:
-    t = np.asarray(t_s, dtype=float)
-    if t.ndim != 1:
-        raise ValueError(f"instants must have shape (N,), got {t.shape}")
-    return t
-
-
-def _to_i(matrix_ie: Array, vector_e: Array) -> Array:
-    return np.einsum("nij,nj->ni", matrix_ie, vector_e)
-
-
-def _to_e(matrix_ie: Array, vector_i: Array) -> Array:
-    return np.einsum("nji,nj->ni", matrix_ie, vector_i)

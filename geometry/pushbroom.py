@@ -36,14 +36,13 @@ from boresight.geometry.groundlight import (
 )
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import orbital_frame
-from boresight.geometry.record import Ints, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, record, scalar
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
 
-__all__ = ["Pushbroom", "RowClock"]
+__all__ = ["Pushbroom", "RowClock", "outline_deg"]
 
-Array = NDArray[np.float64]
 
 # Largest errors of positions (m), velocities (m/s) and elements of rotation matrices that are interpolated in
 # the table over the rows: 1e-7 of a pixel of 1 m; 1e-13 rad from 530 km are 5e-8 m (set by hand).
@@ -63,6 +62,7 @@ _CURVATURE_M = 2e-5  # curvature of a light path that its tangent may neglect
 _CURVATURE_LIGHT_TIME = 3e-13  # 1/m: deviation of the path over a height difference d is this times d^2
 _CURVATURE_AIR = 3e-8  # 1/m, times tan z sec^2 z: refractivity of 2.8e-4 with a scale height of 8 km
 _LATTICE = (65, 33)  # lines and samples at which the height of the ground is computed first
+_OUTLINE = 9  # points of each long side of the outline of a strip
 _LATTICE_M = 20.0  # for less relief the mean height is used
 
 
@@ -85,23 +85,23 @@ class RowClock:
         if not self.row_period_s > 0.0:
             raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
 
-    def instant(self, row: ArrayLike) -> Array:
+    def instant(self, row: ArrayLike) -> Floats:
         """Time labels of (fractional) rows, elementwise, TAI seconds since the epoch."""
         return self.t_first_row_s + np.asarray(row, dtype=float) * self.row_period_s
 
-    def row(self, t_s: ArrayLike) -> Array:
+    def row(self, t_s: ArrayLike) -> Floats:
         """Fractional rows of time labels, elementwise: inverse of `instant`."""
         return (np.asarray(t_s, dtype=float) - self.t_first_row_s) / self.row_period_s
 
-    def rows_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Array:
+    def rows_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Floats:
         """Rows of the strip (N,) at which lines (N,) of a CCD, or of CCDs (N,), lie."""
         return np.asarray(line, dtype=float) + self._first(ccd)
 
-    def lines_of_rows(self, ccd: int | Ints, row: ArrayLike) -> Array:
+    def lines_of_rows(self, ccd: int | Ints, row: ArrayLike) -> Floats:
         """Lines (N,) in the image of a CCD, or of CCDs (N,), of rows (N,): inverse of `rows_of_lines`."""
         return np.asarray(row, dtype=float) - self._first(ccd)
 
-    def _first(self, ccd: int | Ints) -> Array:
+    def _first(self, ccd: int | Ints) -> Floats:
         if not self.first_row:
             return np.zeros(())
         ccds, which = np.unique(ccd, return_inverse=True)
@@ -113,31 +113,31 @@ class RowClock:
 class _States:
     """Satellite and camera at N instants, in axes e of each instant; stored by component for speed."""
 
-    packed: Array  # (15, N): position, m; velocity in the inertial frame, m/s; R_ec row by row
+    packed: Floats  # (15, N): position, m; velocity in the inertial frame, m/s; R_ec row by row
 
     @property
-    def p_e(self) -> Array:
+    def p_e(self) -> Floats:
         """(N, 3), m."""
         return self.packed[0:3].T
 
     @property
-    def v_e(self) -> Array:
+    def v_e(self) -> Floats:
         """(N, 3), m/s."""
         return self.packed[3:6].T
 
-    def to_e(self, u_c: Array) -> Array:
+    def to_e(self, u_c: Floats) -> Floats:
         """Vectors (N, 3) of frame c in axes e."""
         x, y, z = u_c.T
         R = self.packed[6:]
         return np.array([R[k] * x + R[k + 1] * y + R[k + 2] * z for k in (0, 3, 6)]).T
 
-    def to_c(self, u_e: Array) -> Array:
+    def to_c(self, u_e: Floats) -> Floats:
         """Vectors (N, 3) of axes e in frame c."""
         x, y, z = u_e.T
         R = self.packed[6:]
         return np.array([R[k] * x + R[k + 3] * y + R[k + 6] * z for k in (0, 1, 2)]).T
 
-    def take(self, index: NDArray[np.int64]) -> _States:
+    def take(self, index: Ints) -> _States:
         return _States(self.packed[:, index])
 
 
@@ -145,12 +145,12 @@ class _States:
 class _HeightsOverImage:
     """Approximate heights of the ground at pixels, bilinear between evenly spaced ones."""
 
-    samples: Array  # (C,)
-    rows: Array  # (R,)
+    samples: Floats  # (C,)
+    rows: Floats  # (R,)
     heights_m: NDArray[np.float32]  # (R, C); one height is that of all pixels
     otherwise_m: float  # for a pixel that is NaN
 
-    def at(self, sample: Array, row: Array) -> Array:
+    def at(self, sample: Floats, row: Floats) -> Floats:
         """Heights (N,), m, at pixels (N,)."""
         if self.heights_m.size == 1:
             return np.full(len(row), self.otherwise_m)
@@ -180,7 +180,7 @@ class Pushbroom:
         """
         M = (self.R_cs * R_cs.inv()).as_matrix()  # R_ec R_cs = R_ec' R_cs'
 
-        def transformed(packed: Array) -> Array:
+        def transformed(packed: Floats) -> Floats:
             R_ec = np.einsum("ijn,jk->ikn", packed[6:].reshape(3, 3, -1), M)
             return np.concatenate([packed[:6], R_ec.reshape(9, -1)])
 
@@ -194,11 +194,11 @@ class Pushbroom:
         table = tabulated(self._exact_states, first_row, last_row, _TOLERANCE, breaks)
         return replace(self, table=table)
 
-    def instants(self, row: ArrayLike) -> Array:
+    def instants(self, row: ArrayLike) -> Floats:
         """Middle of the exposure of rows of the strip (N,), TAI seconds since the epoch."""
         return self.rows.instant(row) + self._delay_s
 
-    def instants_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Array:
+    def instants_of_lines(self, ccd: int | Ints, line: ArrayLike) -> Floats:
         """Middle of the exposure of lines (N,) of a CCD, or of CCDs (N,), TAI seconds since the epoch."""
         return self.instants(self.rows.rows_of_lines(ccd, line))
 
@@ -206,18 +206,18 @@ class Pushbroom:
     def _delay_s(self) -> float:
         return self.camera.delay_to_middle_s(self.rows.row_period_s)
 
-    def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
+    def look_i(self, ccd: int, sample: ArrayLike, line: ArrayLike) -> tuple[Floats, Floats]:
         """Apparent directions u_i (N, 3), GCRS, of pixels (N,) of one CCD, and their instants (N,)."""
         sample, line = _pixels(sample, line)
         t_s = self.instants_of_lines(ccd, line)
         u_s = self.R_cs.inv().apply(self.camera.directions_from_pixels(ccd, sample))
         return self.attitude.R_si(t_s).inv().apply(u_s), t_s
 
-    def directions_c(self, p_e: Array, row: ArrayLike) -> Array:
+    def directions_c(self, p_e: Floats, row: ArrayLike) -> Floats:
         """Apparent directions (N, 3), frame c, of ground points (N, 3), frame e, m, at rows (N,)."""
         return self._apparent_c(p_e, self._states(np.asarray(row, dtype=float)))[0]
 
-    def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Array:
+    def ground_points(self, ccd: int, sample: ArrayLike, line: ArrayLike, surface: Surface) -> Floats:
         """Ground points (N, 3), frame e, m, of a `surface` seen by pixels of one CCD, image points (N,) in
         its raw image, broadcast together; NaN where the line of sight does not intersect the surface.
 
@@ -233,7 +233,7 @@ class Pushbroom:
             p_e[part] = model._intersections(ccd, sample[part], row[part], surface, height)
         return p_e
 
-    def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Array, Array]:
+    def pixels_from_ground(self, ccd: int, p_e: ArrayLike) -> tuple[Floats, Floats]:
         """Samples (N,) and lines (N,) at which ground points (N, 3), frame e, m, appear on a CCD, to 1e-6 px.
 
         They may lie beyond the detector's ends (compare with `camera.n_px`). NaN for a point that is not seen
@@ -260,21 +260,16 @@ class Pushbroom:
             sample[missing], row[missing] = self._pixels_by_scan(ccd, p[missing])
         return sample, self.rows.lines_of_rows(ccd, row)
 
-    def pixel_jacobian(self, ccd: int, sample: ArrayLike, line: ArrayLike, *, height_m: float = 0.0) -> Array:
-        """Derivative d u_c / d(sample, line) (N, 3, 2), rad/px, of the look directions of pixels (N,).
+    def directions_and_jacobian(
+        self, ccd: Ints, xy_px: Floats, *, height_m: float = 0.0
+    ) -> tuple[Floats, Floats]:
+        """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and their derivatives
+        d u_c / d(sample, line) (N, 3, 2), rad/px.
 
         Along the line it is the motion, in frame c, of the ground that the pixel looks at (orbit, Earth
         rotation and attitude together), for ground at `height_m` above the ellipsoid. A covariance C (2, 2)
         px² of an image point gives that of its direction: `J C J^T` (3, 3) rad².
         """
-        sample, line = _pixels(sample, line)
-        ccds = np.full(len(line), ccd)
-        return self.directions_and_jacobian(ccds, np.column_stack([sample, line]), height_m=height_m)[1]
-
-    def directions_and_jacobian(
-        self, ccd: NDArray[np.int64], xy_px: Array, *, height_m: float = 0.0
-    ) -> tuple[Array, Array]:
-        """Look directions u_c (N, 3) of pixels (sample, line) (N, 2) of CCDs (N,), and `pixel_jacobian`."""
         u_c, jacobian = np.empty((len(xy_px), 3)), np.empty((len(xy_px), 3, 2))
         row = self.rows.rows_of_lines(ccd, xy_px[:, 1])
         for n in np.unique(ccd).tolist():
@@ -288,11 +283,11 @@ class Pushbroom:
         jacobian[:, :, 1] = both[: len(row)] - both[len(row) :]
         return u_c, jacobian
 
-    def _pixels_by_scan(self, ccd: int, p_e: Array) -> tuple[Array, Array]:
+    def _pixels_by_scan(self, ccd: int, p_e: Floats) -> tuple[Floats, Floats]:
         """Pixels (N,) of ground points (N, 3): nearest row of a coarse scan, refined by the secant
         method.
         """
-        at: Array = np.linspace(*self.known_rows(), _SCAN, dtype=np.float64)
+        at: Floats = np.linspace(*self.known_rows(), _SCAN, dtype=np.float64)
         states = self._states(at)
         start = np.full(len(p_e), np.nan)
         for part in _chunks(len(p_e), _CHUNK // _SCAN):
@@ -308,7 +303,7 @@ class Pushbroom:
             sample[rows], row[rows] = self._pixels_by_secant(ccd, p_e[rows], start[rows])
         return sample, row
 
-    def _pixels_by_secant(self, ccd: int, p_e: Array, start: Array) -> tuple[Array, Array]:
+    def _pixels_by_secant(self, ccd: int, p_e: Floats, start: Floats) -> tuple[Floats, Floats]:
         """Pixels (N,) by the secant method from rows `start` (N,); NaN where it does not converge."""
         first, last = self.known_rows()
         old = np.clip(start, first, last)
@@ -328,7 +323,7 @@ class Pushbroom:
         found = seen & (np.abs(step) < _CONVERGED_PX)  # at an end of the span `row` stops without solution
         return np.where(found, sample, np.nan), np.where(found, row, np.nan)
 
-    def _pixels_at(self, ccd: int, p_e: Array, row: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _pixels_at(self, ccd: int, p_e: Floats, row: Floats) -> tuple[Floats, Floats, Bools]:
         """At given rows: nearest sample (N,) of each point, its distance across, px, whether it is seen."""
         known = np.isfinite(row)
         if not known.all():
@@ -338,7 +333,7 @@ class Pushbroom:
         sample, across = self.camera.samples_from_directions(ccd, u_c)
         return sample, np.where(known, across, np.nan), known & above_horizon & np.isfinite(across)
 
-    def _apparent_c(self, p_e: Array, states: _States) -> tuple[Array, NDArray[np.bool_]]:
+    def _apparent_c(self, p_e: Floats, states: _States) -> tuple[Floats, Bools]:
         """Apparent directions (N, 3), frame c, of ground points, and whether the satellite is above
         their horizon.
         """
@@ -357,7 +352,9 @@ class Pushbroom:
         slack = 1e-6 / self.rows.row_period_s  # stay inside despite rounding
         return float(ends[0]) + slack, float(ends[1]) - slack
 
-    def _intersections(self, ccd: int, sample: Array, row: Array, surface: Surface, height_m: Array) -> Array:
+    def _intersections(
+        self, ccd: int, sample: Floats, row: Floats, surface: Surface, height_m: Floats
+    ) -> Floats:
         """Ground points (N, 3) of pixels, from rays exact at expected heights (N,); see the module."""
         states = self._states(row)
         u_e = states.to_e(self.camera.directions_from_pixels(ccd, sample))
@@ -372,12 +369,12 @@ class Pushbroom:
             p_e[far] = self._ray_intersections(u_e[far], states.take(far), surface, height)
         return p_e
 
-    def _ray_intersections(self, u_e: Array, states: _States, surface: Surface, height_m: Array) -> Array:
+    def _ray_intersections(self, u_e: Floats, states: _States, surface: Surface, height_m: Floats) -> Floats:
         """Surface points of the rays that are exact at `height_m`."""
         rays = emission_rays_e(u_e, states.p_e, states.v_e, self.earth.omega_e, self.effects, height_m)
         return intersect(*rays, surface)
 
-    def _path_curvature_m(self, p_e: Array, u_e: Array, height_m: Array) -> Array:
+    def _path_curvature_m(self, p_e: Floats, u_e: Floats, height_m: Floats) -> Floats:
         """Upper bound (N,), m, of the distance at p_e between the light path and its tangent at
         `height_m`.
         """
@@ -390,7 +387,7 @@ class Pushbroom:
             tan = np.sqrt(np.maximum(1.0 / cos2 - 1.0, 0.0))
         return above**2 * (_CURVATURE_LIGHT_TIME + _CURVATURE_AIR * tan * (1.0 + tan**2))
 
-    def _expected_heights(self, ccd: int, sample: Array, row: Array, surface: Surface) -> _HeightsOverImage:
+    def _expected_heights(self, ccd: int, sample: Floats, row: Floats, surface: Surface) -> _HeightsOverImage:
         """Approximate ground heights of pixels (N,): for many pixels from a lattice."""
         low, high = surface.height_range_m()
         middle = 0.5 * (low + high)
@@ -408,7 +405,7 @@ class Pushbroom:
         heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
         return _HeightsOverImage(samples, rows, heights.astype(np.float32), middle)
 
-    def _states(self, row: Array) -> _States:
+    def _states(self, row: Floats) -> _States:
         if self.table is None:
             return _States(self._exact_states(row))
         covered = self.table.covers(row)
@@ -419,8 +416,8 @@ class Pushbroom:
         packed[:, ~covered] = self._exact_states(row[~covered])
         return _States(packed)
 
-    def _exact_states(self, row: Array) -> Array:
-        """Array (15, N) of `_States` at rows (N,), computed without the table."""
+    def _exact_states(self, row: Floats) -> Floats:
+        """Floats (15, N) of `_States` at rows (N,), computed without the table."""
         t_s = self.instants(row)
         R_ei = np.swapaxes(self.earth.matrices_ie(t_s), 1, 2)
         p_i, v_i = self.orbit.states_i(t_s)
@@ -435,7 +432,7 @@ class Pushbroom:
         packed[:, 6:] = (R_ei @ R_ic).reshape(-1, 9)
         return np.ascontiguousarray(packed.T)
 
-    def _for_many(self, row: Array, margin: float = 0.0) -> Pushbroom:
+    def _for_many(self, row: Floats, margin: float = 0.0) -> Pushbroom:
         """This strip, tabulated over rows (N,) if they are many."""
         row = row[np.isfinite(row)]
         if len(row) < _MANY or (self.table is not None and self.table.covers(row).all()):
@@ -445,21 +442,42 @@ class Pushbroom:
         return self.tabulated(first, last) if last - first > 1.0 else self
 
 
-def _above_shell(p_e: Array, height_m: Array) -> Array:
+def outline_deg(model: Pushbroom, lines: Mapping[int, int], surface: Surface) -> Floats:
+    """Outline (N, 2) of what the CCDs of a strip see of `surface`: longitude and latitude in degrees, in
+    order around it; points without ground are left out. `lines` has the number of lines of each CCD.
+    """
+    ends = {
+        (ccd, sample): float(model.camera.directions_from_pixels(ccd, np.array([sample]))[0, 1])
+        for ccd in sorted(lines)
+        for sample in (0.0, model.camera.n_px(ccd) - 1.0)
+    }
+    sides = []
+    for (ccd, sample), order in ((min(ends, key=ends.__getitem__), 1), (max(ends, key=ends.__getitem__), -1)):
+        line = np.linspace(0.0, lines[ccd] - 1.0, _OUTLINE)
+        lat, lon, _ = geodetic_from_ecef(model.ground_points(ccd, sample, line, surface), WGS84)
+        lon = np.degrees(lon)
+        for middle in lon[np.isfinite(lon)][:1]:  # no step at the date line
+            lon = middle + (lon - middle + 180.0) % 360.0 - 180.0
+        sides.append(np.column_stack([lon, np.degrees(lat)])[::order])
+    outline = np.concatenate(sides)
+    return outline[np.isfinite(outline).all(axis=1)]
+
+
+def _above_shell(p_e: Floats, height_m: Floats) -> Floats:
     """Height (N,), m, of points above the ellipsoid with semi-axes a + h, b + h, to one per cent."""
     a, b = WGS84.semi_major_m + height_m, WGS84.semi_minor_m + height_m
     x, y, z = p_e.T
     return np.asarray(0.5 * a * ((x * x + y * y) / (a * a) + (z / b) ** 2 - 1.0))
 
 
-def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Array, Array]:
+def _pixels(sample: ArrayLike, line: ArrayLike) -> tuple[Floats, Floats]:
     a, b = np.broadcast_arrays(np.asarray(sample, dtype=float), np.asarray(line, dtype=float))
     if a.ndim != 1:
         raise ValueError(f"samples and lines must have shape (N,), got {a.shape}")
     return a, b
 
 
-def _predicted_rows(p_known: Array, row_known: Array, p_e: Array) -> Array:
+def _predicted_rows(p_known: Floats, row_known: Floats, p_e: Floats) -> Floats:
     """Rows (N,) of points (N, 3) by an affine fit to the rows of known points; NaN if none is known."""
     known = np.isfinite(row_known)
     if not known.any():

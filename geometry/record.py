@@ -18,21 +18,24 @@ import dataclasses
 import inspect
 import numbers
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast, dataclass_transform, overload
 
 __all__ = [
     "Bools",
     "Floats",
     "Ints",
+    "RowRecord",
     "Texts",
     "array",
     "check_numbers",
+    "concatenated",
     "inner",
     "record",
     "scalar",
     "shape_of",
+    "together",
     "value_text",
 ]
 
@@ -134,6 +137,45 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
     return decorate if cls is None else decorate(cls)
 
 
+class RowRecord:
+    """Base of records whose arrays have a row for each of the same things, as has a record of this kind that
+    they hold: some of the rows, and those of several records.
+    """
+
+    __slots__ = ()
+
+    def take(self, rows: Any) -> Self:
+        """The rows with indices (M,), in that order, or of a mask (N,)."""
+        held = {name: getattr(self, name) for name in _row_fields(self)}
+        chosen = {n: v.take(rows) if isinstance(v, RowRecord) else v[rows] for n, v in held.items()}
+        return cast(Self, dataclasses.replace(cast(Any, self), **chosen))
+
+    @classmethod
+    def together(cls, parts: Sequence[Self]) -> Self:
+        """The rows of several, part after part; what has no rows is that of the first."""
+        return together(parts)
+
+
+def together(parts: Sequence[Record]) -> Record:
+    """Records of one class, whose arrays have a row for each of the same things, as one."""
+    columns = {name: [getattr(part, name) for part in parts] for name in _row_fields(parts[0])}
+    joined = {name: concatenated(values) for name, values in columns.items()}
+    return cast(Record, dataclasses.replace(cast(Any, parts[0]), **joined))
+
+
+def concatenated(values: Sequence[T]) -> T:
+    """Arrays, rotations or records of rows, one after another; of one itself."""
+    first: Any = values[0]
+    if isinstance(first, RowRecord):
+        return cast(T, first.together(cast(Any, values)))
+    if hasattr(first, "dtype"):
+        import numpy as np
+
+        return cast(T, np.concatenate(cast(Any, values)))
+    full: Any = [value for value in values if len(cast(Any, value))] or values
+    return cast(T, type(first).concatenate(full) if len(full) > 1 else full[0])
+
+
 def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
     """Declared shape of a record's field: numbers and letters ("K+1" for a sum); None if it is no array."""
     shape = field.metadata.get("shape")
@@ -167,6 +209,13 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
         if not abs(value) < LARGEST_NUMBER or value < 0 or (value == 0 and field.name not in zero):
             expected = "zero or positive" if field.name in zero else "positive"
             raise ValueError(f"{name} must be {expected} and finite, got {value}")
+
+
+def _row_fields(record: Any) -> list[str]:
+    """Names of the fields that have rows."""
+    held = {field.name: getattr(record, field.name) for field in dataclasses.fields(record) if field.init}
+    arrays = {field.name for field in dataclasses.fields(record) if shape_of(field)}
+    return [n for n, v in held.items() if isinstance(v, RowRecord) or (n in arrays and v is not None)]
 
 
 def _dimension(text: str) -> Dimension:

@@ -13,14 +13,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = ["RowTable", "tabulated"]
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _FIRST_STEP = 64.0  # lines between the nodes of the first table; halved where interpolation errs
 _LAST_STEP = 1.0  # least distance of nodes, lines; a function rougher than that is evaluated itself
@@ -38,11 +36,11 @@ class RowTable:
     values: Floats = array("C, K", "at the nodes, piece after piece")
     rough: Bools = array("K", "cells, by their first node, where the function itself is evaluated")
 
-    def covers(self, line: Array) -> NDArray[np.bool_]:
+    def covers(self, line: Floats) -> Bools:
         """Mask (N,) of the lines between the first and the last node."""
         return (line >= self.edges[0]) & (line <= self.edges[-1])
 
-    def at(self, line: Array) -> Array:
+    def at(self, line: Floats) -> Floats:
         """Quantities (C, N) at lines (N,) inside the table; successive equal lines are looked up once."""
         new = np.flatnonzero(np.diff(line)) + 1
         if len(new) * _RUN < len(line):
@@ -50,12 +48,12 @@ class RowTable:
             return np.repeat(self._at_each(line[runs[:-1]]), np.diff(runs), axis=1)
         return self._at_each(line)
 
-    def mapped(self, linear: Callable[[Array], Array]) -> RowTable:
+    def mapped(self, linear: Callable[[Floats], Floats]) -> RowTable:
         """Table of the quantities after a linear map (C, N) -> (C, N)."""
         return replace(self, function=lambda line: linear(self.function(line)), values=linear(self.values))
 
-    def _at_each(self, line: Array) -> Array:
-        piece: Index | int = 0
+    def _at_each(self, line: Floats) -> Floats:
+        piece: Ints | int = 0
         if len(self.cells) > 1:
             piece = np.searchsorted(self.edges[1:-1], line, side="right")
         cells = self.cells[piece]
@@ -71,10 +69,10 @@ class RowTable:
 
 
 def tabulated(
-    function: Callable[[Array], Array],
+    function: Callable[[Floats], Floats],
     first: float,
     last: float,
-    tolerance: Array | float,
+    tolerance: Floats | float,
     breaks: ArrayLike = (),
 ) -> RowTable:
     """Table of `function`, lines (N,) -> (C, N), between two lines, accurate to `tolerance` (C,) or a number.
@@ -105,13 +103,13 @@ def tabulated(
             return RowTable(function, edges, cells, values, of_nodes)
 
 
-def _nodes(edges: Array, cells: Index) -> Array:
+def _nodes(edges: Floats, cells: Ints) -> Floats:
     """Nodes: evenly spaced lines, both ends included, piece after piece."""
     pieces = [np.linspace(a, b, n + 1) for a, b, n in zip(edges[:-1], edges[1:], cells)]
     return np.concatenate(pieces)
 
 
-def _middles(edges: Array, cells: Index) -> tuple[Array, Index]:
+def _middles(edges: Floats, cells: Ints) -> tuple[Floats, Ints]:
     """Lines midway between neighbouring nodes of every piece, and the index of the node before each."""
     nodes = _nodes(edges, cells)
     last_of_piece = np.cumsum(cells + 1) - 1
@@ -119,7 +117,7 @@ def _middles(edges: Array, cells: Index) -> tuple[Array, Index]:
     return 0.5 * (nodes[before] + nodes[before + 1]), before
 
 
-def _cubic(values: Array, x: Array, start: Index) -> Array:
+def _cubic(values: Floats, x: Floats, start: Ints) -> Floats:
     """Cubics (C, N) through four columns of `values` (C, K) from `start` (N,) on, at x (N,) columns after
     it.
     """

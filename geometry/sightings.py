@@ -2,13 +2,14 @@
 
 A covariance of a direction is (3, 3), rad², in the axes of the camera that measured it, and has no component
 along the direction itself (paper, A3): `covariance @ u = 0`. The QUEST model of the paper's (A14) is
-`isotropic_covariance(u, sigma)`.
+`isotropic_covariance(u, sigma)`. `VectorSets` holds star and target vectors of many frames, each with one
+attitude, as in the paper's simulations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.gyro import GyroRows
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar, shape_of
+from boresight.geometry.record import Bools, Floats, Ints, RowRecord, Texts, array, record, scalar, together
 
 __all__ = [
     "ExposureAttitudes",
@@ -26,10 +27,10 @@ __all__ = [
     "HeadAttitudes",
     "StarSightings",
     "StripSightings",
+    "VectorSets",
     "exposure_without_stars",
     "information_of_directions",
     "isotropic_covariance",
-    "rotations_together",
     "solved_attitudes",
 ]
 
@@ -94,7 +95,7 @@ class ExposureAttitudes:
 
 
 @record
-class GroundReferences:
+class GroundReferences(RowRecord):
     """The references (a mosaic, a survey) of targets, whose offset is an error that their targets share."""
 
     name: Texts = array("N", "id of the reference of each target; empty: none")
@@ -104,7 +105,7 @@ class GroundReferences:
 
 
 @record(kw_only=True)
-class GroundSightings:
+class GroundSightings(RowRecord):
     """Calibration targets measured in one strip. Row n of every array is the same measurement.
 
     `cov_c` holds what is independent from row to row: the error of the image measurement. Errors that are
@@ -139,14 +140,6 @@ class GroundSightings:
         """(N,) whether the target is a star."""
         return np.isinf(self.range_m)
 
-    def take(self, rows: Ints) -> GroundSightings:
-        """The measurements with indices (M,), in that order."""
-        of = self.references
-        return GroundSightings(
-            **{name: getattr(self, name)[rows] for name in _columns(GroundSightings)},
-            references=of and GroundReferences(*(getattr(of, n)[rows] for n in _columns(GroundReferences))),
-        )
-
     def referenced(self) -> GroundReferences:
         """The references of all targets, without a name where they have none."""
         n = len(self.target_id)
@@ -156,16 +149,13 @@ class GroundSightings:
     @classmethod
     def together(cls, parts: Sequence[GroundSightings]) -> GroundSightings:
         """The measurements of several, part after part."""
-        of = [part.referenced() for part in parts if any(part.references for part in parts)]
-        columns = [np.concatenate([getattr(one, n) for one in of]) for n in _columns(GroundReferences) if of]
-        return cls(
-            **{n: np.concatenate([getattr(part, n) for part in parts]) for n in _columns(cls)},
-            references=GroundReferences(*columns) if of else None,
-        )
+        if any(part.references for part in parts):
+            parts = [replace(part, references=part.referenced()) for part in parts]
+        return together(parts)
 
 
 @record(kw_only=True)
-class HeadAttitudes:
+class HeadAttitudes(RowRecord):
     """Attitudes of one more star camera (head) around a strip, in its own frame h."""
 
     head: str = scalar("name of the head")
@@ -180,21 +170,6 @@ class HeadAttitudes:
     def noise_s(self) -> AttitudeNoise:
         """The errors about the axes of frame s."""
         return replace(self.noise, R_sn=self.R_sh * self.noise.R_sn)
-
-    def take(self, rows: Ints) -> HeadAttitudes:
-        """The attitudes with indices (M,), in that order."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _columns(HeadAttitudes)})
-
-    @classmethod
-    def together(cls, parts: Sequence[HeadAttitudes]) -> HeadAttitudes:
-        """The attitudes of one head in several records, part after part."""
-        return replace(
-            parts[0],
-            t_s=np.concatenate([part.t_s for part in parts]),
-            covariance_h=np.concatenate([part.covariance_h for part in parts]),
-            R_hi=rotations_together([part.R_hi for part in parts]),
-            R_oi=rotations_together([part.R_oi for part in parts]),
-        )
 
 
 @record(kw_only=True)
@@ -289,15 +264,59 @@ class StripSightings:
                 raise ValueError(f"strip {self.strip_id}: `attitudes` are not those of its exposures")
 
 
-def rotations_together(parts: Sequence[Rotation]) -> Rotation:
-    """Rotations of several arrays, one after another; of one array itself."""
-    full = [part for part in parts if len(part)]
-    return Rotation.concatenate(full) if len(full) > 1 else (full or parts)[0]
+@record(kw_only=True)
+class VectorSets:
+    """Vectors of K frames, concatenated: N stars and J targets in all."""
 
+    star_start: Ints = array("K + 1", "frame k has the stars star_start[k]:star_start[k+1]")
+    u_s: Floats = array("N, 3", "measured star vectors, star-camera frame")
+    v_stars: Floats = array("N, 3", "their known directions, GCRS")
+    sigma_s: Floats = array("N", "1-sigma per axis of u_s, rad (QUEST model)")
+    target_start: Ints = array("K + 1", "frame k has the targets target_start[k]:target_start[k+1]")
+    w_c: Floats = array("J, 3", "measured target vectors, remote-sensing-camera frame")
+    v_targets: Floats = array("J, 3", "their known directions, GCRS")
+    sigma_c: Floats = array("J", "1-sigma per axis of w_c, rad")
+    cov_s: Floats | None = array("N, 3, 3", "of u_s, rad²; None: by sigma_s", default=None)
+    cov_c: Floats | None = array("J, 3, 3", "of w_c, rad²; None: by sigma_c", default=None)
+    instant: Ints | None = array("K", "equal for frames of one attitude; None: of equal stars", default=None)
+    target_id: Texts | None = array("J", "equal for one place on the ground; None: all differ", default=None)
+    cov_targets: Floats | None = array("J, 3, 3", "of v_targets, GCRS, rad²; None: exact", default=None)
 
-def _columns(kind: type) -> list[str]:
-    """Names of a record's arrays."""
-    return [field.name for field in fields(kind) if shape_of(field) is not None]
+    def __post_init__(self) -> None:
+        for start, values in ((self.star_start, self.u_s), (self.target_start, self.w_c)):
+            if int(start[-1]) != len(values):
+                raise ValueError(f"the frames hold {int(start[-1])} vectors, {len(values)} are given")
+
+    def __len__(self) -> int:
+        return len(self.star_start) - 1
+
+    def frame(self, k: int) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
+        """u_s (N, 3), v_stars, sigma_s (N,), w_c (J, 3), v_targets and sigma_c (J,) of frame k."""
+        s = slice(self.star_start[k], self.star_start[k + 1])
+        c = slice(self.target_start[k], self.target_start[k + 1])
+        return self.u_s[s], self.v_stars[s], self.sigma_s[s], self.w_c[c], self.v_targets[c], self.sigma_c[c]
+
+    @property
+    def instants(self) -> list[int]:
+        """The first frame (K,) that has the attitude of each frame."""
+        first: dict[object, int] = {}
+        own = range(len(self)) if self.instant is None else self.instant.tolist()
+        if self.instant is None:
+            keys = [tuple(part.tobytes() for part in self.frame(k)[:2]) for k in own]
+            return [first.setdefault(key, k) for k, key in enumerate(keys)]
+        return [first.setdefault(key, k) for k, key in enumerate(own)]
+
+    def stars_of(self, frames: list[int]) -> Ints:
+        """Rows (M,) of the stars of frames of one attitude, a star that several of them list once."""
+        rows = np.concatenate([np.arange(*self.star_start[k : k + 2]) for k in frames])
+        both = np.hstack([self.u_s[rows], self.v_stars[rows]])
+        return rows[np.sort(np.unique(both, axis=0, return_index=True)[1])]
+
+    @property
+    def covariances(self) -> tuple[Floats, Floats]:
+        """Of u_s (N, 3, 3) and w_c (J, 3, 3), rad²."""
+        stars = isotropic_covariance(self.u_s, self.sigma_s) if self.cov_s is None else self.cov_s
+        return stars, isotropic_covariance(self.w_c, self.sigma_c) if self.cov_c is None else self.cov_c
 
 
 def exposure_without_stars(exposure_id: str, t_s: float) -> StarSightings:

@@ -7,7 +7,10 @@ turning point of the distortion polynomial the projection is undefined: NaN.
 
 The paper's lens images an angle t from the axis at f tan t. For other lenses there are a third radial term
 (Brown to r^6), the projections f t (with its radial terms the model of Kannala & Brandt 2006) and
-2 f tan(t/2), and a smooth distortion of the image for what these leave.
+2 f tan(t/2), and a smooth distortion of the image for what these leave: sums of Legendre polynomials of
+image coordinates, as SIP polynomials, but nearly orthogonal. A point is displaced along columns and rows by
+sum c_ij P_i(x) P_j(y),  2 <= i + j <= degree, where x and y run from -1 to 1 over the longer side of the
+image, its middle at 0. Constant and linear terms are the camera's own.
 """
 
 from __future__ import annotations
@@ -19,16 +22,23 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.polynomial.legendre import legval
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import Floats, array, record, scalar, value_text
-from boresight.geometry.smooth_distortion import SmoothDistortion
+from boresight.geometry.record import Bools, Floats, array, record, scalar, value_text
 
-__all__ = ["LEAST_FORWARD", "OpenCVParameters", "Projection", "StarCamera"]
+__all__ = [
+    "LEAST_FORWARD",
+    "OpenCVParameters",
+    "Projection",
+    "SmoothDistortion",
+    "StarCamera",
+    "legendre_terms",
+    "term_orders",
+]
 
 Projection = Literal["tangent", "equidistant", "stereographic"]
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _MM = 1e3  # mm per metre: the paper's distortion numbers are for coordinates in millimetres
@@ -39,7 +49,58 @@ _EXACT_MM = 2e-13
 LEAST_FORWARD = math.cos(math.radians(89.0))
 _SLOPES_ERROR_PX = 1e-5  # error, px, of the directions at which pixels are derived
 _SQUARE = 1e-3  # difference of the focal lengths along columns and rows of an OpenCV camera, at most
+_BEYOND = 1.2  # times half the longer side: farther out the displacement stays what it is there
+_EXACT_PX = 1e-11  # step, px, at which the inverse has converged: the rounding of doubles at 1e5 px
 _CURVATURE_PER_MM = 0.02  # of a lens, at most: the error after a Newton step is its square times this
+
+
+@record
+class SmoothDistortion:
+    """Displacement of the points of an image of `width_px` x `height_px`."""
+
+    degree: int = scalar("largest i + j of a term")
+    coefficients_px: Floats = array("2, T", "of columns and rows, px, in the order of `term_orders`")
+    width_px: int = scalar("columns of the image")
+    height_px: int = scalar("rows of the image")
+
+    def __post_init__(self) -> None:
+        if self.coefficients_px.shape[1] != (terms := len(term_orders(self.degree))):
+            found = self.coefficients_px.shape[1]
+            raise ValueError(f"a distortion of degree {self.degree} has {terms} coefficients, got {found}")
+
+    def shift_px(self, xy_px: Floats) -> Floats:
+        """Displacements (N, 2), px, of points (N, 2), px."""
+        terms = legendre_terms(xy_px, self.width_px, self.height_px, self.degree)
+        return np.asarray(terms @ self.coefficients_px.T)
+
+    def applied(self, xy_px: Floats) -> Floats:
+        """The displaced points (N, 2) of points (N, 2), px."""
+        return xy_px + self.shift_px(xy_px)
+
+    def removed(self, xy_px: Floats) -> Floats:
+        """The points (N, 2), px, that are displaced to points (N, 2); NaN where the distortion is too steep
+        to be inverted by repetition."""
+        before = xy_px
+        for _ in range(30):
+            found = xy_px - self.shift_px(before)
+            step, before = np.abs(found - before), found
+            if not (step >= _EXACT_PX).any():
+                return found
+        return np.where((step < 1e-6).all(axis=1, keepdims=True), found, np.nan)
+
+
+def term_orders(degree: int) -> tuple[tuple[int, int], ...]:
+    """Orders (i, j) of the terms, by their sum."""
+    return tuple((i, n - i) for n in range(2, degree + 1) for i in range(n + 1))
+
+
+def legendre_terms(xy_px: Floats, width_px: int, height_px: int, degree: int) -> Floats:
+    """(N, T) terms at points (N, 2), px."""
+    half = 0.5 * max(width_px, height_px)
+    middle = 0.5 * np.array([width_px - 1, height_px - 1])
+    x, y = np.clip((xy_px - middle) / half, -_BEYOND, _BEYOND).T
+    along_x, along_y = (legval(t, np.eye(degree + 1)) for t in (x, y))
+    return np.stack([along_x[i] * along_y[j] for i, j in term_orders(degree)], axis=1)
 
 
 @record
@@ -98,17 +159,17 @@ class StarCamera:
         """Angle between the ends of the detector's middle row (`row_ends_px`)."""
         return _fov_x(self)
 
-    def row_ends_px(self) -> Array:
+    def row_ends_px(self) -> Floats:
         """The ends (2, 2), px, of the middle row: the middles of the detector's left and right edges or, of a
         fisheye with an edge behind the camera, the last pixels within 89 degrees of its axis."""
         return _row_ends(self).copy()
 
-    def middle_axes(self) -> Array:
+    def middle_axes(self) -> Floats:
         """Rotation matrix (3, 3) whose columns, in frame s, are right, down and the direction of the image's
         middle; down points away from row 0."""
         return _middle_axes(self).copy()
 
-    def contains(self, xy_px: ArrayLike) -> NDArray[np.bool_]:
+    def contains(self, xy_px: ArrayLike) -> Bools:
         """Mask (N,) of points (N, 2), px, on the detector; its edge is half a pixel beyond the outer
         centres.
         """
@@ -116,7 +177,7 @@ class StarCamera:
         upper = np.array([self.width_px, self.height_px]) - 0.5
         return np.asarray(((xy >= -0.5) & (xy <= upper)).all(axis=1))
 
-    def directions_from_pixels(self, xy_px: ArrayLike) -> Array:
+    def directions_from_pixels(self, xy_px: ArrayLike) -> Floats:
         """Unit vectors (N, 3) in frame s towards points (column, row) (N, 2) of the detector, px, as
         measured, distortion not removed (paper, eqs. 3-6): `[-x, -y, f]` normalised, x and y the ideal image
         coordinates.
@@ -134,7 +195,7 @@ class StarCamera:
         """
         return _normalised(self.tangents_from_pixels(xy_px))
 
-    def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Array:
+    def tangents_from_pixels(self, xy_px: ArrayLike, *, error_px: float = 0.0) -> Floats:
         """Tangent-plane points (N, 2), `(u_x, u_y) / u_z`, of image points (N, 2), px; NaN as in
         `directions_from_pixels`. An allowed error `error_px` saves iterations."""
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
@@ -142,7 +203,7 @@ class StarCamera:
             ideal = _radially(ideal, self.focal_m * _MM, _TANGENT_OVER_RADIUS[self.projection])
         return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
 
-    def pixels_from_directions(self, u_s: ArrayLike) -> Array:
+    def pixels_from_directions(self, u_s: ArrayLike) -> Floats:
         """Image points (column, row) (N, 2), px, of directions (N, 3) of any length, frame s, distortion
         included.
 
@@ -157,22 +218,19 @@ class StarCamera:
         ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
         if self.projection != "tangent":
             ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
-        if self._is_distorted:
-            actual, own, other = self._distorted(ideal)
-            actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
-        else:
-            actual = ideal
+        actual, own, other = self._distorted(ideal)
+        actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
         xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
         return xy if self.smooth is None else self.smooth.applied(xy)
 
-    def pixel_jacobian(self, xy_px: ArrayLike) -> Array:
+    def pixel_jacobian(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the unit vectors, (N, 3, 2): `d u_s / d(column, row)`, rad/px.
 
         A covariance C (2, 2) px² of a centroid gives that of its direction: `J C J^T` (3, 3) rad².
         """
         return self.directions_and_jacobian(xy_px)[1]
 
-    def directions_and_jacobian(self, xy_px: ArrayLike) -> tuple[Array, Array]:
+    def directions_and_jacobian(self, xy_px: ArrayLike) -> tuple[Floats, Floats]:
         """`directions_from_pixels` (N, 3) and `pixel_jacobian` (N, 3, 2): the distortion is inverted once."""
         if self.smooth is not None or self.projection != "tangent":
             return self.directions_from_pixels(xy_px), self._differences(_points(xy_px))
@@ -187,7 +245,7 @@ class StarCamera:
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
         return _normalised(_pairs(ideal * (-1.0 / f_mm))), J
 
-    def pixel_slopes(self, xy_px: ArrayLike) -> Array:
+    def pixel_slopes(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
         of pixels (N, 2), to which both rows are normal: the pseudo-inverse of `pixel_jacobian`.
         """
@@ -199,11 +257,6 @@ class StarCamera:
         t = ideal * (-1.0 / (self.focal_m * _MM))
         scale = np.sqrt(1.0 + t.real * t.real + t.imag * t.imag) * (-self.focal_m / self.pixel_m)
         slopes = np.empty((len(t), 2, 3))
-        if not self._is_distorted:
-            slopes[:, 0, 0] = slopes[:, 1, 1] = scale
-            slopes[:, 0, 1] = slopes[:, 1, 0] = 0.0
-            slopes[:, :, 2] = _pairs(-scale * t)
-            return slopes
         _, own, other = self._distorted(ideal)
         slopes[:, 0, 0], slopes[:, 1, 1] = scale * (own + other.real), scale * (own - other.real)
         slopes[:, 0, 1] = slopes[:, 1, 0] = scale * other.imag
@@ -219,11 +272,10 @@ class StarCamera:
         f = self.focal_m * _MM
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
+        k = [self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]
         return OpenCVParameters(
             camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f])
-            if self.q3 == 0.0
-            else np.array([self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]),
+            distortion=np.array(k if self.q3 else k[:4]),
         )
 
     @classmethod
@@ -264,12 +316,7 @@ class StarCamera:
             q3=k3 / f**6,
         )
 
-    @property
-    def _is_distorted(self) -> bool:
-        """Whether the polynomials of eq. (5) are not zero."""
-        return any((self.p1, self.p2, self.q1, self.q2, self.q3))
-
-    def _distorted(self, z: Complex) -> tuple[Complex, Array, Complex]:
+    def _distorted(self, z: Complex) -> tuple[Complex, Floats, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
 
         With t = p1 + i p2 eq. (5) is  z + d = s z + r^2 t, where s = 1 + q1 r^2 + q2 r^4 + q3 r^6 + 2 t.z. A
@@ -283,7 +330,7 @@ class StarCamera:
         slope = self.q1 + r2 * (2.0 * self.q2 + 3.0 * r2 * self.q3)
         return s * z + r2 * t, s + (r2 * slope + sideways), z * (slope * z + 2.0 * t)
 
-    def _is_valid(self, z: Complex, own: Array, other: Complex) -> NDArray[np.bool_]:
+    def _is_valid(self, z: Complex, own: Floats, other: Complex) -> Bools:
         """Mask (N,) of points where the distortion is monotone and keeps orientation; arguments of
         `_distorted`.
         """
@@ -302,7 +349,7 @@ class StarCamera:
         reciprocal = -3.0 * self.q1 + math.sqrt(max(discriminant, 0.0))  # of half of r^2
         return math.sqrt(2.0 / reciprocal) if discriminant >= 0.0 and reciprocal > 1e-30 else math.inf
 
-    def _ideal_mm(self, xy_px: Array, error_mm: float = _EXACT_MM) -> Complex:
+    def _ideal_mm(self, xy_px: Floats, error_mm: float = _EXACT_MM) -> Complex:
         """Ideal points x + iy (N,), mm, of pixels (N, 2): inverse of eq. (4); NaN where there is none.
 
         Newton's step for a residual m is  (own m - other conj(m)) / (own^2 - |other|^2).
@@ -311,8 +358,6 @@ class StarCamera:
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
-        if not self._is_distorted:
-            return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(25):
@@ -327,7 +372,7 @@ class StarCamera:
         z[~found] = complex(np.nan, np.nan)
         return z
 
-    def _differences(self, xy_px: Array) -> Array:
+    def _differences(self, xy_px: Floats) -> Floats:
         """`pixel_jacobian` by differences of directions a tenth of a pixel apart: exact to 1e-9 of itself."""
         steps = 0.1 * np.eye(2)
         columns = [
@@ -339,7 +384,7 @@ class StarCamera:
 
 
 @lru_cache(maxsize=4)  # every image of a camera asks
-def _middle_axes(camera: StarCamera) -> Array:
+def _middle_axes(camera: StarCamera) -> Floats:
     x, y = 0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1)
     middle, above = camera.directions_from_pixels([[x, y], [x, y - 1.0]])
     up = above - middle * (above @ middle)
@@ -348,7 +393,7 @@ def _middle_axes(camera: StarCamera) -> Array:
 
 
 @lru_cache(maxsize=4)
-def _row_ends(camera: StarCamera) -> Array:
+def _row_ends(camera: StarCamera) -> Floats:
     row = 0.5 * (camera.height_px - 1)
     edges = np.array([[-0.5, row], [camera.width_px - 0.5, row]])
     if camera.projection == "tangent" or np.isfinite(camera.directions_from_pixels(edges)).all():
@@ -364,58 +409,47 @@ def _fov_x(camera: StarCamera) -> float:
     return float(2.0 * np.arcsin(0.5 * np.linalg.norm(right - left)))
 
 
-def _radially(z: Complex, f_mm: float, factor: Callable[[Array], Array]) -> Complex:
+def _radially(z: Complex, f_mm: float, factor: Callable[[Floats], Floats]) -> Complex:
     """Points z (N,), mm, with their radii multiplied by a function of radius over f."""
     return np.asarray(z * factor(np.maximum(np.abs(z) / f_mm, 1e-12)))
 
 
-def _angle_over_tangent(tangent: Array) -> Array:
-    return np.asarray(np.arctan(tangent) / tangent)
+# Radius r over f against the tangent of the angle t: r / tan t of tangents, and tan t / r of radii, NaN from
+# t = 90 deg.
+_RADIUS_OVER_TANGENT: dict[str, Callable[[Floats], Floats]] = {
+    "equidistant": lambda tangent: np.arctan(tangent) / tangent,
+    "stereographic": lambda tangent: 2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)),
+}
+_TANGENT_OVER_RADIUS: dict[str, Callable[[Floats], Floats]] = {
+    "equidistant": lambda angle: np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan),
+    "stereographic": lambda radius: np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan),
+}
 
 
-def _tangent_over_angle(angle: Array) -> Array:
-    return np.where(angle < 0.5 * np.pi, np.tan(angle) / angle, np.nan)
-
-
-def _half_angle_over_tangent(tangent: Array) -> Array:
-    """2 tan(t/2) / tan t, of the tangents of angles t."""
-    return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + tangent * tangent)))
-
-
-def _tangent_over_half_angle(radius: Array) -> Array:
-    """tan t / r of r = 2 tan(t/2); NaN from t = 90 deg."""
-    return np.where(radius < 2.0, 1.0 / (1.0 - 0.25 * radius * radius), np.nan)
-
-
-# Radius r over f against the tangent of the angle: r / tan t of tangents, and tan t / r of radii.
-_RADIUS_OVER_TANGENT = {"equidistant": _angle_over_tangent, "stereographic": _half_angle_over_tangent}
-_TANGENT_OVER_RADIUS = {"equidistant": _tangent_over_angle, "stereographic": _tangent_over_half_angle}
-
-
-def _complex(points: Array) -> Complex:
+def _complex(points: Floats) -> Complex:
     """x + iy of points (N, 2)."""
     return np.ascontiguousarray(points).view(np.complex128)[:, 0]
 
 
-def _pairs(z: Complex) -> Array:
+def _pairs(z: Complex) -> Floats:
     """Points (N, 2) of x + iy."""
     return z.view(float).reshape(-1, 2)
 
 
-def _normalised(tangents: Array) -> Array:
+def _normalised(tangents: Floats) -> Floats:
     """Unit vectors (N, 3) of points (N, 2) of the tangent plane."""
     v = np.column_stack([tangents, np.ones(len(tangents))])
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def _points(xy_px: ArrayLike) -> Array:
+def _points(xy_px: ArrayLike) -> Floats:
     xy = np.asarray(xy_px, dtype=float)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise ValueError(f"xy_px must have shape (N, 2), got {xy.shape}")
     return xy
 
 
-def _inverse_2x2(J: Array) -> Array:
+def _inverse_2x2(J: Floats) -> Floats:
     a, b, c, d = J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1]
     inverse = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Bools, Floats, Ints, record, scalar
 
 __all__ = [
     "Clearance",
@@ -30,7 +30,6 @@ __all__ = [
     "first_crossings",
 ]
 
-Array = NDArray[np.float64]
 
 _TILE = 8  # pixels a side of the finest tiles
 _GROWTH = 4  # tile size from level to level
@@ -47,11 +46,11 @@ _SAFETY = 0.8  # on a long path height decreases a few per cent more slowly at t
 class Clearance(Protocol):
     """Height of rays above ground, as a function of their parameter."""
 
-    def above_ground(self, share: Array) -> Array:
+    def above_ground(self, share: Floats) -> Floats:
         """Height of each ray above ground, m, at parameters (N,), 0 to 1; NaN without data."""
         ...
 
-    def of(self, rays: NDArray[np.int64]) -> Clearance:
+    def of(self, rays: Ints) -> Clearance:
         """The function restricted to the rays with indices (M,)."""
         ...
 
@@ -97,7 +96,7 @@ def bounds_of_heights(heights: NDArray[np.float32]) -> HeightBounds:
         size *= _GROWTH
 
 
-def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Array, Array]:
+def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Floats, Floats, Floats]:
     """Lowest and highest ground and greatest rise per pixel in the finest tiles of a block of rows."""
     band = heights[first : first + _BAND]
     unknown = np.isnan(band)
@@ -119,14 +118,14 @@ def _finest_bounds(heights: NDArray[np.float32], first: int) -> tuple[Array, Arr
     return low, high, _tiles(rise, _TILE, _UNKNOWN_RISE_M).max(axis=1).max(axis=2)
 
 
-def bilinear(heights: NDArray[np.float32], column: Array, row: Array) -> Array:
+def bilinear(heights: NDArray[np.float32], column: Floats, row: Floats) -> Floats:
     """Heights (N,), m, at fractional pixels, (0, 0) at the first centre; NaN outside or next to no data."""
     return _bilinear_and_slopes(heights, column, row)[0]
 
 
 def _bilinear_and_slopes(
-    heights: NDArray[np.float32], column: Array, row: Array
-) -> tuple[Array, Array, Array]:
+    heights: NDArray[np.float32], column: Floats, row: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Heights (N,) as `bilinear`, and their derivatives by column and row (N,), m/px."""
     rows, columns = heights.shape
     everywhere = len(row) > 0 and bool(
@@ -152,7 +151,7 @@ def _bilinear_and_slopes(
     return height if everywhere else np.where(inside, height, np.nan), by_column, by_row
 
 
-def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -> tuple[Array, Array]:
+def _between(values: NDArray[np.float32], at: Ints, share: Floats) -> tuple[Floats, Floats]:
     """Values (N,) at indices `at` (N,) plus `share` (N,), and their differences to the next index (N,)."""
     first, difference = (part.take(at, mode="clip").astype(np.float64) for part in (values, values[1:]))
     difference -= first
@@ -160,7 +159,7 @@ def _between(values: NDArray[np.float32], at: NDArray[np.int64], share: Array) -
     return first, difference
 
 
-def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coefficients: Array) -> Array:
+def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coefficients: Floats) -> Floats:
     """Parameters (N,) of the first intersections of rays with the ground; NaN without one or without data.
 
     `heights` (rows, columns) have these `bounds`; `coefficients` (K, 3, N) are those of the powers 0 to K - 1
@@ -182,7 +181,7 @@ def first_crossings(heights: NDArray[np.float32], bounds: HeightBounds, coeffici
     return share
 
 
-def crossings_by_steps(clearance: Clearance, n: int, steps: int) -> Array:
+def crossings_by_steps(clearance: Clearance, n: int, steps: int) -> Floats:
     """Parameters (n,) of the first intersections of n rays with any surface, sampled in even steps."""
     return _first(clearance, np.zeros(n), np.ones(n), np.full(n, float(steps)))
 
@@ -192,16 +191,16 @@ class _Polynomials:
     """Rays in pixels: column, row and height as polynomials in the parameter."""
 
     heights: NDArray[np.float32]
-    coefficients: Array  # (K, 3, N), constant first
+    coefficients: Floats  # (K, 3, N), constant first
 
-    def above_ground(self, share: Array) -> Array:
+    def above_ground(self, share: Floats) -> Floats:
         column, row, height = self.at(share)
         return height - bilinear(self.heights, column, row)
 
-    def of(self, rays: NDArray[np.int64]) -> _Polynomials:
+    def of(self, rays: Ints) -> _Polynomials:
         return _Polynomials(self.heights, self.coefficients.take(rays, axis=2))
 
-    def at(self, share: Array, part: slice = slice(3)) -> Array:
+    def at(self, share: Floats, part: slice = slice(3)) -> Floats:
         """Column, row and height (3, N), or a part of them, at parameters (N,)."""
         coefficients = self.coefficients[:, part]
         value = coefficients[-1] * share
@@ -211,7 +210,7 @@ class _Polynomials:
         value += coefficients[0]
         return value
 
-    def newton_step(self, share: Array) -> tuple[Array, Array]:
+    def newton_step(self, share: Floats) -> tuple[Floats, Floats]:
         """Steps (N,) of the parameter towards the ground from parameters (N,), and heights above it there
         (N,), m; the slope of a ray is that in its middle.
         """
@@ -222,7 +221,7 @@ class _Polynomials:
         with np.errstate(divide="ignore", invalid="ignore"):
             return height / (by_column * across + by_row * down - fall), height
 
-    def share_at_height(self, height: Array, fall: Array) -> Array:
+    def share_at_height(self, height: Floats, fall: Floats) -> Floats:
         """Parameters (N,) at heights (N,), by one Newton step from the chord, which falls by `fall` (N,), m,
         per unit of the parameter.
         """
@@ -230,26 +229,26 @@ class _Polynomials:
         slope = self.coefficients[1, 2] + 2.0 * share * self.coefficients[2, 2]
         return share - (self.at(share, slice(2, 3))[0] - height) / slope
 
-    def pixels(self) -> Array:
+    def pixels(self) -> Floats:
         """Upper bound (N,) of the pixels crossed per unit of the parameter, along rows or columns, whichever
         is more.
         """
         return np.max(np.sum(np.abs(self.coefficients[1:, :2]), axis=0), axis=0)
 
 
-def _only_crossings(curve: _Polynomials, start: Array, stop: Array, once: NDArray[np.bool_]) -> Array:
+def _only_crossings(curve: _Polynomials, start: Floats, stop: Floats, once: Bools) -> Floats:
     """Parameters (N,) of the crossings of rays with one crossing between `start` and `stop` (`once`), by
     Newton's method; NaN for others, and where it does not converge between them to 1e-7 m.
     """
     share = np.full(len(start), np.nan)
-    active: NDArray[np.int64] = np.flatnonzero(once)
+    active: Ints = np.flatnonzero(once)
     here = curve if len(active) == len(start) else curve.of(active)
     s = 0.5 * (start[active] + stop[active])
     for iteration in range(_NEWTON_STEPS):
         step, above = here.newton_step(s)
         s += step
         found = np.abs(above) <= _CONVERGED_M
-        more: NDArray[np.int64] = np.flatnonzero(~found & np.isfinite(s))
+        more: Ints = np.flatnonzero(~found & np.isfinite(s))
         last = len(more) == 0 or iteration == _NEWTON_STEPS - 1
         if last or len(more) < _FEW_LEFT * len(active):
             share[active] = _where(found, s, np.nan)
@@ -260,17 +259,17 @@ def _only_crossings(curve: _Polynomials, start: Array, stop: Array, once: NDArra
 
 
 def _possible_interval(
-    curve: _Polynomials, pixels: Array, fall: Array, bounds: HeightBounds
-) -> tuple[Array, Array, Array, Array, Array]:
+    curve: _Polynomials, pixels: Floats, fall: Floats, bounds: HeightBounds
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Where each ray can intersect the ground: five arrays (N,).
 
     Parameters between which it can, start > stop if it cannot; the highest and the lowest ground and its
     greatest rise over a pixel there, m. Per unit of the parameter the ray crosses `pixels` and falls by
     `fall`, m.
     """
-    start: Array = np.full(len(pixels), -1.0)
-    stop: Array = np.ones(len(pixels))
-    rise: Array = np.full(len(pixels), _UNKNOWN_RISE_M)
+    start: Floats = np.full(len(pixels), -1.0)
+    stop: Floats = np.ones(len(pixels))
+    rise: Floats = np.full(len(pixels), _UNKNOWN_RISE_M)
     # The height is that of the chord, `middle - fall s`, to `bow`.
     middle = np.sum(curve.coefficients[::2, 2], axis=0)
     bow = np.sum(np.abs(curve.coefficients[2:, 2]), axis=0) + _MARGIN_M
@@ -293,17 +292,17 @@ def _possible_interval(
     return start, stop, highest, lowest, rise
 
 
-def _where(chosen: NDArray[np.bool_], value: Array, other: Array | float) -> Array:
+def _where(chosen: Bools, value: Floats, other: Floats | float) -> Floats:
     """As `np.where`, without a copy where all are chosen, which is usual."""
     return value if chosen.all() else np.where(chosen, value, other)
 
 
-def _tile_index(pixel: Array, size: int, count: int) -> NDArray[np.int64]:
+def _tile_index(pixel: Floats, size: int, count: int) -> Ints:
     inside = np.fmin(np.fmax(pixel * (1.0 / size), -2.0), count - 3.0)  # -2 for NaN
     return np.floor(inside).astype(np.int64) + 2
 
 
-def _tiles(values: Array, size: int, fill: float) -> Array:
+def _tiles(values: Floats, size: int, fill: float) -> Floats:
     """(rows, columns) reshaped to (tile rows, size, tile columns, size), padded with `fill`."""
     rows, columns = (-(-length // size) * size for length in values.shape)
     padded = np.pad(
@@ -312,10 +311,10 @@ def _tiles(values: Array, size: int, fill: float) -> Array:
     return padded.reshape(rows // size, size, columns // size, size)
 
 
-def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Array:
+def _first(clearance: Clearance, start: Floats, stop: Floats, steps: Floats) -> Floats:
     """First parameter (N,) where a ray changes from above to below ground, sampled in `steps` (N,) steps."""
     share = np.full(len(start), np.nan)
-    rays: NDArray[np.int64] = np.flatnonzero(steps > 0.0)
+    rays: Ints = np.flatnonzero(steps > 0.0)
     active = clearance if len(rays) == len(start) else clearance.of(rays)
     step = (stop[rays] - start[rays]) / steps[rays]
     left = start[rays]
@@ -326,11 +325,11 @@ def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Arr
         right = left + step
         below = active.above_ground(right)
         crossed = below <= 0.0
-        done: NDArray[np.int64] = np.flatnonzero(crossed)
+        done: Ints = np.flatnonzero(crossed)
         if len(done):
             here = active if len(done) == len(rays) else active.of(done)
             share[rays[done]] = _refined(here, left[done], right[done], above[done], below[done])
-        kept: NDArray[np.int64] = np.flatnonzero(~crossed & (k < steps[rays]))
+        kept: Ints = np.flatnonzero(~crossed & (k < steps[rays]))
         left, above = right, below
         if len(kept) < len(rays):
             active = active.of(kept)
@@ -338,14 +337,14 @@ def _first(clearance: Clearance, start: Array, stop: Array, steps: Array) -> Arr
     return share
 
 
-def _refined(clearance: Clearance, left: Array, right: Array, above: Array, below: Array) -> Array:
+def _refined(clearance: Clearance, left: Floats, right: Floats, above: Floats, below: Floats) -> Floats:
     """Root (N,) between `left` (above ground) and `right` (below) by regula falsi (Anderson and Björck's).
 
     NaN where a sampled point has no data.
     """
     known = above >= 0.0
     root = np.where(known, right, np.nan)
-    active: NDArray[np.int64] = np.flatnonzero(known & (below < -_CONVERGED_M))
+    active: Ints = np.flatnonzero(known & (below < -_CONVERGED_M))
     a, b, fa, fb = left[active], right[active], above[active], below[active]
     here = clearance.of(active) if len(active) < len(left) else clearance
     for iteration in range(60):  # which halve the interval at worst
@@ -358,7 +357,7 @@ def _refined(clearance: Clearance, left: Array, right: Array, above: Array, belo
         a, fa = np.where(other_side, b, a), np.where(other_side, fb, np.where(less > 0.0, less, 0.5) * fa)
         b, fb = c, fc
         going_on = np.abs(fc) > _CONVERGED_M
-        more: NDArray[np.int64] = np.flatnonzero(going_on)
+        more: Ints = np.flatnonzero(going_on)
         if len(more) < _FEWER * len(active):
             active, a, b, fa, fb, here = active[more], a[more], b[more], fa[more], fb[more], here.of(more)
         elif len(more) < len(active):  # the others stay where they are: the next point is b again

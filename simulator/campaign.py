@@ -25,8 +25,13 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.record import array, record, scalar
-from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, isotropic_covariance
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import (
+    GroundSightings,
+    StarSightings,
+    StripSightings,
+    VectorSets,
+    isotropic_covariance,
+)
 
 __all__ = [
     "CameraPair",

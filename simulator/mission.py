@@ -24,8 +24,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.optical_blur import gaussian_sigma_px
+from boresight.geometry.line_camera import LineCamera, gaussian_sigma_px
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.starlight import StarPlaces, SurveyedStars

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.geometry.smooth_distortion import legendre_terms
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import StarCamera, legendre_terms
 
 __all__ = [
     "DRIFT",

@@ -30,8 +30,7 @@ from scipy.linalg import cho_solve
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.smooth_distortion import term_orders
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import StarCamera, term_orders
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,

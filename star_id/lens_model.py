@@ -1,7 +1,7 @@
 """The lens model that the stars of many images show: Brown's, Kannala and Brandt's or a stereographic lens's,
 or one of these with a smooth distortion, chosen by evidence.
 
-Brown's model to q2 is kept unless a smooth distortion (`geometry.smooth_distortion`) explains more than
+Brown's model to q2 is kept unless a smooth distortion (`geometry.star_camera`) explains more than
 chance, or another projection, or q3. Fisheyes are tried with the stereographic projection, too, which a
 polynomial about the equidistant one does not follow near 90 degrees; the widest are not tried with Brown's. A
 coefficient of degree n has a Gaussian prior of variance t^2 / 2^n, so terms of rising degree count as far as
@@ -27,8 +27,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.camera_fit import (
     OUTLIER_CHI2,

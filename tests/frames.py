@@ -12,9 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from boresight.geometry.ground_site import refract_by_air
 from boresight.geometry.star_camera import StarCamera
-from boresight.geometry.starlight import apparent_star_directions
+from boresight.geometry.starlight import apparent_star_directions, refract_by_air
 from boresight.simulator.cameras import star_camera
 from boresight.simulator.scenario import StarCameraSettings
 from boresight.star_id.catalogue import hipparcos_stars

@@ -39,10 +39,10 @@ from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.orbit import Orbit
+from boresight.geometry.pushbroom import outline_deg
 from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.terrain import ConstantHeight

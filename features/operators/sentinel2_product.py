@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from boresight.features.operators.gipp_files import find_gipp_files, gipp_root
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.geometry.earth_rotation import rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.inertial_frames import rotation_to_gcrs
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError

@@ -20,7 +20,7 @@ from boresight.calib.information import InformationPairs, Solution, exact_sum, s
 from boresight.geometry.attitude_estimate import sums_over, wahba_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.record import array, record, scalar
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import VectorSets
 
 __all__ = ["FrameCalibration", "PreparedFrames", "calibrate_frames", "frame_pairs", "prepare_frames"]
 

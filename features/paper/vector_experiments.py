@@ -45,8 +45,7 @@ from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.record import Floats, record, scalar
-from boresight.geometry.sightings import StripSightings
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import StripSightings, VectorSets
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,

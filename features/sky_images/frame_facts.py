@@ -14,10 +14,10 @@ import numpy as np
 from boresight.features.sky_images.image_time import Whereabouts, time_of_image
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import GroundSite
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.starlight import GroundSite
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import SkyImageRow

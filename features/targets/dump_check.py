@@ -13,10 +13,10 @@ import numpy as np
 
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import ARCSEC, WGS84
-from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.line_camera import end_looks
+from boresight.geometry.pushbroom import outline_deg
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import wrong_convention

@@ -412,7 +412,8 @@ def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTarget
     chance: Floats = np.zeros(len(named))
     for ccd, lines in sorted(task.strip.ccd_lines.items()):
         sample, line = model.pixels_from_ground(ccd, p_e)
-        J = np.linalg.norm(model.pixel_jacobian(ccd, np.array([0.0]), np.array([0.0]))[0], axis=0)
+        J_c = model.directions_and_jacobian(np.array([ccd]), np.zeros((1, 2)))[1]
+        J = np.linalg.norm(J_c[0], axis=0)
         across, along = task.sigma_installation_rad[[0, 1]] / J
         here = _inside(sample, camera.n_px(ccd), across) * _inside(line, lines, along)
         better = here > chance

@@ -20,7 +20,7 @@ from boresight.features.vectors.target_places import SeenPlaces, seen_places
 from boresight.features.vectors.vector_estimate import VectorCalibration
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import VectorSets
 
 __all__ = ["check_directions", "information_of_start", "vector_sets"]
 

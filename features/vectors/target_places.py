@@ -12,7 +12,7 @@ import numpy as np
 
 from boresight.accepted import column_of, label_of, number_of, of_argument, rows_of, utc_of, wrong
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
+from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.geoid import egm96
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.orbit import Orbit
@@ -81,7 +81,7 @@ def seen_places(table: Any, name: str, orbit: Orbit) -> SeenPlaces:
         u_i, range_m = apparent_ground_directions(p_e, t_s, orbit, orbit.earth, LightEffects())
     except ValueError as error:  # not covered by the orbit
         raise wrong(f"{name}, time", times[0], f"an instant of the orbit ({error})") from error
-    above = np.sum((orbit.positions_e(t_s) - p_e) * ellipsoid_normals(lat, lon), axis=1)
+    above = np.sum((orbit.positions_e(t_s) - p_e) * unit_vectors(lon, lat), axis=1)
     if (above <= 0.0).any():
         n = int(np.argmin(above))
         where = f"a place {range_m[n] / 1e3:.0f} km off, below the horizon"

@@ -17,8 +17,7 @@ from boresight.features.vectors.vector_estimate import INDEPENDENT, VectorCalibr
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.sightings import ExposureAttitudes
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import ExposureAttitudes, VectorSets
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import arrow_array
 from boresight.pipeline.files.whole_file import json_text

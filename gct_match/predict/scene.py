@@ -9,9 +9,9 @@ import numpy as np
 from boresight.gct_match.predict.trajectories import Trajectories, trajectories_of
 from boresight.gct_match.records import Chip, Target
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.line_camera import StripImage
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, array, record, scalar
-from boresight.geometry.strip_image import StripImage
 from boresight.geometry.terrain import Surface
 
 __all__ = ["Scene", "scene_of"]

@@ -21,7 +21,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.optical_blur import gaussian_sigma_px
+from boresight.geometry.line_camera import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface

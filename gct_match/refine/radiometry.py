@@ -26,7 +26,7 @@ from boresight.gct_match.imaging.spectra import (
 )
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.weighting import Weighting
-from boresight.geometry.optical_blur import gaussian_sigma_px
+from boresight.geometry.line_camera import gaussian_sigma_px
 
 __all__ = ["TERMS", "TONE_TERMS", "fill_columns"]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from boresight.gct_match.imaging.views import filled_with_mean
 from boresight.gct_match.records import Image
 from boresight.gct_match.settings import MatchSettings
+from boresight.geometry.line_camera import StripImage
 from boresight.geometry.record import Bools, array, record, scalar
-from boresight.geometry.strip_image import StripImage
 
 __all__ = ["CoarseStrip", "means_of_usable", "read_coarse", "read_window"]
 

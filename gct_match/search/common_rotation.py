@@ -32,9 +32,9 @@ from boresight.gct_match.search.search_plan import Box, SearchPlan, Window, exte
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.line_camera import StripImage
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.strip_image import StripImage
 
 __all__ = ["Each", "search_common_rotation", "vote_tolerance_px"]
 

@@ -21,8 +21,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.attitude_motion import FACTORS, Stretch, stretches
 from boresight.calib.finding import Finding
-from boresight.geometry.attitude_motion import FACTORS, Stretch, stretches
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroRecord
 from boresight.geometry.ledger import Kind, Subject

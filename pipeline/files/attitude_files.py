@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
-from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.earth_rotation import AttitudeFrame, EarthRotation, InertialFrame, rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.inertial_frames import AttitudeFrame, InertialFrame, rotation_to_gcrs
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import (

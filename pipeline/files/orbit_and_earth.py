@@ -12,12 +12,12 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.orbit_consistency import find_orbit_fault
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.orbit_file import Ephemeris, covered_by, joined_segments, read_segments
 from boresight.pipeline.files.spice_kernels import SPK, Kernels, is_kernel, read_spk
 from boresight.pipeline.files.text_files import read_table
+from boresight.pipeline.files.usual_mistakes import find_orbit_fault
 
 __all__ = ["bundled_table", "orbit_of", "read_earth_orientation", "read_orbit", "segment_over"]
 

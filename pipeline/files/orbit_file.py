@@ -15,8 +15,8 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.earth_rotation import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.geometry.inertial_frames import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import Interpolation, NominalMotion
-from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
@@ -25,8 +24,7 @@ from boresight.geometry.gyro import GyroRecord, GyroRows
 from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
 from boresight.geometry.record import Floats, Ints, array, record, scalar
-from boresight.geometry.smooth_distortion import SmoothDistortion, term_orders
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
 from boresight.geometry.starlight import AberrationRemoved, with_all_aberration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
@@ -36,6 +34,7 @@ from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.gyro_file import read_gyro
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
+from boresight.pipeline.files.usual_mistakes import AttitudeFault, find_attitude_fault, off_nadir
 from boresight.star_id.centroids import Centroids
 
 __all__ = [

@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.geoid import egm96
 from boresight.geometry.record import Floats, array, record
-from boresight.geometry.terrain import Surface, TerrainGrid, TerrainTiles
-from boresight.geometry.terrain_tiles import Raster, joined
+from boresight.geometry.terrain import Raster, Surface, TerrainGrid, TerrainTiles, joined
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.images.rasters import read_grid

@@ -259,8 +259,9 @@ def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found:
         lat, lon, height = geodetic_from_ecef(p_all_e[here], WGS84)
         to_plane = np.swapaxes(local_axes_e(lat, lon)[:, :, :2], 1, 2)  # east, north
         level_m, xy_px = float(height.mean()), matched.xy_px[here]
-        J_c = one.model.pixel_jacobian(k, *xy_px.T, height_m=level_m)[:, :2]
-        residual_px = np.linalg.solve(J_c, found.residual_c[rows[here], :, None])
+        ccds = np.full(len(here), k)
+        J_c = one.model.directions_and_jacobian(ccds, xy_px, height_m=level_m)[1]
+        residual_px = np.linalg.solve(J_c[:, :2], found.residual_c[rows[here], :, None])
         middle, beside, below = (
             one.model.ground_points(k, xy_px[:, 0] + right, xy_px[:, 1] + down, ConstantHeight(level_m))
             for right, down in ((0, 0), (1, 0), (0, 1))

@@ -22,7 +22,7 @@ from boresight.calib.predicted_earth import correlation_of_predictions
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats, array, record
 from boresight.pipeline.results.reading import SavedResult
@@ -45,7 +45,7 @@ def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> Grou
     """The moves of ground points (N, 3), ITRS, seen at instants (N,) with attitudes (N,), GCRS to frame c."""
     motion_e = orbit.velocities_e(t_s)
     lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
-    up = ellipsoid_normals(lat, lon)
+    up = unit_vectors(lon, lat)
     along = motion_e - up * np.einsum("na,na->n", motion_e, up)[:, None]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     to_track = np.stack([along, np.cross(along, up)], axis=1)  # (N, 2, 3)

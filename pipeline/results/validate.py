@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import ecef_from_geodetic, ellipsoid_normals, local_axes_e
+from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
@@ -204,7 +204,7 @@ def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) 
     lon = np.radians([point.lon_deg for point in points])
     true_e = ecef_from_geodetic(lat, lon, np.array([point.height_m for point in points]), WGS84)
     computed_e = model.ground_points(ccd, sample, line, surface_of(dump.terrain))
-    up = ellipsoid_normals(lat, lon)
+    up = unit_vectors(lon, lat)
     motion = dump.orbit.velocities_e(model.instants_of_lines(ccd, line))
     along = motion - up * np.einsum("ni,ni->n", motion, up)[:, None]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)

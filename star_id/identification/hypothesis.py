@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_estimate import wahba_rotation
+from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.geometry.record import Floats, Ints
 from boresight.star_id.identification.tangent_plane import (
     Complex,
@@ -161,7 +161,8 @@ def refine(
     measured = image.points.take(match.detections)
     u_i = index.u_i.take(match.stars, axis=0)
     if image.field.is_calibrated:
-        return wahba_rotation(directions_of_tangents(measured).T @ u_i), hypothesis.distortion, 3
+        R_si = wahba_matrices((directions_of_tangents(measured).T @ u_i)[None])
+        return Rotation.from_matrix(R_si[0]), hypothesis.distortion, 3
     n = len(measured)
     free = 2 if n < 16 else 4
     if image.field.scale_error > 0 and n < 8:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
+from boresight.geometry.line_camera import StripImage
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.geometry.strip_image import StripImage
 from boresight.star_id.finding.candidates import MAX_CANDIDATES
 from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH
 from boresight.star_id.finding.windows import StarWindows

@@ -26,8 +26,7 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.record import Floats, Ints
-from boresight.geometry.sightings import GroundReferences, HeadAttitudes, StripSightings
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import GroundReferences, HeadAttitudes, StripSightings, VectorSets
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,

@@ -18,8 +18,7 @@ from boresight.features.paper.frames import calibrate_frames
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.sightings import StripSightings
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import StripSightings, VectorSets
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

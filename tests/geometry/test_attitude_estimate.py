@@ -11,7 +11,6 @@ from boresight.geometry.attitude_estimate import (
     AttitudeSettings,
     fit_attitudes,
     wahba_matrices,
-    wahba_rotation,
 )
 from boresight.geometry.sightings import isotropic_covariance
 
@@ -122,11 +121,10 @@ def test_directions_too_close_together_fix_no_attitude():
     assert not fit.usable.any()
 
 
-def test_one_wahba_problem_has_the_rotation_of_many():
+def test_the_rotation_of_a_wahba_problem_is_that_of_its_vectors():
     rng = np.random.default_rng(17)
     for n in (2, 3, 50):
         R, b = Rotation.random(random_state=rng), rng.normal(size=(n, 3))
         profile = (R.apply(b) + 1e-3 * rng.normal(size=(n, 3))).T @ b
-        difference = wahba_rotation(profile) * Rotation.from_matrix(wahba_matrices(profile[None])[0]).inv()
-        assert difference.magnitude() < 1e-12  # rad: rounding
-        assert (wahba_rotation(profile) * R.inv()).magnitude() < 0.02  # rad: errors of 1e-3 on few vectors
+        found = Rotation.from_matrix(wahba_matrices(profile[None])[0])
+        assert (found * R.inv()).magnitude() < 0.02  # rad: errors of 1e-3 on few vectors

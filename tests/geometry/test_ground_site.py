@@ -11,8 +11,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import GroundSite, refract_by_air
-from boresight.geometry.starlight import apparent_star_directions
+from boresight.geometry.starlight import GroundSite, apparent_star_directions, refract_by_air
 
 UTC = "2019-07-29T20:47:26"
 SITE = GroundSite(np.radians(52.2), np.radians(4.4), 30.0, 1009.0, 17.5)

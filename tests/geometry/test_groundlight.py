@@ -12,12 +12,6 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from boresight.geometry.atmosphere import (
-    Atmosphere,
-    layered_atmosphere,
-    refractivity_of_air,
-    standard_atmosphere,
-)
 from boresight.geometry.constants import GM_EARTH, SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
@@ -29,13 +23,17 @@ from boresight.geometry.geodesy import (
     ray_ellipsoid_intersection,
 )
 from boresight.geometry.groundlight import (
+    Atmosphere,
     LightEffects,
     aberrate,
     apparent_directions_e,
     apparent_ground_directions,
     emission_points_e,
     emission_rays_e,
+    layered_atmosphere,
     lines_of_sight_e,
+    refractivity_of_air,
+    standard_atmosphere,
 )
 
 EARTH = EarthRotation.over(Epoch.from_utc("2024-04-09T05:00:00"), -1.0, 6000.0, bundled_earth_orientation())

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude_noise import NO_NOISE
 from boresight.geometry.attitude_smoother import HeadRows, SmoothedAttitude
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.gyro import GyroNoise, GyroRows, longest_without_gap, summed_up
+from boresight.geometry.gyro import GyroNoise, GyroRows, longest_without_gap, summed_up, without_gap
 
 NOISE = GyroNoise(
     random_walk_rad=0.2 * ARCSEC,
@@ -93,6 +93,8 @@ def test_a_gap_ends_a_stretch() -> None:
     t = np.concatenate([np.arange(0.0, 1.0, 0.1), np.arange(5.0, 7.0, 0.1)])
     assert longest_without_gap(t).tolist() == list(range(10, 30))
     assert longest_without_gap(t[:1]).tolist() == [0]
+    assert np.concatenate(without_gap(t)).tolist() == list(range(len(t)))
+    assert [len(part) for part in without_gap(t[:0])] == [0]
 
 
 def test_a_noise_that_is_not_positive_is_refused() -> None:

@@ -5,7 +5,7 @@ import pytest
 from skyfield.framelib import ICRS_to_J2000
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.inertial_frames import rotation_to_gcrs
+from boresight.geometry.earth_rotation import rotation_to_gcrs
 
 
 def test_frame_bias_is_that_of_skyfield_and_of_the_conventions():

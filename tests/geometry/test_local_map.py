@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from boresight.geometry.local_map import fit_local_map
-from boresight.geometry.terrain import TerrainGrid, _local_map
+from boresight.geometry.terrain import TerrainGrid, _local_map, fit_local_map
 
 
 def projection(crs, pixel_m=30.0):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from boresight.geometry.optical_blur import gaussian_sigma_px
+from boresight.geometry.line_camera import gaussian_sigma_px
 
 
 @pytest.mark.parametrize("mtf", [0.08, 0.15, 0.4])

@@ -156,7 +156,8 @@ def test_jacobian_tells_how_a_shift_in_the_image_turns_the_look_direction():
     # Shift the pixel, ask where its ground was seen at the unshifted instant: that is the change of u_c.
     model = strip(15.0, 10.0)
     sample, line = pixels(20)
-    J = model.pixel_jacobian(1, sample, line, height_m=200.0)
+    ccds, xy_px = np.ones(len(line), dtype=int), np.column_stack([sample, line])
+    J = model.directions_and_jacobian(ccds, xy_px, height_m=200.0)[1]
     u_c = model.camera.directions_from_pixels(1, sample)
     for axis, (ds, dl) in enumerate([(0.5, 0.0), (0.0, 0.5)]):
         seen = []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, inner, record, scalar, shape_of
+from boresight.geometry.record import Floats, RowRecord, array, inner, record, scalar, shape_of
 
 
 @record
@@ -114,3 +114,29 @@ def test_declared_shape_can_be_read_back() -> None:
 def test_misspelt_shape_is_refused_where_it_is_declared() -> None:
     with pytest.raises(TypeError, match="'n'"):
         array("n, 2", "lower case")
+
+
+@record
+class Places(RowRecord):
+    """Row n of every array, and of the record held, is the same place."""
+
+    R_ab: Rotation = array("N", "rotations, b to a")
+    height_m: Floats | None = array("N", "heights; None: not known", default=None)
+    inside: Places | None = scalar("more of the same places", default=None)
+    limit: float = scalar("largest distance, px", default=2.0)
+
+
+def places(first: int, n: int) -> Places:
+    turns = Rotation.from_rotvec(np.outer(np.arange(first, first + n), [0.0, 0.0, 0.1]))
+    return Places(turns, inside=Places(turns, np.arange(first, first + n, dtype=float)), limit=float(first))
+
+
+def test_rows_are_chosen_and_joined_in_all_arrays_and_in_records_held():
+    whole = Places.together([places(0, 0), places(0, 3), places(3, 2)])
+    assert len(whole.R_ab) == 5 and whole.height_m is None and whole.limit == 0.0
+    assert whole.inside is not None and whole.inside.height_m.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    for rows in (np.array([4, 1]), np.array([False, True, False, False, True])):
+        chosen = whole.take(rows)
+        assert chosen.inside is not None and sorted(chosen.inside.height_m.tolist()) == [1.0, 4.0]
+        # rad: rounding of rotations by up to 0.4 rad
+        assert chosen.R_ab.as_rotvec()[:, 2] == pytest.approx(0.1 * chosen.inside.height_m, abs=1e-15)

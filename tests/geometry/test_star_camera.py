@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from boresight.geometry.smooth_distortion import SmoothDistortion
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import SmoothDistortion, StarCamera
 
 # Table 2 of the paper: f = 100 mm, 6.4 um, (p1, p2, q1, q2) for millimetres.
 PINHOLE = StarCamera(

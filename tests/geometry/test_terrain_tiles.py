@@ -7,8 +7,7 @@ import pytest
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.geometry.terrain import TerrainGrid, TerrainTiles, intersect
-from boresight.geometry.terrain_tiles import Raster, joined
+from boresight.geometry.terrain import Raster, TerrainGrid, TerrainTiles, intersect, joined
 
 NORTH, WEST, STEP = 46.2, 7.5, 1.0 / 1200.0  # three arc-seconds
 ROWS, COLUMNS = 180, 240

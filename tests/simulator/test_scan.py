@@ -10,7 +10,7 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.optical_blur import gaussian_sigma_px
+from boresight.geometry.line_camera import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.simulator.cameras import (

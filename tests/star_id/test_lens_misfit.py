@@ -6,7 +6,7 @@ import erfa
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.ground_site import Air, refract_by_air
+from boresight.geometry.starlight import Air, refract_by_air
 from boresight.star_id.field import nominal_camera
 from boresight.star_id.field_fit import fit_attitude_and_lens
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import GroundSite
+from boresight.geometry.starlight import GroundSite
 from boresight.star_id.field import FieldSolution, _likeliest_first, solve_field, solve_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.observer import Observer

@@ -221,7 +221,7 @@ def planes_of_png(content: bytes, file: str) -> NDArray[Any]:
 
 @record
 class StripFiles:
-    """The raw images of one strip, one file for each CCD, read by window (`geometry.strip_image`)."""
+    """The raw images of one strip, one file for each CCD, read by window (`geometry.line_camera`)."""
 
     paths: dict[int, Path] = scalar("image files by CCD")
     names: dict[int, str] = scalar("paths as the user knows them, by CCD")

@@ -17,9 +17,9 @@ from boresight.features.exports.ground_control_points import (
     points_qgis,
 )
 from boresight.geometry.constants import WGS84
-from boresight.geometry.footprint import outline_deg
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
+from boresight.geometry.pushbroom import outline_deg
 from boresight.geometry.terrain import ConstantHeight
 
 POINTS = GroundPoints(

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.vector_sets import VectorSets
+from boresight.geometry.sightings import VectorSets
 from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

@@ -31,7 +31,7 @@ from boresight.features.sky_images import centroid_report, field_plan, star_came
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ground_site import GroundSite
+from boresight.geometry.starlight import GroundSite
 from boresight.pipeline.errors import RawDataError
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.observer import Observer

@@ -14,7 +14,7 @@ from fixture_strips import FIXTURE
 from boresight.geometry import attitude_estimate
 from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import WGS84
-from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
@@ -95,7 +95,7 @@ def test_targets_are_seen_through_the_air_and_from_an_orbit_over_rotating_ground
     )
     lat, lon, height = geodetic_from_ecef(targets_e, WGS84)
     R_ie = earth.matrices_ie(ground.t_s)
-    up = np.einsum("nij,nj->ni", R_ie, ellipsoid_normals(lat, lon))
+    up = np.einsum("nij,nj->ni", R_ie, unit_vectors(lon, lat))
     cos_z = -np.einsum("ni,ni->n", up, without)[:, None]
     away = without + cos_z * up  # horizontal, of length sin z
     shift_m = 2.3 * np.exp(-height / 8400.0)[:, None] * away / cos_z**3

@@ -8,8 +8,8 @@ import spiceypy
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports.ccsds_aem import AemHeader, comprehensive_message
+from boresight.geometry.earth_rotation import rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.inertial_frames import rotation_to_gcrs
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows, read_attitudes
 

@@ -7,8 +7,7 @@ import pytest
 import tomlkit
 from handmade import ATTITUDE_HEAD, write_handmade_dump
 
-from boresight.geometry.smooth_distortion import SmoothDistortion
-from boresight.geometry.star_camera import StarCamera
+from boresight.geometry.star_camera import SmoothDistortion, StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import StarCameraFile

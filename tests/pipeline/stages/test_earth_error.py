@@ -18,7 +18,7 @@ from boresight.features.geolocate.positions import Pixels, ground_places
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, expected_rotation_error_rad
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.geodesy import ellipsoid_normals, geodetic_from_ecef
+from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Floats
@@ -274,7 +274,7 @@ def about(task: StripTask, turn: Floats) -> StripTask:
 
 def on_track(orbit: Orbit, t_s: Floats, p_e: Floats, moved: Floats) -> Floats:
     """Parts (2,) of a move along the track and to the right of it."""
-    up = ellipsoid_normals(*geodetic_from_ecef(p_e, WGS84)[:2])[0]
+    up = unit_vectors(*geodetic_from_ecef(p_e, WGS84)[1::-1])[0]
     along = orbit.velocities_e(t_s)[0]
     along = along - up * (along @ up)
     along = along / np.linalg.norm(along)

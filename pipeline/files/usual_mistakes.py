@@ -1,7 +1,7 @@
-"""Consistency of an ephemeris with itself: its velocities against its positions, order of time, jumps.
+"""Usual mistakes of orbit and attitude files: an ephemeris contradicts itself, or attitudes contradict it.
 
-Over a step h the positions give the mean of the velocities at its ends, with the acceleration a of a point
-mass Earth in the axes of the ephemeris,
+Over a step h the positions of an ephemeris give the mean of the velocities at its ends, with the acceleration
+a of a point mass Earth in the axes of the ephemeris,
 
     u = (p2 - p1) / h + h (a2 - a1) / 12,
 
@@ -9,7 +9,13 @@ and a consistent file has v = (v1 + v2) / 2 = u. Otherwise the likely cause is t
 model fits v best: zero, reversed, multiplied by a factor (units), inertial velocities in a rotating frame (v
 = u + omega x p) or the opposite. Velocities that change as in axes that rotate with the Earth, in a frame
 that is stated as inertial, or the opposite, tell a wrong frame; as in axes that rotate backwards, a mirrored
-one. Metres, seconds.
+one.
+
+A camera that takes strips sees the Earth and turns with the orbit. Mistakes of an attitude file leave
+rotations that are as smooth as the right ones: the scalar of the quaternions in the wrong place, the inverse
+rotation, axes that rotate with the Earth or the orbit. Read as stated, the camera's axis then misses the
+Earth, or turns against the orbital frame; read as the mistake says, it sees the Earth and turns with the
+orbit. Metres, seconds, radians.
 """
 
 from __future__ import annotations
@@ -18,13 +24,23 @@ from enum import Enum
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
+from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH, WGS84
+from boresight.geometry.orbit import Orbit
 from boresight.geometry.record import Bools, Floats, record, scalar
 
-__all__ = ["OrbitFault", "OrbitFinding", "find_orbit_fault"]
+__all__ = [
+    "AttitudeFault",
+    "AttitudeFinding",
+    "OrbitFault",
+    "OrbitFinding",
+    "find_attitude_fault",
+    "find_orbit_fault",
+    "off_nadir",
+]
 
-_BASELINE_S = 10.0  # noise of the positions averages out over intervals of this length
+_MEAN_OVER_S = 10.0  # noise of the positions averages out over intervals of this length
 _GAP_FACTOR = 1.5  # steps longer than this times the median are gaps and not compared
 _EFFECT_M_S = 2.0  # smallest error of the velocities that is reported: 0.0014 arcsec of aberration
 _MISFIT_M_S = 20.0  # largest difference of velocities from those of the positions that a fault may leave
@@ -33,6 +49,9 @@ _ACCELERATION_M_S2 = 0.3  # smallest unexplained acceleration that is reported; 
 _JUMP_M = 20.0  # smallest jump of the positions that is reported
 _JUMP_SIGMAS = 12.0  # of the steps' scatter
 _JUMP_RELATIVE = 2e-4  # of a step's length: error of the quadrature for steps of minutes
+STEADY_RAD_S = 1e-4  # against the orbital frame: a tenth of the orbital rate; yaw steering stays below
+UNSTEADY_RAD_S = 3e-4  # an attitude that turns faster may be a manoeuvre: another reading must be steady
+BASELINE_S = (1.5, 10.0)  # between instants that are compared: noise of the attitudes averages out
 
 
 class OrbitFault(Enum):
@@ -114,13 +133,16 @@ def find_orbit_fault(
 
 def _mean_velocities(t: Floats, p: Floats, frame: str) -> Floats:
     """Means (K - 1, 3) of the velocities at the ends of each step, m/s, by the positions."""
-    a = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
-    if frame == "ITRF":
-        omega = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
-        v = np.gradient(p, t, axis=0, edge_order=2 if len(t) > 2 else 1)
-        a = a - np.cross(omega, 2.0 * v + np.cross(omega, p))
-    h = np.diff(t)[:, None]
+    v = np.gradient(p, t, axis=0, edge_order=2 if len(t) > 2 else 1)
+    a, h = _acceleration(p, v, float(frame == "ITRF")), np.diff(t)[:, None]
     return np.asarray(np.diff(p, axis=0) / h + h / 12.0 * np.diff(a, axis=0))
+
+
+def _acceleration(p: Floats, v: Floats, rate: float) -> Floats:
+    """(K, 3), m/s², of states in axes that rotate at `rate` times that of the Earth about its pole."""
+    omega = np.array([0.0, 0.0, rate * EARTH_ROTATION_RATE])
+    gravity = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
+    return np.asarray(gravity - np.cross(omega, 2.0 * v + np.cross(omega, p)))
 
 
 def _velocity_fault(
@@ -131,7 +153,7 @@ def _velocity_fault(
     compared: Bools,
 ) -> OrbitFinding | None:
     """Compare mean velocities over intervals of about 10 s with the hypotheses of the module."""
-    block = np.cumsum(~compared) * len(step) + np.floor(np.cumsum(step) / max(_BASELINE_S, step.min()))
+    block = np.cumsum(~compared) * len(step) + np.floor(np.cumsum(step) / max(_MEAN_OVER_S, step.min()))
     start = np.flatnonzero(np.diff(block[compared], prepend=-1.0))
     h, *displacements = (
         np.add.reduceat(values[compared], start, axis=0)
@@ -178,12 +200,10 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
     rates = {None: 0.0, OrbitFault.FRAME: 1.0, OrbitFault.MIRRORED: -1.0}
     if frame == "ITRF":
         rates = {None: 1.0, OrbitFault.INERTIAL: 0.0, OrbitFault.MIRRORED: -1.0}
-    gravity = -GM_EARTH * p / np.linalg.norm(p, axis=1, keepdims=True) ** 3
-    misfit = {}
-    for fault, rate in rates.items():
-        omega = np.array([0.0, 0.0, rate * EARTH_ROTATION_RATE])
-        model = gravity - np.cross(omega, 2.0 * v + np.cross(omega, p))
-        misfit[fault] = float(np.linalg.norm(slope - model.mean(axis=0)))
+    misfit = {
+        fault: float(np.linalg.norm(slope - _acceleration(p, v, rate).mean(axis=0)))
+        for fault, rate in rates.items()
+    }
     best = min(misfit, key=lambda fault: misfit[fault])
     if best is None or misfit[None] < _ACCELERATION_M_S2 or misfit[best] > 0.3 * misfit[None]:
         return None
@@ -202,3 +222,87 @@ def _jump(by_positions: Floats, by_velocities: Floats, compared: Bools) -> Orbit
         return None
     k = int(np.argmax(beyond))
     return OrbitFinding(fault=OrbitFault.JUMP, state=k + 1, size=float(difference[k]), factor=1.0)
+
+
+class AttitudeFault(Enum):
+    """The likely mistake."""
+
+    SCALAR_ORDER = "the scalar of the quaternions is read in the wrong place"
+    INVERTED = "the quaternions are of the inverse rotation"
+    EARTH_FIXED = "the quaternions relate to Earth-fixed axes (ITRF)"
+    ORBITAL = "the quaternions relate to the orbital frame, not to an inertial one"
+    UNRELATED = "no usual mistake explains it (installation matrix? times? another satellite?)"
+
+
+@record
+class AttitudeFinding:
+    """Attitudes that contradict the orbit."""
+
+    fault: AttitudeFault = scalar("the likely mistake")
+    off_nadir_rad: float = scalar("median angle between the camera's axis and nadir, as stated")
+    corrected_rad: float = scalar("the same if the mistake is corrected; NaN for UNRELATED")
+    rate_rad_s: float = scalar("rotation against the orbital frame, as stated")
+
+    def __str__(self) -> str:
+        stated, corrected = np.degrees(self.off_nadir_rad), np.degrees(self.corrected_rad)
+        text = f"the camera's axis is {stated:.1f} deg off nadir and turns by "
+        text += f"{np.degrees(self.rate_rad_s):.4f} deg/s against the orbit: {self.fault.value}"
+        if self.fault is AttitudeFault.UNRELATED:
+            return text
+        return f"{text}; corrected, it is {corrected:.1f} deg off nadir and turns with the orbit"
+
+
+def find_attitude_fault(t_s: Floats, R_si: Rotation, R_cs: Rotation, orbit: Orbit) -> AttitudeFinding | None:
+    """The mistake that attitudes during strips show, or None.
+
+    `R_si` (K,) are GCRS to star camera, as the file is understood, at instants `t_s` (K,) within strips, TAI
+    seconds since the orbit's epoch, in order; `R_cs` is the installation matrix as measured before launch:
+    milliradians do not matter. `orbit` covers the instants.
+    """
+    later = np.searchsorted(t_s, t_s + BASELINE_S[0])
+    first = np.flatnonzero(later < len(t_s))
+    first = first[t_s[later[first]] - t_s[first] <= BASELINE_S[1]]
+    if not len(first):
+        return None
+    last = later[first]
+    R_oi = orbit.R_oi(t_s)
+
+    def reading(R: Rotation) -> tuple[bool, float, float]:
+        """Whether the Earth is seen, the angle to nadir, the rate against the orbital frame."""
+        axis = (R_cs * R).inv().apply([0.0, 0.0, 1.0])
+        on_earth, off = off_nadir(axis, t_s, orbit)
+        R_so = R * R_oi.inv()
+        rate = (R_so[last] * R_so[first].inv()).magnitude() / (t_s[last] - t_s[first])
+        return float(np.mean(on_earth)) > 0.5, float(np.median(off)), float(np.median(rate))
+
+    seen, off, rate = reading(R_si)
+    if seen and rate <= UNSTEADY_RAD_S:
+        return None
+    for fault, R in _readings(R_si, Rotation.from_matrix(orbit.earth.matrices_ie(t_s)), R_oi):
+        other_seen, other_off, other_rate = reading(R)
+        if other_seen and other_rate <= STEADY_RAD_S:
+            return AttitudeFinding(fault, off, other_off, rate)
+    return None if seen else AttitudeFinding(AttitudeFault.UNRELATED, off, float("nan"), rate)
+
+
+def off_nadir(axis_i: Floats, t_s: Floats, orbit: Orbit) -> tuple[Bools, Floats]:
+    """Whether directions (K, 3), GCRS, from the satellite meet the Earth, and their angles to nadir, rad."""
+    p_i = orbit.positions_i(t_s)
+    radius = np.linalg.norm(p_i, axis=1)
+    off = np.arccos(np.clip(-np.einsum("ki,ki->k", axis_i, p_i) / radius, -1.0, 1.0))
+    return off < np.arcsin(np.minimum(WGS84.semi_major_m / radius, 1.0)), off
+
+
+def _readings(R_si: Rotation, R_ie: Rotation, R_oi: Rotation) -> list[tuple[AttitudeFault, Rotation]]:
+    """Attitudes as they are if each mistake was made."""
+    swapped = [
+        (AttitudeFault.SCALAR_ORDER, back(Rotation.from_quat(np.roll(sense.as_quat(), shift, axis=1))))
+        for sense, back in ((R_si, lambda R: R), (R_si.inv(), Rotation.inv))
+        for shift in (1, -1)
+    ]
+    return [
+        (AttitudeFault.INVERTED, R_si.inv()),
+        (AttitudeFault.EARTH_FIXED, R_si * R_ie.inv()),
+        (AttitudeFault.ORBITAL, R_si * R_oi),
+        *swapped,
+    ]

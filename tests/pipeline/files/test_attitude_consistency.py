@@ -5,7 +5,7 @@ import pytest
 import strips
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude_consistency import AttitudeFault, find_attitude_fault
+from boresight.pipeline.files.usual_mistakes import AttitudeFault, find_attitude_fault
 
 T = np.arange(-0.9, 2.9, 0.1)
 PATH = strips.orbit()

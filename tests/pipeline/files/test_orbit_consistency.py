@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH
-from boresight.geometry.orbit_consistency import OrbitFault, find_orbit_fault
+from boresight.pipeline.files.usual_mistakes import OrbitFault, find_orbit_fault
 
 OMEGA = np.array([0.0, 0.0, EARTH_ROTATION_RATE])
 

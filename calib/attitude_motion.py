@@ -21,12 +21,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.gyro import GyroRecord
+from boresight.geometry.gyro import GyroRecord, without_gap
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
 __all__ = ["FACTORS", "Stretch", "motion_modes", "stretches"]
 
-GAP = 3.0  # median steps: a longer one ends a stretch
 FEWEST_ROWS, MOST_ROWS = 5, 64  # of a stretch; longer ones are cut, since the work grows with the cube
 SMOOTH_STEPS = (2.0, 3.0, 5.0, 9.0)  # over which a motion is smooth
 SIZES = np.exp(np.linspace(-3.0, 10.0, 27))  # a, in units of the stated error
@@ -129,10 +128,8 @@ def stretches(
     """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
     what the noise of the head has in common from row to row; where a gyro covers them, against that.
     """
-    step = np.diff(t_s[rows])
-    parts = np.split(rows, np.flatnonzero(step > GAP * np.median(step)) + 1) if len(step) else []
-    for part in parts:
-        for here in np.array_split(part, -(-len(part) // MOST_ROWS)):
+    for part in (rows[part] for part in without_gap(t_s[rows])):
+        for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)):
             if len(here) >= FEWEST_ROWS:
                 yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise, gyro)
 
