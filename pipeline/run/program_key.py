@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib import metadata
 
 import cv2
 import pyproj
@@ -12,6 +13,9 @@ from boresight.pipeline import __version__
 from boresight.pipeline.run.digests import digest, numerical_versions, sources_of
 
 __all__ = ["library_versions", "program_digest"]
+
+# Packages that are not loaded, but whose versions are a part of the key of finished work.
+DISTRIBUTIONS = ("astropy", "astropy-iers-data", "scikit-image")
 
 
 @cache
@@ -28,4 +32,4 @@ def library_versions() -> dict[str, str]:
     """Versions of Python and of the libraries whose numbers enter the results."""
     linked = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
     linked |= {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
-    return numerical_versions() | linked
+    return numerical_versions() | linked | {name: metadata.version(name) for name in DISTRIBUTIONS}
