@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 __all__ = ["__version__", "commit", "version_text"]
@@ -15,6 +14,8 @@ def commit() -> str | None:
 
     `-dirty` follows where files of the checkout differ from the commit.
     """
+    import subprocess  # few commands ask
+
     here = Path(__file__).resolve().parent
     if (here.parent / ".git").exists():
         command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=12"]

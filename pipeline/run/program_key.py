@@ -28,6 +28,7 @@ def program_digest(*modules: str) -> str:
     return f"{__version__} {digest(sources_of(*modules), library_versions())}"
 
 
+@cache
 def library_versions() -> dict[str, str]:
     """Versions of Python and of the libraries whose numbers enter the results."""
     linked = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
