@@ -11,13 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image
+from boresight.features.sky_images.planets import Planet, planets_in_view
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
@@ -34,9 +35,6 @@ from boresight.star_id.identification.triangle_index import StarIndex, equivalen
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import explained
-
-if TYPE_CHECKING:
-    from boresight.features.sky_images.planets import Planet
 
 __all__ = [
     "Line",
@@ -128,11 +126,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             yield replace(line, image=image, stars=stars)
             continue
         spent_ms = _spent_ms(started)
-        planets: tuple[Planet, ...] = ()
-        if observer is not None:
-            from boresight.features.sky_images.planets import planets_in_view
-
-            planets = planets_in_view(outcome, observer)
+        planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
             _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))
         record = _record(path, outcome, spent_ms)

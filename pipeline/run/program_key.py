@@ -14,9 +14,6 @@ from boresight.pipeline.run.digests import digest, numerical_versions, sources_o
 
 __all__ = ["library_versions", "program_digest"]
 
-# Packages that are not loaded, but whose versions are a part of the key of finished work.
-DISTRIBUTIONS = ("astropy", "astropy-iers-data", "scikit-image")
-
 
 @cache
 def program_digest(*modules: str) -> str:
@@ -33,4 +30,5 @@ def library_versions() -> dict[str, str]:
     """Versions of Python and of the libraries whose numbers enter the results."""
     linked = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
     linked |= {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
-    return numerical_versions() | linked | {name: metadata.version(name) for name in DISTRIBUTIONS}
+    others = {name: metadata.version(name) for name in ("astropy", "astropy-iers-data", "scikit-image")}
+    return numerical_versions() | linked | others
