@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 __all__ = ["__version__", "commit", "version_text"]
 
-try:
-    __version__ = version("boresight")
-except PackageNotFoundError:  # used from a source tree that was not installed
-    __version__ = "0+source"
+__version__ = "0.1.0"  # as pyproject.toml states it; from the installation's metadata 0.02 s to read
 
 
 def commit() -> str | None:
@@ -19,6 +14,8 @@ def commit() -> str | None:
 
     `-dirty` follows where files of the checkout differ from the commit.
     """
+    import subprocess  # few commands ask
+
     here = Path(__file__).resolve().parent
     if (here.parent / ".git").exists():
         command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=12"]

@@ -135,11 +135,11 @@ def calibrate_command(
         after_joint=_functions(context, "after_joint") if len(dumps) > 1 else (),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
-    to_archive = _functions(context, "to_archive")
+    to_archive = () if archive is None else _functions(context, "to_archive")
     if archive is not None and not to_archive:
         raise wrong_usage("--archive: this installation has no feature that keeps an archive")
     outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
-    for add in to_archive if archive is not None else ():
+    for add in to_archive:
         add([out], archive)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"

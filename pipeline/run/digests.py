@@ -11,11 +11,12 @@ import re
 from collections.abc import Iterator, Mapping
 from enum import Enum
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import erfa
 import numpy as np
+import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline import __version__
@@ -25,8 +26,6 @@ __all__ = ["digest", "files_in", "numerical_program", "numerical_versions", "rou
 
 # Import statement of a module: `from` what, which names; or `import` what.
 _IMPORT = re.compile(r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE)
-# Packages whose versions are a part of the key of finished work: its numbers depend on them.
-DISTRIBUTIONS = ("numpy", "scipy", "astropy", "astropy-iers-data", "pyerfa", "scikit-image")
 
 
 def digest(*values: Any) -> str:
@@ -140,10 +139,10 @@ def _module(name: str) -> tuple[bytes, list[str], list[Path] | None] | None:
     return source, imported, data
 
 
-@cache
 def numerical_versions() -> dict[str, str]:
-    """Versions of Python and of the libraries of numbers that are in Python."""
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in DISTRIBUTIONS}
+    """Versions of Python and of the libraries of numbers that every room uses."""
+    libraries = {"numpy": np.__version__, "scipy": scipy.__version__, "pyerfa": erfa.__version__}
+    return {"python": platform.python_version()} | libraries
 
 
 def _with_submodules(name: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib import metadata
 
 import cv2
 import pyproj
@@ -24,8 +25,10 @@ def program_digest(*modules: str) -> str:
     return f"{__version__} {digest(sources_of(*modules), library_versions())}"
 
 
+@cache
 def library_versions() -> dict[str, str]:
     """Versions of Python and of the libraries whose numbers enter the results."""
     linked = {"opencv": cv2.__version__, "rasterio": rasterio.__version__, "gdal": rasterio.__gdal_version__}
     linked |= {"pyproj": pyproj.__version__, "proj": pyproj.proj_version_str}
-    return numerical_versions() | linked
+    others = {name: metadata.version(name) for name in ("astropy", "astropy-iers-data", "scikit-image")}
+    return numerical_versions() | linked | others

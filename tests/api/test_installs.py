@@ -10,6 +10,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
+import boresight
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = PROJECT["optional-dependencies"]
@@ -83,6 +85,7 @@ def test_citation_recipe_and_package_state_one_version() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     recipe = (ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8")
     assert re.search(r"^version: (.*)$", citation, re.M)[1] == PROJECT["version"]  # type: ignore[index]
+    assert boresight.__version__ == PROJECT["version"]
     assert re.search(r"^date-released: \d{4}-\d\d-\d\d$", citation, re.M)
     assert re.search(r'^  version: "(.*)"$', recipe, re.M)[1] == PROJECT["version"]  # type: ignore[index]
     of_conda = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}

@@ -126,8 +126,8 @@ def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(schedule
         source.write("\n# another version\n")
     libraries.mkdir()
     (libraries / "boresight").symlink_to(ROOT / "boresight")
-    (libraries / "pyerfa-1.9.dist-info").mkdir()
-    (libraries / "pyerfa-1.9.dist-info" / "METADATA").write_text("Name: pyerfa\nVersion: 1.9\n")
+    (libraries / "scikit_image-0.9.dist-info").mkdir()
+    (libraries / "scikit_image-0.9.dist-info" / "METADATA").write_text("Name: scikit-image\nVersion: 0.9\n")
     sighted, blind = tmp_path / "sighted", tmp_path / "blind"
     for folder in (sighted, blind):
         folder.mkdir()
@@ -166,7 +166,7 @@ def test_workers_that_differ_are_refused_by_name_and_late_ones_are_used(schedule
     assert {worker for _, worker in outcomes} == {first.pid, second.pid}
     told = "\n".join(remarks)
     assert "is not used: it has other code of boresight" in told
-    assert f"is not used: it has pyerfa 1.9, this process {expected.versions['pyerfa']}" in told
+    assert f"is not used: it has scikit-image 0.9, this process {expected.versions['scikit-image']}" in told
     assert "is not used: it reads /proc/self/cwd/dump.toml differently: No such file or directory" in told
     assert f"waiting for workers at {scheduler.address}: refused: " in told
     for process in unfit:
