@@ -1,6 +1,5 @@
 """Targets from a STAC catalogue: dates, clouds, offsets between dates; on a disk, in a store, from an API."""
 
-import csv
 import http.server
 import json
 import threading
@@ -13,10 +12,10 @@ import numpy as np
 import pystac
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
+from edits import rows_of
 from pyproj import Transformer
 from scipy.ndimage import gaussian_filter, shift
-from typer.testing import CliRunner
 
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.pipeline.errors import RawDataError
@@ -87,11 +86,9 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Path
 
 
 def suggested(out: Path, *words: object) -> tuple[list[dict[str, str]], str]:
-    given = ["targets", "suggest", "--height-m", 300, "--out", out, "--size-px", 64, "--most", 12, *words]
-    ran = CliRunner().invoke(app, [str(word) for word in given])
-    assert ran.exit_code == 0, (ran.output, ran.exception)
-    with (out / "targets.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file)), ran.output
+    given = ("targets", "suggest", "--height-m", 300, "--out", out, "--size-px", 64, "--most", 12)
+    told = ran(*given, *words).output
+    return rows_of(out / "targets.csv"), told
 
 
 def columns_of(rows: list[dict[str, str]]) -> np.ndarray:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from command_line import ran
 from fixture_strips import begun
+from rasters import write_raster
 
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
@@ -84,9 +84,7 @@ def test_window_of_a_large_image_is_fetched_alone(tmp_path, monkeypatch, recwarn
 
     image = np.random.default_rng(3).integers(0, 256, (3000, 4000), dtype=np.uint8)
     tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "lzw"}
-    size = {"width": 4000, "height": 3000, "count": 1, "dtype": "uint8"}
-    with rasterio.open(tmp_path / "strip.tif", "w", driver="GTiff", **size, **tiles) as file:
-        file.write(image, 1)
+    write_raster(tmp_path / "strip.tif", image, **tiles)
     content = (tmp_path / "strip.tif").read_bytes()
     fsspec.filesystem("memory").pipe("/large/strip.tif", content)
     path = dump_folder("memory://large") / "strip.tif"
