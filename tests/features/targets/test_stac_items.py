@@ -16,6 +16,7 @@ from command_line import ran
 from edits import rows_of
 from pyproj import Transformer
 from scipy.ndimage import gaussian_filter, shift
+from stored import bucket_served
 
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.pipeline.errors import RawDataError
@@ -152,26 +153,13 @@ def test_item_whose_image_is_missing_is_named_and_the_others_are_used(
 @pytest.fixture(scope="module")
 def store(images: dict[str, dict[str, Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Address of a server of objects with a catalogue in its bucket `archive`, of assets by `http://`."""
-    import fsspec
-    from moto.server import ThreadedMotoServer
-
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    address = "http://{}:{}".format(*server.get_host_and_port())
-    environment = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_ENDPOINT_URL": address}
-    environment |= {"AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true"}
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        files = fsspec.filesystem("s3", skip_instance_cache=True, s3_additional_kwargs={"ACL": "public-read"})
-        files.mkdir("archive")
+    with bucket_served() as (address, files):
         folder = catalogue_of(tmp_path_factory.mktemp("stored"), images, f"{address}/archive").parent
         for path in folder.rglob("*.json"):
             files.put(str(path), f"archive/c/{path.relative_to(folder)}")
         for path in (file for of in images.values() for file in of.values()):
             files.put(str(path), f"archive/{path.name}")
         yield address
-    server.stop()
 
 
 def test_stores_and_disks_give_the_same_targets(
