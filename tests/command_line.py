@@ -1,9 +1,12 @@
 """The program with all its commands, for tests that call it within their process."""
 
+import sys
+
+import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from boresight.console import command_line
+from boresight.console import command_line, run_command_line
 
 app = command_line()
 
@@ -18,3 +21,11 @@ def ran(*words: object, status: int = 0) -> Result:
     done = invoked(*words)
     assert done.exit_code == status, (done.output, done.exception)
     return done
+
+
+def ended(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
+    """Exit status of the program as a user starts it with these words; its output and then its messages."""
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as left:
+        patch.setattr(sys, "argv", ["boresight", *map(str, words)])
+        run_command_line()
+    return int(left.value.code or 0), "".join(capsys.readouterr())

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from captured import wide_rows
-from command_line import app
+from command_line import ran
 from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
@@ -111,9 +111,7 @@ def demo(made_once) -> Path:
             ROOT / "fixtures" / "mini", folder / "fixtures" / "mini", ignore=shutil.ignore_patterns("truth")
         )
         with contextlib.chdir(folder):
-            ran = CliRunner().invoke(app, [*DEMO, "--workers", "1"])
-        assert ran.exit_code == 0, ran.output
-        (folder / "printed").write_text(ran.stdout)
+            (folder / "printed").write_text(ran(*DEMO, "--workers", 1).stdout)
 
     return made_once("demo", fill)
 
@@ -124,9 +122,9 @@ def tables_keep_to_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = CliRunner.invoke
 
     def invoke(self: CliRunner, *given: object, **named: object) -> Result:
-        ran = asked(self, *given, **named)
-        assert not (wide := wide_rows(ran.stdout)), wide
-        return ran
+        done = asked(self, *given, **named)
+        assert not (wide := wide_rows(done.stdout)), wide
+        return done
 
     monkeypatch.setattr(CliRunner, "invoke", invoke)
 
@@ -149,10 +147,7 @@ def finished(made_once) -> tuple[Path, Path]:
 
     def fill(folder: Path) -> None:
         dump = strip_of_fixture(folder / "dump", 1)
-        ran = CliRunner().invoke(
-            app, ["calibrate", str(dump), "--out", str(folder / "result"), "--workers", "1"]
-        )
-        assert ran.exit_code == 0, ran.output
+        ran("calibrate", dump, "--out", folder / "result", "--workers", 1)
 
     folder = made_once("finished", fill)
     return folder / "dump", folder / "result"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from rasterio.transform import Affine
+from rasters import write_raster
 
 HEAD = """
 format = "boresight-dump"
@@ -143,18 +143,19 @@ def _states(day: str) -> list[str]:
     ]
 
 
+def give_heads(root: Path, heads: str) -> None:
+    """Put `[[star_cameras]]` in the place of the star images that a dump names."""
+    text = (root / "dump.toml").read_text()
+    for name in ("star_camera", "installation", "exposures"):
+        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
+    (root / "dump.toml").write_text(text + heads)
+
+
 def write_strip(path: Path, image: np.ndarray) -> None:
     """A tiled TIFF without georeference."""
-    height, width = image.shape
-    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": image.dtype.name}
-    with rasterio.open(path, "w", **profile, compress="deflate") as file:
-        file.write(image, 1)
+    write_raster(path, image, compress="deflate")
 
 
 def write_chip(path: Path, image: np.ndarray) -> None:
     """A GeoTIFF in UTM zone 48 north, 0.5 m pixels."""
-    height, width = image.shape
-    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": image.dtype.name}
-    profile |= {"crs": "EPSG:32648", "transform": Affine(0.5, 0, 277_000, 0, -0.5, 1000)}
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(image, 1)
+    write_raster(path, image, crs="EPSG:32648", transform=Affine(0.5, 0, 277_000, 0, -0.5, 1000))

@@ -1,11 +1,12 @@
 """The mission of `fixtures/mini` with its four CCDs as two cameras of two CCDs each."""
 
-import csv
 import shutil
 import tomllib
 from pathlib import Path
 
-from boresight.pipeline.files.text_tables import write_csv, write_toml
+from edits import rows_of, write_rows
+
+from boresight.pipeline.files.text_tables import write_toml
 
 __all__ = ["two_cameras"]
 
@@ -22,10 +23,9 @@ def two_cameras(mini: Path, dump: Path) -> Path:
     camera = tomllib.loads((mini / "remote_camera.toml").read_text())
     for n, name in enumerate(NAMES):
         write_toml(dump / f"{name}.toml", camera | {"ccds": camera["ccds"][2 * n : 2 * n + 2]})
-    with open(mini / "strips.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(mini / "strips.csv")
     for row in rows:
         which, ccd = divmod(int(row["ccd"]), 2)
         row.update(id=f"{row['id']}-{NAMES[which]}", ccd=str(ccd), camera=NAMES[which])
-    write_csv(dump / "strips.csv", list(rows[0]), [list(row.values()) for row in rows])
+    write_rows(dump / "strips.csv", rows)
     return dump

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["OTHERWISE", "WRONG", "replaced"]
+__all__ = ["OTHERWISE", "WRONG"]
 
 D, S, R, I, X, B, T, O = (  # noqa: E741
     *("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml", "exposures.csv"),
@@ -75,13 +75,6 @@ WRONG: list[tuple[str, str, str, str, str]] = [
     (O, "03:40:05.000", "03:40:03.000", "state 6, time", "strictly increasing"),
     (O, "03:40:05.000", "nan", "line 20, time", "expected a time"),
 ]  # fmt: skip
-
-
-def replaced(root: Path, file: str, old: str, new: str) -> None:
-    """Put a text in the place of another one, where it stands first in a file of a dump."""
-    text = (root / file).read_text()
-    assert old in text
-    (root / file).write_text(text.replace(old, new, 1), newline="")
 
 
 def link_outside(root: Path) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import rasterio
+from rasters import write_raster
 
 from boresight.geometry.geoid import Geoid, egm96
 
@@ -89,9 +90,7 @@ def test_a_grid_of_the_users_own_is_read_as_rasterio_gives_it(driver, tmp_path):
     piece = egm96().undulation_m(*np.meshgrid(np.radians(lat), np.radians(lon), indexing="ij"))
     path = tmp_path / f"geoid.{driver.lower()}"
     transform = rasterio.Affine(step, 0.0, lon[0] - 0.5 * step, 0.0, -step, lat[0] + 0.5 * step)
-    form = {"width": 70, "height": 60, "count": 1, "dtype": "float32", "transform": transform}
-    with rasterio.open(path, "w", driver=driver, crs="EPSG:4326", **form) as file:
-        file.write(piece.astype(np.float32), 1)
+    write_raster(path, piece.astype(np.float32), driver=driver, crs="EPSG:4326", transform=transform)
     with rasterio.open(path) as file:
         geoid = Geoid.from_raster(file.read(1), file.transform)
     rng = np.random.default_rng(6)

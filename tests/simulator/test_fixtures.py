@@ -5,12 +5,12 @@ The files were made when the distortion along the detectors was drawn without it
 strips may differ by 0.1 px for that.
 """
 
-import csv
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import rows_of
 from recorded_numbers import assert_recorded
 from scipy.spatial.transform import Rotation
 
@@ -27,11 +27,6 @@ def both(request):
     folder = FIXTURES / request.param
     mission = fly(named_scenario(request.param, ()), 1)
     return mission, folder, open_dump(folder, sky_alone=True)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def test_orbit_and_times_are_those_of_the_tables(both):

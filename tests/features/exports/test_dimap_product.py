@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran as run
 from handmade_dimap import as_version_2, dimap_text
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.features.exports.dimap_product import corrected_dimap
 from boresight.geometry.constants import ARCSEC, WGS84
@@ -108,11 +107,6 @@ def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     )
     (tmp_path / "points.csv").write_text(HEADER + points)
 
-    def run(*arguments: object, status: int = 0) -> object:
-        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-        assert result.exit_code == status, result.output
-        return result
-
     run("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
     run("calibrate", tmp_path / "dump", "--out", tmp_path / "result")
     asked = ("export", tmp_path / "result", "--format", "dimap", "--out", tmp_path / "new")
@@ -125,7 +119,7 @@ def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     other = tmp_path / "other.xml"
     other.write_text(dimap_text().replace("<NROWS>9000<", "<NROWS>9001<"))
     for options in ((), ("--product", other)):
-        assert run(*asked, *options, status=1) is not None
+        run(*asked, *options, status=1)
 
 
 def test_file_without_quaternions_is_refused(tmp_path):

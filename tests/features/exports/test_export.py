@@ -14,11 +14,10 @@ import pytest
 import rasterio
 import spiceypy
 from astropy.io import fits
-from command_line import app
+from command_line import invoked, ran
 from pyproj import CRS
 from pytest import approx
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.features.exports import formats
 from boresight.features.exports.formats import FORMATS
@@ -32,7 +31,6 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.spice_kernels import Kernels, read_ck
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
-runner = CliRunner()
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 
 
@@ -46,10 +44,8 @@ def exported(finished, tmp_path_factory):
     """All formats at once, and what the command told."""
     folder = tmp_path_factory.mktemp("exports")
     first, *rest = OF_ANY_DUMP
-    asked = ["export", str(finished[1]), "--format", first, "--format", ",".join(rest), "--out", str(folder)]
-    ran = runner.invoke(app, asked)
-    assert ran.exit_code == 0, ran.output
-    return folder, ran.stdout
+    asked = ("export", finished[1], "--format", first, "--format", ",".join(rest), "--out", folder)
+    return folder, ran(*asked).stdout
 
 
 @pytest.fixture(scope="module")
@@ -74,15 +70,14 @@ def test_a_strip_of_which_some_rows_have_no_exposures_is_left_out_and_told(finis
     early = pc.less(table["t_s"], 0.5 * (first + last))
     place = table.column_names.index("usable")
     pq.write_table(table.set_column(place, "usable", early), result / "sightings" / "exposures.parquet")
-    asked = ["export", str(result), "--dump", str(finished[0]), "--format", "rpc", "--out", str(tmp_path)]
-    ran = runner.invoke(app, asked)
+    asked = ("export", result, "--dump", finished[0], "--format", "rpc", "--out", tmp_path)
+    told = invoked(*asked)
     missing = "strip s01: star exposures do not cover all of its rows"
-    assert isinstance(ran.exception, DataNotSufficientError) and f"not exported: {missing}" in ran.output
-    ran = runner.invoke(app, [*asked, "--strip", "s01"])
-    assert isinstance(ran.exception, DataNotSufficientError) and missing in str(ran.exception)
-    asked = ["virtual-ccd", str(result), "--dump", str(finished[0]), "--strip", "s01"]
-    ran = runner.invoke(app, [*asked, "--out", str(tmp_path / "s01.tif")])
-    assert isinstance(ran.exception, DataNotSufficientError) and missing in str(ran.exception)
+    assert isinstance(told.exception, DataNotSufficientError) and f"not exported: {missing}" in told.output
+    virtual = ("virtual-ccd", result, "--dump", finished[0], "--out", tmp_path / "s01.tif")
+    for words in (asked, virtual):
+        refused = invoked(*words, "--strip", "s01").exception
+        assert isinstance(refused, DataNotSufficientError) and missing in str(refused)
 
 
 @pytest.mark.parametrize(("limit_px", "is_told"), [(1e-9, True), (1e3, False)])
@@ -90,11 +85,9 @@ def test_an_rpc_that_misses_the_model_by_more_than_a_limit_is_reported(
     finished, tmp_path, monkeypatch, limit_px, is_told
 ):
     monkeypatch.setattr(formats, "RPC_LIMIT_PX", limit_px)
-    dump, result = map(str, finished)
-    asked = ["export", result, "--dump", dump, "--format", "rpc", "--out", str(tmp_path)]
-    ran = runner.invoke(app, asked)
-    assert ran.exit_code == 0, ran.output
-    told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", ran.output)
+    dump, result = finished
+    shown = ran("export", result, "--dump", dump, "--format", "rpc", "--out", tmp_path).output
+    told = re.findall(r"(s01\.ccd\d) misses the rigorous model by up to (\d+\.\d\d) px", shown)
     assert bool(told) == is_told
     for name, stated in told:
         assert 0.0 <= float(stated) < 1.0 and (tmp_path / f"{name}_RPC.TXT").is_file()  # px
@@ -121,9 +114,8 @@ def test_an_rpc_states_the_error_that_its_pixels_are_to_have(finished, exported)
 
 
 def test_a_calibration_file_has_matrix_covariance_and_dates(finished, tmp_path, installation):
-    asked = ["export", str(finished[1]), "--format", "calibration", "--out", str(tmp_path)]
-    ran = runner.invoke(app, [*asked, "--valid-from", "2026-03-01", "--valid-to", "2026-06-01"])
-    assert ran.exit_code == 0, ran.output
+    dates = ("--valid-from", "2026-03-01", "--valid-to", "2026-06-01")
+    ran("export", finished[1], "--format", "calibration", "--out", tmp_path, *dates)
     content = json.loads((tmp_path / "calibration.json").read_text())
     assert content["R_cs"] == installation["R_cs"]
     assert content["covariance_rad2"] == installation["covariance_rad2"]
@@ -265,9 +257,5 @@ def test_ogr_reads_kml_and_geojson(exported, finished):
 
 
 def test_an_unknown_format_or_frame_name_is_wrong_usage(finished, tmp_path):
-    ran = runner.invoke(app, ["export", str(finished[1]), "--format", "docx", "--out", str(tmp_path)])
-    assert ran.exit_code == 2 and "docx" in ran.output
-    ran = runner.invoke(
-        app, ["export", str(finished[1]), "--format", "spice", "--spice-star-camera", "lower case"]
-    )
-    assert ran.exit_code == 2
+    assert "docx" in ran("export", finished[1], "--format", "docx", "--out", tmp_path, status=2).output
+    ran("export", finished[1], "--format", "spice", "--spice-star-camera", "lower case", status=2)

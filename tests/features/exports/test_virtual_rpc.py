@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
 from orbiting_camera import EPOCH, R_CS
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata
@@ -110,9 +109,8 @@ def test_an_rpc_of_the_virtual_ccd_finds_the_places_of_the_raw_pixels(
 def test_the_file_has_the_rpc_in_its_tags_and_beside_it(finished: tuple[Path, Path], tmp_path: Path) -> None:
     dump, result = finished
     out = tmp_path / "s.tif"
-    asked = ["virtual-ccd", str(result), "--dump", str(dump), "--strip", "s01", "--out", str(out)]
-    told = CliRunner().invoke(app, asked)
-    assert told.exit_code == 0 and "its RPC misses the virtual camera by up to 0.0" in told.output
+    told = ran("virtual-ccd", result, "--dump", dump, "--strip", "s01", "--out", out)
+    assert "its RPC misses the virtual camera by up to 0.0" in told.output
     calibrated = open_calibrated(result, dump)
     model, surface = whole_strip_model(calibrated, "s01"), surface_of(calibrated.dump.terrain)
     smooth = -0.5, model.strip.lines - 0.5

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran
+from edits import rows_of
 from pytest import approx
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.features.geolocate.positions import Pixels, ground_places, read_pixels
 from boresight.geometry.attitude import AttitudeTrack
@@ -24,7 +24,6 @@ from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
-runner = CliRunner()
 PIXELS = "ccd,sample,line\n0,10,20\n1,255.5,1000.25\n3,500,1990\n"
 
 
@@ -41,10 +40,8 @@ def model(calibrated):
 def test_the_command_gives_places_that_lead_back_to_their_pixels(finished, model, tmp_path):
     (tmp_path / "pixels.csv").write_text(PIXELS)
     strip = model.strip.strip_id
-    asked = ["geolocate", str(finished[1]), "--strip", strip, "--pixels", str(tmp_path / "pixels.csv")]
-    ran = runner.invoke(app, asked)
-    assert ran.exit_code == 0, ran.output
-    rows = list(csv.DictReader(io.StringIO(ran.stdout)))
+    told = ran("geolocate", finished[1], "--strip", strip, "--pixels", tmp_path / "pixels.csv")
+    rows = list(csv.DictReader(io.StringIO(told.stdout)))
     assert len(rows) == 3
     for row in rows:
         lat, lon = np.radians([float(row["lat_deg"]), float(row["lon_deg"])])
@@ -58,16 +55,10 @@ def test_the_command_gives_places_that_lead_back_to_their_pixels(finished, model
 def test_a_file_is_written_when_one_is_named(finished, model, tmp_path):
     (tmp_path / "pixels.csv").write_text(PIXELS)
     out = tmp_path / "places.csv"
-    ran = runner.invoke(
-        app,
-        [
-            *("geolocate", str(finished[1]), "--dump", str(finished[0]), "--strip", model.strip.strip_id),
-            *("--pixels", str(tmp_path / "pixels.csv"), "--out", str(out), "--height-m", "300"),
-        ],
-    )
-    assert ran.exit_code == 0 and "3 of 3 image points have a place" in ran.stdout
-    heights = [row["height_m"] for row in csv.DictReader(out.open())]
-    assert heights == ["300.000", "300.000", "300.000"]
+    asked = ("geolocate", finished[1], "--dump", finished[0], "--strip", model.strip.strip_id)
+    told = ran(*asked, "--pixels", tmp_path / "pixels.csv", "--out", out, "--height-m", 300)
+    assert "3 of 3 image points have a place" in told.stdout
+    assert [row["height_m"] for row in rows_of(out)] == ["300.000", "300.000", "300.000"]
 
 
 @pytest.mark.parametrize("part", ["matrix", "position", "clock", "attitude", "vibration", "terrain"])

@@ -11,14 +11,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran
 from drawn_pictures import kept_figures, numbers
 from handmade_sentinel2 import write_sentinel2
 from scipy.linalg import toeplitz
 from scipy.signal import freqz, lfilter, periodogram
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from typer.testing import CliRunner
 
 from boresight.features.heads import head_files
 from boresight.features.operators.imported_mission import write_imported
@@ -76,11 +75,8 @@ def dump(tmp_path_factory):
 
 def called(*arguments: str) -> tuple[str, dict]:
     """What a command prints, and what it prints for programs."""
-    plain = CliRunner().invoke(app, list(arguments))
-    told = CliRunner().invoke(app, [*arguments, "--json"])
-    assert plain.exit_code == told.exit_code == 0, plain.output
-    answer = json.loads(told.stdout)
-    return plain.output, answer["result"] if "result" in answer else answer
+    plain, answer = ran(*arguments).output, json.loads(ran(*arguments, "--json").stdout)
+    return plain, answer["result"] if "result" in answer else answer
 
 
 @pytest.fixture(scope="module")

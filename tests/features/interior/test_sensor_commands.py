@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from command_line import app
+from command_line import invoked, ran
 from drawn_pictures import OURS, kept_figures, shows_curves
 from recorded_numbers import assert_recorded
-from typer.testing import CliRunner
 
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.features.interior import interior_files, remote_camera_calibrate_command
@@ -25,7 +24,6 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
 DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"
 GRID = REAL / "GRID_P1BP--2018122638935449CP.tif"
-runner = CliRunner()
 needs_real_data = pytest.mark.skipif(
     not GRID.exists(), reason=f"the real Pleiades metadata are not there: {REAL}"
 )
@@ -33,25 +31,23 @@ needs_real_data = pytest.mark.skipif(
 
 @needs_real_data
 def test_dimap_agrees_with_the_operator_s_grid():
-    told = runner.invoke(app, ["dimap", str(DIMAP), "--grid", str(GRID)])
-    assert told.exit_code == 0
-    *altitudes, verdict = told.stdout.splitlines()
+    *altitudes, verdict = ran("dimap", DIMAP, "--grid", GRID).stdout.splitlines()
     rms = [float(line.split("rms")[1].split()[0]) for line in altitudes]
     assert len(rms) == 9 and max(rms) < 1e-3  # m; the metadata round positions to 1 mm
     assert verdict.startswith("the model agrees with the grid")
-    strict = runner.invoke(app, ["dimap", str(DIMAP), "--grid", str(GRID), "--limit-m", "1e-5"])
-    assert strict.exit_code == 4 and "does not agree" in strict.stdout
+    strict = ran("dimap", DIMAP, "--grid", GRID, "--limit-m", 1e-5, status=4)
+    assert "does not agree" in strict.stdout
 
 
 @needs_real_data
 def test_dimap_gives_places_and_refuses_pixels_outside_the_image(tmp_path):
     pixels = tmp_path / "pixels.csv"
     pixels.write_text("ccd,sample,line\n0,10,20\n")
-    told = runner.invoke(app, ["dimap", str(DIMAP), "--pixels", str(pixels), "--height-m", "100"])
+    told = invoked("dimap", DIMAP, "--pixels", pixels, "--height-m", 100)
     latitude, longitude, height = (float(cell) for cell in told.stdout.splitlines()[1].split(",")[3:])
     assert 31.0 < latitude < 31.3 and 2.0 < longitude < 2.3 and height == 100.0  # Ouargla, the name's E002N31
     pixels.write_text("ccd,sample,line\n0,10,20\n0,40000,20\n")
-    told = runner.invoke(app, ["dimap", str(DIMAP), "--pixels", str(pixels)])
+    told = invoked("dimap", DIMAP, "--pixels", pixels)
     assert told.exit_code != 0 and "line 3" in str(told.exception or told.output)
 
 
@@ -60,9 +56,7 @@ def test_the_virtual_strip_shows_what_the_raw_images_show(finished, tmp_path):
     calibrated = open_calibrated(result, dump)
     model = strip_model(calibrated, calibrated.dump.strips[0].strip_id)
     out = tmp_path / "strip.tif"
-    asked = ["virtual-ccd", str(result), "--strip", model.strip.strip_id, "--dump", str(dump)]
-    told = runner.invoke(app, [*asked, "--out", str(out)])
-    assert told.exit_code == 0, told.output
+    ran("virtual-ccd", result, "--strip", model.strip.strip_id, "--dump", dump, "--out", out)
     with rasterio.open(out) as image:
         stitched, (places, crs) = image.read(1), image.gcps
     smooth = -0.5, model.strip.lines - 0.5
@@ -92,10 +86,8 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     dump, result = finished
     result = shutil.copytree(result, tmp_path / "result")
     out = result / "interior"
-    asked = ["remote-camera-calibrate", str(result), "--out", str(out), "--curve-length-px", "400", "--json"]
     with kept_figures(interior_files) as figures:
-        told = runner.invoke(app, asked)
-    assert told.exit_code == 0, told.output
+        ran("remote-camera-calibrate", result, "--out", out, "--curve-length-px", 400, "--json")
     content = json.loads((out / "interior.json").read_text())
     values = {key: [one[key] for one in content["parameters"]] for key in ("value", "sigma")}
     assert_recorded("interior", values | {"map": [content["map_change_rms_px"], content["map_sigma_rms_px"]]})
@@ -103,7 +95,7 @@ def test_the_remote_cameras_interior_is_calibrated_from_a_result(finished, tmp_p
     assert abs(parameters["focal"]["value"]) < 4.0 * parameters["focal"]["sigma"]  # nothing is wrong with it
     assert any("installation matrix" in one["not_told_from"] for one in content["gauge"])
     assert shows_curves(out / "interior.png", OURS)
-    assert runner.invoke(app, ["report", str(result)]).exit_code == 0
+    ran("report", result)
     page = (result / "report.html").read_text()
     assert 'id="interior"' in page and page.count('data-source="interior/interior.json"') == 3
     changed = shutil.copytree(dump, tmp_path / "dump")
@@ -123,10 +115,10 @@ def test_options_of_the_interior_calibration_are_its_priors(tmp_path, monkeypatc
 
     monkeypatch.setattr(remote_camera_calibrate_command, "calibrate_remote_camera", kept)
     (tmp_path / "result").mkdir()
-    command = ["remote-camera-calibrate", str(tmp_path / "result"), "--out", str(tmp_path / "out")]
+    command = ("remote-camera-calibrate", tmp_path / "result", "--out", tmp_path / "out")
     options = ("--curve-px", "1.5", "--curve-length-px", "700", "--shift-px", "2.5", "--stagger-us", "40")
-    runner.invoke(app, [*command, *options])
-    runner.invoke(app, command)
+    invoked(*command, *options)
+    invoked(*command)
     given, usual = ((p.curve_px, p.curve_length_px, p.shift_px, p.stagger_s) for p in asked)
     assert given == pytest.approx((1.5, 700.0, 2.5, 40e-6)) and usual == (3.0, 5000.0, 5.0, 0.0)
 

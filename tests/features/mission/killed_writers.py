@@ -1,15 +1,10 @@
-"""Two writers of one archive, both killed with SIGKILL at moments of their own, again and again.
+"""Two writers of one archive, both killed with SIGKILL at moments of their own, again and again."""
 
-python tests/features/mission/killed_writers.py --kills 200
-"""
-
-import argparse
 import multiprocessing
 import os
 import random
 import signal
 import sqlite3
-import tempfile
 import time
 from pathlib import Path
 
@@ -68,13 +63,3 @@ def faults(archive: Path, told: list[str]):
     expected = len(names) * PAIR.F[0, 3:, 3:].ravel()
     if [row[0] for row in totals] != [len(names)] or not np.allclose(np.frombuffer(totals[0][1]), expected):
         yield "information is not that of the rows"
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=200)
-    asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        count, wrong = kill_writers(Path(scratch), asked.kills)
-    print(f"{asked.kills} kills: {count} results told, {wrong or 'none lost, doubled or left over'}")
-    raise SystemExit(bool(wrong))

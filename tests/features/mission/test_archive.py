@@ -5,10 +5,9 @@ import sqlite3
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import invoked, ran
 from drawn_mission import DrawnMission, Truth, bare_result, lopsided_pair
 from killed_writers import kill_writers
-from typer.testing import CliRunner
 
 from boresight.features.mission.archive import add_mounting, add_results, series_of
 from boresight.features.mission.mounting_course import YEAR_S
@@ -17,7 +16,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.pipeline.errors import RawDataError
 
-PAIR, runner = lopsided_pair(), CliRunner()
+PAIR = lopsided_pair()
 
 
 def mission_in(archive, results=40, refuted=(), exchanged=None, seed=0, step=1.0):
@@ -97,9 +96,9 @@ def test_a_finished_result_is_added_once_and_read_by_pandas_and_as_a_geopackage(
     import rasterio  # GDAL is there: the file must at least be a database that it would accept
 
     assert rasterio.__gdal_version__
-    asked = ["archive", "add", str(finished[1]), "--to", str(tmp_path)]
-    assert "added" in runner.invoke(app, asked).output
-    assert "there already" in runner.invoke(app, asked).output
+    asked = ("archive", "add", finished[1], "--to", tmp_path)
+    assert "added" in invoked(*asked).output
+    assert "there already" in invoked(*asked).output
     with sqlite3.connect(tmp_path / "archive.gpkg") as database:
         rows = pd.read_sql("SELECT * FROM results", database)
         targets = pd.read_sql("SELECT * FROM targets", database)
@@ -130,9 +129,8 @@ def test_two_writers_that_are_killed_lose_and_double_nothing(tmp_path):
 def test_trends_tell_step_prediction_and_alarm(tmp_path):
     truth = mission_in(tmp_path / "a", 60, refuted=(7,), step=3.0)
     last = truth.t_s[-1]
-    asked = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", utc_at(last + YEAR_S / 12)]
-    ran = runner.invoke(app, [*asked, "--require-arcsec", "100"])
-    assert ran.exit_code == 0, ran.output
+    asked = ("trends", tmp_path / "a", "--out", tmp_path / "t", "--at", utc_at(last + YEAR_S / 12))
+    ran(*asked, "--require-arcsec", 100)
     content = json.loads((tmp_path / "t" / "trends.json").read_text())
     (one,) = content["series"]
     assert not content["alarm"] and one["results"] == 59
@@ -151,11 +149,8 @@ def test_trends_tell_step_prediction_and_alarm(tmp_path):
     assert error @ np.linalg.solve(np.array(calibration["covariance_rad2"]), error) < 16.3  # chi2(3), 0.1 %
     page = (tmp_path / "t" / "trends.html").read_text()
     assert page.count("<a href=") >= 3 * 59 and "refuted" in page and "report.html" in page
-    ran = runner.invoke(app, [*asked, "--require-arcsec", "0.001"])
-    assert ran.exit_code == 4 and "does not reach what is required" in ran.output
-    early = ["trends", str(tmp_path / "a"), "--out", str(tmp_path / "t"), "--at", step["utc"]]
-    ran = runner.invoke(app, early)
-    assert ran.exit_code == 4 and "a step in the last 90 days" in ran.output
+    assert "does not reach what is required" in ran(*asked, "--require-arcsec", 0.001, status=4).output
+    assert "a step in the last 90 days" in ran(*asked[:-1], step["utc"], status=4).output
 
 
 def test_cameras_have_series_of_their_own(tmp_path):
@@ -168,8 +163,6 @@ def test_cameras_have_series_of_their_own(tmp_path):
 
 
 def test_calibrate_adds_its_result(finished, tmp_path):
-    asked = ["calibrate", str(finished[0]), "--out", str(finished[1]), "--archive", str(tmp_path), "-q"]
-    ran = runner.invoke(app, asked)
-    assert ran.exit_code == 0, ran.output
+    ran("calibrate", finished[0], "--out", finished[1], "--archive", tmp_path, "-q")
     with sqlite3.connect(tmp_path / "archive.gpkg") as database:
         assert database.execute("SELECT count(*) FROM results").fetchone() == (1,)

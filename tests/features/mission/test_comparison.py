@@ -4,10 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from command_line import app
+from command_line import ran
 from drawn_mission import DrawnMission, bare_result, lopsided_pair
 from scipy.stats import binom, chi2, kstest, ncx2
-from typer.testing import CliRunner
 
 from boresight.calib.distortion import prior_information
 from boresight.features.mission import mounting_comparison as comparison
@@ -92,11 +91,7 @@ def test_a_strip_in_both_results_is_not_counted_as_two(monkeypatch):
 
 def test_a_result_is_equal_to_itself_and_nothing_is_tested(finished, tmp_path):
     card = tmp_path / "card.html"
-    ran = CliRunner().invoke(
-        app, ["compare", str(finished[1]), str(finished[1]), "--html", str(card), "--json"]
-    )
-    assert ran.exit_code == 0, ran.output
-    content = json.loads(ran.stdout)["result"]
+    content = json.loads(ran("compare", finished[1], finished[1], "--html", card, "--json").stdout)["result"]
     assert content["dof"] == 0 and content["p_value"] == 1.0 and not content["differing"]
     assert len(content["common_strips"]) == 1 and content["shares_camera"]
     assert "no test" in card.read_text() and "http" not in card.read_text().replace("http-equiv", "")
@@ -113,5 +108,4 @@ def test_strips_left_out_or_worse_change_the_matrix_as_their_information_says(fi
         what_if(finished[1], {name: np.inf})
     with pytest.raises(ValueError, match="no strip 'other'"):
         what_if(finished[1], {"other": 2.0})
-    ran = CliRunner().invoke(app, ["what-if", str(finished[1]), "--sigma", f"{name}=2"])
-    assert ran.exit_code == 0 and "1 sigma now" in ran.output
+    assert "1 sigma now" in ran("what-if", finished[1], "--sigma", f"{name}=2").output

@@ -5,10 +5,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import app
+from command_line import invoked
 from drawn_mission import utc_at
 from test_archive import mission_in
-from typer.testing import CliRunner
 
 sys.path.append(str(Path(__file__).parents[2] / "pipeline" / "report"))
 from test_report_in_browser import CHROMIUM, address, brightness, opened, violations
@@ -22,9 +21,9 @@ def page(tmp_path_factory):
     """A year with a step, a refuted result and an exchanged star camera."""
     folder = tmp_path_factory.mktemp("trends")
     truth = mission_in(folder / "archive", 60, refuted=(7,), exchanged=50, step=3.0)
-    asked = ["trends", str(folder / "archive"), "--out", str(folder), "--at", utc_at(truth.t_s[-1])]
-    ran = CliRunner().invoke(app, [*asked, "--require-arcsec", "2"])
-    assert ran.exit_code in (0, 4), ran.output
+    asked = ("trends", folder / "archive", "--out", folder, "--at", utc_at(truth.t_s[-1]))
+    told = invoked(*asked, "--require-arcsec", 2)
+    assert told.exit_code in (0, 4), told.output
     return folder / "trends.html"
 
 

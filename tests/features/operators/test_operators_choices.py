@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import replaced
 from handmade import write_handmade_dump
 
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE
@@ -63,8 +64,7 @@ def test_a_camera_of_look_tables_is_that_of_its_hardware(tmp_path, directions, a
 )
 def test_damaged_look_tables_are_refused(tmp_path, old, new, file, field):
     root = tabulated_dump(tmp_path / "dump", "tangents")
-    path = root / "looks.csv"
-    path.write_text(path.read_text().replace(old, new, 1))
+    replaced(root / "looks.csv", old, new, 1)
     with pytest.raises(RawDataError) as error:
         open_dump(root)
     assert error.value.file == file and error.value.field == field
@@ -90,8 +90,7 @@ def test_the_missions_own_earth_orientation_turns_the_earth(tmp_path):
         pole = table.xp_rad[n] / ARCSEC, table.yp_rad[n] / ARCSEC
         rows.append(f"{int(table.mjd_utc[n])},{table.ut1_utc_s[n] + 0.1},{pole[0]},{pole[1]}")
     (root / "eop.csv").write_text("\n".join(rows) + "\n")
-    head = root / "dump.toml"
-    head.write_text(head.read_text().replace("[files]\n", '[files]\nearth_orientation = "eop.csv"\n'))
+    replaced(root / "dump.toml", "[files]\n", '[files]\nearth_orientation = "eop.csv"\n')
     own = open_dump(root).orbit.earth
     turned = own.rotations_ie([10.0]) * plain.rotations_ie([10.0]).inv()
     assert turned.as_rotvec()[0, 2] == pytest.approx(0.1 * EARTH_ROTATION_RATE, abs=5e-9)  # 1 mas: dX, dY

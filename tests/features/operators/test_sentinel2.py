@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import replaced
 from handmade_sentinel2 import SPAMOD, VIEDIR, write_sentinel2
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -169,9 +170,7 @@ def test_the_operator_s_homothety_scales_z_of_the_piloting_frame(files):
 def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):
     folder = shutil.copytree(files, tmp_path / "b20")
     path = folder / "S2A_OPER_MTD_L1B_DS_TEST.xml"
-    text = path.read_text()
-    assert text.count("<RESOLUTION>10<") == 1
-    path.write_text(text.replace("<RESOLUTION>10<", "<RESOLUTION>20<"))
+    replaced(path, "<RESOLUTION>10<", "<RESOLUTION>20<")
     strip = read_sentinel2(path, folder, "B04")
     assert strip.row_period_s == pytest.approx(2.0 * 1.5658e-3, rel=1e-12)
     # the middle of the first line is half of its own time after its beginning
@@ -198,10 +197,7 @@ def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):
 )
 def test_damaged_files_are_refused_by_file_and_field(files, tmp_path, name, old, new, field):
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
-    path = tmp_path / f"{name}.xml"
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
+    replaced(tmp_path / f"{name}.xml", old, new)
     with pytest.raises(RawDataError) as error:
         read_sentinel2(tmp_path / "S2A_OPER_MTD_L1B_DS_TEST.xml", tmp_path, "B04")
     assert field in error.value.field and error.value.file == f"{name}.xml"
@@ -221,9 +217,8 @@ def test_a_datastrip_compressed_with_gzip_is_read_as_plain(files, tmp_path):
 
 def test_angles_further_down_the_chain_are_refused(files, tmp_path):
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
-    path = tmp_path / f"{SPAMOD}.xml"
     below = "<FOCAL_PLANE_TO_DETECTOR_VNIR><R1>0</R1><R2>0.1</R2><R3>0</R3></FOCAL_PLANE_TO_DETECTOR_VNIR>"
-    path.write_text(path.read_text().replace("</DATA>", f"{below}</DATA>"))
+    replaced(tmp_path / f"{SPAMOD}.xml", "</DATA>", f"{below}</DATA>")
     with pytest.raises(RawDataError, match="not supported"):
         read_sentinel2(tmp_path / "S2A_OPER_MTD_L1B_DS_TEST.xml", tmp_path, "B04")
 

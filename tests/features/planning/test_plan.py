@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import app
+from command_line import ran
 from drawn_pictures import SERIES_COLOURS, shows_curves
 from recorded_numbers import assert_recorded, columns_of, numbers_in
-from typer.testing import CliRunner
 
 from boresight.features.paper.tables import hipparcos_fields
 from boresight.features.paper.vector_experiments import ExperimentSettings
@@ -26,8 +25,6 @@ from boresight.features.planning.campaign_plan import (
     read_plan,
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-
-runner = CliRunner()
 
 
 @pytest.fixture
@@ -45,8 +42,7 @@ def few_draws(one_draw: None, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
     path = tmp_path / "plan.toml"
     path.write_text("[strips]\ncount = 12\n[errors]\ndistortion_px = 0.0\n", encoding="utf-8")
-    told = runner.invoke(app, ["plan", str(path), "--target", "2", "--out", str(tmp_path / "out")])
-    assert told.exit_code == 0
+    told = ran("plan", path, "--target", 2, "--out", tmp_path / "out")
     assert "12 strips: 1-sigma" in told.stdout and "strips bring every axis to 2″" in told.stdout
     table = pd.read_csv(tmp_path / "out" / "plan.csv")
     assert_recorded("plan", columns_of(table) | {"printed": numbers_in(told.stdout)})
@@ -122,9 +118,7 @@ def test_campaigns_of_ground_and_sky_are_compared(one_draw: None):
 def test_a_target_out_of_reach_is_said_to_be_so(tmp_path: Path, few_draws: None):
     path = tmp_path / "plan.toml"
     path.write_text("[strips]\ncount = 2\n", encoding="utf-8")
-    told = runner.invoke(app, ["plan", str(path), "--target", "0.01"])
-    assert told.exit_code == 1
-    assert "no number of strips" in told.stdout
+    assert "no number of strips" in ran("plan", path, "--target", 0.01, status=1).stdout
 
 
 def test_an_unknown_key_of_a_plan_is_refused_by_name(tmp_path: Path):
@@ -144,12 +138,11 @@ def test_stars_of_a_field_are_the_skys():
 
 
 def test_an_unknown_experiment_is_wrong_usage():
-    assert runner.invoke(app, ["experiment", "table9", "--out", "nowhere"]).exit_code == 2
+    ran("experiment", "table9", "--out", "nowhere", status=2)
 
 
 def test_only_some_experiments_go_through_pixels():
-    told = runner.invoke(app, ["experiment", "figure8", "--out", "nowhere", "--pixels"])
-    assert told.exit_code == 2
+    ran("experiment", "figure8", "--out", "nowhere", "--pixels", status=2)
 
 
 @pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e300"])

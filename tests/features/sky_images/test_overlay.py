@@ -10,11 +10,10 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.wcs import WCS
-from command_line import app
+from command_line import ran
 from frames import Sensor, star_frame
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.star_camera import StarCamera
@@ -51,9 +50,7 @@ def orion(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder))
         patch.chdir(folder)
-        command = ["identify", str(folder / "orion.png"), "--fits", "--fov", "18.7", "--overlay", "named.png"]
-        done = CliRunner().invoke(app, command)
-        assert done.exit_code == 0, done.output
+        ran("identify", folder / "orion.png", "--fits", "--fov", 18.7, "--overlay", "named.png")
     with fits.open(folder / "orion.wcs.fits") as hdus:
         wcs = WCS(hdus[0].header)
     return np.asarray(Image.open(folder / "named.png")).astype(int), wcs
@@ -91,9 +88,7 @@ def test_a_small_image_is_enlarged_and_its_rings_lie_about_its_stars(tmp_path, m
     rng = np.random.default_rng(3)
     image, truth = star_frame(camera, R_si, hipparcos_stars(8.0).places, Sensor(hot_pixels=0), rng)
     cv2.imwrite(str(tmp_path / "small.png"), image)
-    command = ["identify", str(tmp_path / "small.png"), "--fov", "18.7", "--overlay", str(tmp_path / "o.png")]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
+    ran("identify", tmp_path / "small.png", "--fov", 18.7, "--overlay", tmp_path / "o.png")
     picture = np.asarray(Image.open(tmp_path / "o.png")).astype(int)
     assert picture.shape == (900, 1200, 3)  # three times, the longer side then has 960 px at least
     off = []

@@ -19,11 +19,10 @@ from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_cu
 from matplotlib.quiver import QuiverKey
 from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
-from command_line import app
+from command_line import invoked as run
 from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, directions_of, render, star_frame
 
@@ -62,10 +61,6 @@ def cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def test_identify_prints_one_json_object_a_line(folder):
@@ -189,9 +184,7 @@ def test_centroids_are_held_to_limits(folder, tmp_path):
 
 def test_a_truth_without_its_columns_is_named(folder, tmp_path):
     (tmp_path / "truth.csv").write_text("x,y\n1,2\n")
-    done = CliRunner().invoke(
-        app, ["centroids", str(folder / "sky0.png"), "--truth", str(tmp_path / "truth.csv")]
-    )
+    done = run("centroids", folder / "sky0.png", "--truth", tmp_path / "truth.csv")
     assert "x_px" in str(done.exception)
 
 

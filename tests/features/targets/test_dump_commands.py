@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from command_line import app
+from command_line import app, invoked
+from edits import replaced
 from typer.testing import CliRunner
 
 from boresight.pipeline.errors import RawDataError
@@ -16,8 +17,8 @@ from boresight.pipeline.files.text_files import read_toml
 
 
 def run(*arguments: object, given: str | None = None) -> tuple[int, str]:
-    ran = CliRunner().invoke(app, [str(argument) for argument in arguments], input=given)
-    return ran.exit_code, ran.output
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments], input=given)
+    return done.exit_code, done.output
 
 
 def files_with_faults(folder: Path) -> set[str]:
@@ -40,8 +41,8 @@ def test_a_skeleton_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
     assert camera.directions_from_pixels(1, [499.5])[0, 1] == pytest.approx(0.0, abs=1e-12)
     assert camera.directions_from_pixels(2, [-0.5])[0, 1] == pytest.approx(-4e-3 / 2.5, rel=1e-4)
     assert files_with_faults(folder) == {"orbit.oem", "exposures.csv", "strips.csv", "targets.csv"}
-    again = CliRunner().invoke(app, ["dump", "init", str(folder)])
-    assert isinstance(again.exception, RawDataError) and "not empty" in str(again.exception)
+    again = invoked("dump", "init", folder).exception
+    assert isinstance(again, RawDataError) and "not empty" in str(again)
 
 
 def test_skeleton_of_attitudes_and_points_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
@@ -79,8 +80,7 @@ def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Pat
         ("exposures.csv", "2024-11-20T03:40:19", "20/11/2024"),
         ("targets.csv", "ellipsoidal", "msl"),
     ):
-        text = (handmade / file).read_text()
-        (handmade / file).write_text(text.replace(before, after))
+        replaced(handmade / file, before, after)
     (handmade / "strips.csv").unlink()
     page = tmp_path / "check.html"
     status, text = run("dump", "check", handmade, "--out", page)

@@ -1,6 +1,5 @@
 """The ground half from the command line: places of a dump's targets, and good targets in an ortho-image."""
 
-import csv
 import html
 import json
 import re
@@ -10,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import rasterio
 import rasterio.warp
-from command_line import app
-from typer.testing import CliRunner
+from command_line import ran
+from edits import rows_of
+from rasters import write_raster
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 
@@ -23,11 +23,8 @@ def test_the_page_of_candidates_shows_each_with_its_pictures_and_reason(tmp_path
             values = chip.read(1)
             chip.write(spoil(values).astype(values.dtype), 1)
     out, page = tmp_path / "places.csv", tmp_path / "targets.html"
-    arguments = ["match", str(dump), "--strip", "s01", "--out", str(out), "--page", str(page)]
-    outcome = CliRunner().invoke(app, [*arguments, "--workers", "1"])
-    assert outcome.exit_code == 0, outcome.output
-    with out.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    ran("match", dump, "--strip", "s01", "--out", out, "--page", page, "--workers", 1)
+    rows = rows_of(out)
     text = page.read_text(encoding="utf-8")
     more = json.loads(re.search(r'id="more-cards">(.*?)</script>', text).group(1))
     cards = more | dict(re.findall(r'<article id="(t\d+)"(.*?)</article>', text, re.DOTALL))
@@ -44,23 +41,11 @@ def test_the_page_of_candidates_shows_each_with_its_pictures_and_reason(tmp_path
 def test_suggested_targets_are_a_list_that_a_dump_can_have(tmp_path: Path):
     rng = np.random.default_rng(4)
     image = np.kron(rng.integers(20, 230, (40, 50)), np.ones((12, 12))) + rng.normal(0.0, 1.0, (480, 600))
-    ortho = tmp_path / "ortho.tif"
-    profile = {
-        "driver": "GTiff",
-        "width": 600,
-        "height": 480,
-        "count": 1,
-        "dtype": "uint8",
-        "crs": "EPSG:32633",
-    }
-    with rasterio.open(ortho, "w", **profile, transform=rasterio.Affine(0.5, 0, 4e5, 0, -0.5, 5e6)) as file:
-        file.write(np.clip(image, 0, 255).astype(np.uint8), 1)
+    placed = {"crs": "EPSG:32633", "transform": rasterio.Affine(0.5, 0, 4e5, 0, -0.5, 5e6)}
+    ortho = write_raster(tmp_path / "ortho.tif", np.clip(image, 0, 255).astype(np.uint8), **placed)
     out = tmp_path / "targets"
-    arguments = ["targets", "suggest", str(ortho), "--out", str(out), "--size-px", "64", "--most", "5"]
-    outcome = CliRunner().invoke(app, [*arguments, "--height-m", "310"])
-    assert outcome.exit_code == 0, outcome.output
-    with (out / "targets.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    ran("targets", "suggest", ortho, "--out", out, "--size-px", 64, "--most", 5, "--height-m", 310)
+    rows = rows_of(out / "targets.csv")
     assert len(rows) == 5
     assert {row["height_m"] for row in rows} == {"310.000"}
     for row in rows:

@@ -1,6 +1,5 @@
 """Targets from a STAC catalogue: dates, clouds, offsets between dates; on a disk, in a store, from an API."""
 
-import csv
 import http.server
 import json
 import threading
@@ -13,10 +12,11 @@ import numpy as np
 import pystac
 import pytest
 import rasterio
-from command_line import app
+from command_line import ran
+from edits import rows_of
 from pyproj import Transformer
 from scipy.ndimage import gaussian_filter, shift
-from typer.testing import CliRunner
+from stored import bucket_served
 
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.pipeline.errors import RawDataError
@@ -87,11 +87,9 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Path
 
 
 def suggested(out: Path, *words: object) -> tuple[list[dict[str, str]], str]:
-    given = ["targets", "suggest", "--height-m", 300, "--out", out, "--size-px", 64, "--most", 12, *words]
-    ran = CliRunner().invoke(app, [str(word) for word in given])
-    assert ran.exit_code == 0, (ran.output, ran.exception)
-    with (out / "targets.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file)), ran.output
+    given = ("targets", "suggest", "--height-m", 300, "--out", out, "--size-px", 64, "--most", 12)
+    told = ran(*given, *words).output
+    return rows_of(out / "targets.csv"), told
 
 
 def columns_of(rows: list[dict[str, str]]) -> np.ndarray:
@@ -155,26 +153,13 @@ def test_item_whose_image_is_missing_is_named_and_the_others_are_used(
 @pytest.fixture(scope="module")
 def store(images: dict[str, dict[str, Path]], tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Address of a server of objects with a catalogue in its bucket `archive`, of assets by `http://`."""
-    import fsspec
-    from moto.server import ThreadedMotoServer
-
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    address = "http://{}:{}".format(*server.get_host_and_port())
-    environment = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_ENDPOINT_URL": address}
-    environment |= {"AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true"}
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        files = fsspec.filesystem("s3", skip_instance_cache=True, s3_additional_kwargs={"ACL": "public-read"})
-        files.mkdir("archive")
+    with bucket_served() as (address, files):
         folder = catalogue_of(tmp_path_factory.mktemp("stored"), images, f"{address}/archive").parent
         for path in folder.rglob("*.json"):
             files.put(str(path), f"archive/c/{path.relative_to(folder)}")
         for path in (file for of in images.values() for file in of.values()):
             files.put(str(path), f"archive/{path.name}")
         yield address
-    server.stop()
 
 
 def test_stores_and_disks_give_the_same_targets(

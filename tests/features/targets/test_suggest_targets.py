@@ -1,6 +1,5 @@
 """Targets from ortho-images: maps, dates, heights, what strips show; and that a dump takes the folder."""
 
-import csv
 import json
 import shutil
 import subprocess
@@ -10,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from command_line import app
+from command_line import invoked, ran
+from edits import rows_of
 from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
-from typer.testing import CliRunner
+from rasters import write_raster
 
 from boresight.features.targets.ortho_files import RasterWindow, open_raster, read_heights
 from boresight.geometry.geoid import egm96
@@ -36,13 +36,8 @@ def texture(seed: int, shape: tuple[int, int] = (400, 500)) -> np.ndarray:
 
 
 def write(path: Path, bands: np.ndarray, east: float = 4e5, north: float = 5e6, **profile: object) -> Path:
-    bands = bands[None] if bands.ndim == 2 else bands
-    size = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], "dtype": bands.dtype}
-    transform = rasterio.Affine(PIXEL_M, 0, east, 0, -PIXEL_M, north)
-    given = {"driver": "GTiff", "crs": f"EPSG:{EPSG}", "transform": transform} | size | profile
-    with rasterio.open(path, "w", **given) as file:
-        file.write(bands)
-    return path
+    placed = {"crs": f"EPSG:{EPSG}", "transform": rasterio.Affine(PIXEL_M, 0, east, 0, -PIXEL_M, north)}
+    return write_raster(path, bands, **placed | profile)
 
 
 def dem(path: Path) -> Path:
@@ -53,11 +48,8 @@ def dem(path: Path) -> Path:
 
 
 def suggested(out: Path, *arguments: object, size_px: int = 64) -> list[dict[str, str]]:
-    words = ["targets", "suggest", *arguments, "--out", out, "--size-px", size_px, "--most", 6]
-    ran = CliRunner().invoke(app, [str(word) for word in words])
-    assert ran.exit_code == 0, ran.output
-    with (out / "targets.csv").open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    ran("targets", "suggest", *arguments, "--out", out, "--size-px", size_px, "--most", 6)
+    return rows_of(out / "targets.csv")
 
 
 def test_heights_of_a_dem_are_stated_as_the_dump_wants_them(tmp_path: Path) -> None:
@@ -164,12 +156,9 @@ def test_heights_of_another_place_are_named_with_the_image(tmp_path: Path) -> No
         crs="EPSG:4326",
         transform=rasterio.Affine(1 / 60, 0, 3.3, 0, -1 / 60, 45.5),
     )
-    words = ["targets", "suggest", str(ortho), "--dem", str(elsewhere), "--out", str(tmp_path / "t")]
-    ran = CliRunner().invoke(app, words)
-    assert isinstance(ran.exception, RawDataError) and "o.tif: place: found latitude 45." in str(
-        ran.exception
-    )
-    assert "longitude 13." in str(ran.exception) and "far.tif does not" in str(ran.exception)
+    refused = invoked("targets", "suggest", ortho, "--dem", elsewhere, "--out", tmp_path / "t").exception
+    assert isinstance(refused, RawDataError) and "o.tif: place: found latitude 45." in str(refused)
+    assert "longitude 13." in str(refused) and "far.tif does not" in str(refused)
     assert len(suggested(tmp_path / "both", ortho, "--dem", elsewhere, "--dem", dem(tmp_path / "d.tif"))) == 6
 
 
@@ -180,10 +169,10 @@ def test_sigma_has_what_two_dates_differ_by(tmp_path: Path) -> None:
 
 
 def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
-    ortho = str(write(tmp_path / "o.tif", texture(1)))
+    ortho = write(tmp_path / "o.tif", texture(1))
     for given in ([], ["--height-m", "1", "--dem", "d.tif"]):
-        ran = CliRunner().invoke(app, ["targets", "suggest", ortho, "--out", str(tmp_path / "t"), *given])
-        assert ran.exit_code == 2 and "--dem" in ran.output
+        told = ran("targets", "suggest", ortho, "--out", tmp_path / "t", *given, status=2)
+        assert "--dem" in told.output
 
 
 @pytest.fixture(scope="module")
@@ -215,5 +204,4 @@ def test_the_folder_goes_into_the_dump(at_a_strip: tuple[Path, Path], tmp_path: 
     shutil.copytree(tmp_path / "t" / "chips", dump / "chips")
     shutil.copy(tmp_path / "t" / "targets.csv", dump / "targets.csv")
     assert [target.target_id for target in open_dump(dump).targets] == [row["id"] for row in rows]
-    checked = CliRunner().invoke(app, ["dump", "check", str(dump)])
-    assert checked.exit_code == 0 and "in view of s02" in checked.output
+    assert "in view of s02" in ran("dump", "check", dump).output

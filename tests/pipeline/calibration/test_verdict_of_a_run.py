@@ -4,13 +4,11 @@ import json
 from pathlib import Path
 
 from command_line import ran
+from edits import replaced
 
 
 def test_a_wrong_focal_length_of_the_star_camera_refutes_the_result(one_strip: Path, tmp_path: Path) -> None:
-    camera = one_strip / "star_camera.toml"
-    text = camera.read_text()
-    assert "focal_length_mm = 100.0" in text
-    camera.write_text(text.replace("focal_length_mm = 100.0", "focal_length_mm = 99.8"))
+    replaced(one_strip / "star_camera.toml", "focal_length_mm = 100.0", "focal_length_mm = 99.8")
     command = ("calibrate", one_strip, "--out", tmp_path / "out", "--workers", 1, "--no-report")
     told = ran(*command, status=3).stdout
     assert told.splitlines()[0].startswith("verdict                   refuted by "), told

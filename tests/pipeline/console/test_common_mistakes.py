@@ -2,27 +2,18 @@
 
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
+from command_line import ended
+from edits import replaced
 from handmade import write_handmade_dump
-from wrong_dumps import WRONG, replaced
-
-from boresight.console import run_command_line
+from wrong_dumps import WRONG
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_handmade_dump(tmp_path_factory.mktemp("mistakes") / "sound")
-
-
-def printed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """Exit status and output of a command as the program itself runs it."""
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as ended:
-        patch.setattr(sys, "argv", ["boresight", *arguments])
-        run_command_line()
-    return int(ended.value.code or 0), "".join(capsys.readouterr())
 
 
 # Arguments, with {dump}, {here} for folders; exit status; the option or file; cause; remedy.
@@ -52,8 +43,8 @@ ON_THE_COMMAND_LINE: dict[str, tuple[str, int, str, str, str]] = {
 @pytest.mark.parametrize(("file", "old", "new", "field", "says"), WRONG[::7])
 def test_mistake_in_a_dump_is_one_line(file, old, new, field, says, sound, tmp_path, capsys):
     dump = shutil.copytree(sound, tmp_path / "dump")
-    replaced(dump, file, old, new)
-    status, text = printed(["calibrate", str(dump), "--out", str(tmp_path / "result")], capsys)
+    replaced(dump / file, old, new, 1)
+    status, text = ended(capsys, "calibrate", dump, "--out", tmp_path / "result")
     assert status == 1 and text.count("\n") == 1
     assert re.search(f"{file}: {re.escape(field)}: .*{says}", text), text
 
@@ -64,6 +55,6 @@ def test_mistake_on_the_command_line_is_explained(mistake, sound, tmp_path, caps
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("x")
     (tmp_path / "settings.toml").write_text("[match]\ncorrelation = 0.5\n")
-    status, text = printed(command.format(dump=sound, here=tmp_path).split(" "), capsys)
+    status, text = ended(capsys, *command.format(dump=sound, here=tmp_path).split(" "))
     assert status == expected and "Traceback" not in text, text
     assert [part for part in says if part not in text] == [], text

@@ -13,6 +13,7 @@ import pytest
 import rasterio
 import typer
 from command_line import app
+from rasters import write_raster
 from typer._completion_classes import BashComplete
 
 from boresight.features.exports.formats import FORMATS
@@ -124,10 +125,8 @@ def places(made_once) -> dict[str, str]:
         point = "46.0 7.0 500.0 1 1 1"
         rows = (f"{n} {point} dir/left.tif 10 20 1 1 dir/right.tif 11 21 1 1" for n in range(2))
         (folder / "a.gcp").write_text("# WKT: none\n" + "\n".join(rows) + "\n")
-        profile = {"driver": "GTiff", "width": 2, "height": 2, "count": 4, "dtype": "uint8"}
         placed = {"crs": "EPSG:32648", "transform": rasterio.Affine(1, 0, 5e5, 0, -1, 4e6)}
-        with rasterio.open(folder / "ortho.tif", "w", **profile, **placed) as image:
-            image.write(np.ones((4, 2, 2), np.uint8))
+        write_raster(folder / "ortho.tif", np.ones((4, 2, 2), np.uint8), **placed)
 
     folder = made_once("completed", fill)
     return {

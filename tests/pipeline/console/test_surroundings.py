@@ -7,21 +7,14 @@ import threading
 from pathlib import Path
 
 import pytest
+from command_line import ended
 from fixture_strips import begun
 
-from boresight.console import run_command_line
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.console.program import errors_reported
 from boresight.pipeline.console.progress import progress_bars
 
 NO_TEXT = os.fsdecode(b"n\xf6t text")
-
-
-def ended(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> tuple:
-    monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
-    with pytest.raises(SystemExit) as left:
-        run_command_line()
-    return left.value.code, "".join(capsys.readouterr())
 
 
 def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Path) -> None:
@@ -49,9 +42,9 @@ def test_message_for_a_closed_stream_goes_nowhere(name, monkeypatch, capsys):
     assert ("a remark" in told.err) == (name == "stdout")
 
 
-def test_result_folder_of_a_name_that_is_no_text_is_refused(one_strip, tmp_path, monkeypatch, capsys):
+def test_result_folder_of_a_name_that_is_no_text_is_refused(one_strip, tmp_path, capsys):
     out = tmp_path / NO_TEXT
-    told = ended(["calibrate", str(one_strip), "--out", str(out), "--workers", "1"], monkeypatch, capsys)
+    told = ended(capsys, "calibrate", one_strip, "--out", out, "--workers", 1)
     assert told[0] == 1 and "found a name that is not text in UTF-8" in told[1] and not out.exists()
 
 
@@ -70,8 +63,7 @@ def test_limit_on_processes_is_named_with_the_remedy(one_strip, tmp_path, monkey
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(os, "fork", refused)
-    arguments = ["calibrate", str(one_strip), "--out", str(tmp_path / "out"), "--workers", "2"]
-    code, told = ended(arguments, monkeypatch, capsys)
+    code, told = ended(capsys, "calibrate", one_strip, "--out", tmp_path / "out", "--workers", 2)
     assert code == 1 and "no further thread or process; use --workers 1" in told, told
     assert not (tmp_path / "out/installation.json").exists()
 
@@ -82,6 +74,5 @@ def test_a_calibration_needs_no_thread_of_its_own(finished, tmp_path, monkeypatc
 
     monkeypatch.setattr(threading.Thread, "start", refused)
     begun(tmp_path / "out", finished, exposures=12)
-    arguments = ["calibrate", str(finished[0]), "--out", str(tmp_path / "out"), "--workers", "2"]
-    code, told = ended(arguments, monkeypatch, capsys)
+    code, told = ended(capsys, "calibrate", finished[0], "--out", tmp_path / "out", "--workers", 2)
     assert code == 0 and (tmp_path / "out/installation.json").is_file(), told

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.utils import iers
+from edits import replaced
 from handmade import write_handmade_dump
 
 from boresight.calib.finding import MOST_WORDS
@@ -99,8 +100,7 @@ def test_one_value_for_several_days_is_the_missions_own_business(tmp_path: Path)
 def test_dates_outside_the_missions_table_are_refused(tmp_path: Path) -> None:
     root = write_handmade_dump(tmp_path / "dump")
     own_table(root / "own.csv", range(DAY - 40, DAY - 30), 0)
-    head = (root / "dump.toml").read_text()
-    (root / "dump.toml").write_text(head.replace("[files]", '[files]\nearth_orientation = "own.csv"'))
+    replaced(root / "dump.toml", "[files]", '[files]\nearth_orientation = "own.csv"')
     with pytest.raises(RawDataError, match=r"is past the table: .*own.csv\) holds 2024-10-11 to 2024-10-20"):
         open_dump(root)
 

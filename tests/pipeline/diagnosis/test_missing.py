@@ -1,12 +1,12 @@
 """Dumps without a result: the cause comes first, with numbers and what to check."""
 
-import csv
 import re
 from pathlib import Path
 
 import cv2
 import pytest
 from command_line import ran
+from edits import rows_of, write_rows
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
@@ -44,15 +44,11 @@ def test_centroids_far_worse_than_stated_are_named_by_file_and_field(one_strip, 
     monkeypatch.chdir(one_strip)
     images = [f"exposures/{path.name}" for path in Path("exposures").iterdir()]
     ran("centroids", *images, "--out", "centroids.csv")
-    with open("centroids.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(Path("centroids.csv"))
     for row in rows:
         for key, factor in (("sigma_x_px", 1e-3), ("sigma_y_px", 1e-3), ("cov_xy_px2", 1e-6)):
             row[key] = repr(float(row[key]) * factor)
-    with open("centroids.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(Path("centroids.csv"), rows)
     text = re.sub(r"(?m)^(star_camera|installation|exposures) = .*\n", "", Path("dump.toml").read_text())
     head = '[[star_cameras]]\nname = "STR"\nlevel = "centroids"\ninstallation = "installation.toml"\n'
     keys = 'camera = "star_camera.toml"\nexposures = "exposures.csv"\ncentroids = "centroids.csv"\n'

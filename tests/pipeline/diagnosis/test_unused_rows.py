@@ -1,12 +1,12 @@
 """Every row of a dump's tables is used or has a reason; coordinates that contradict a chip name the slip."""
 
-import csv
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import rows_of, write_rows
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.geometry.ledger import Entry, Kind, Reason, Subject
@@ -26,16 +26,12 @@ from boresight.pipeline.results.writing import verdict_json
 def with_targets(dump: Path, root: Path, more: dict[str, tuple[int, str, str]]) -> Dump:
     """A copy of a dump with further targets: for each the row whose chip it has, latitude and longitude."""
     shutil.copytree(dump, root)
-    with (root / "targets.csv").open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = rows_of(root / "targets.csv")
     rows += [
         rows[n] | {"id": name, "lat_deg": lat or rows[n]["lat_deg"], "lon_deg": lon or rows[n]["lon_deg"]}
         for name, (n, lat, lon) in more.items()
     ]
-    with (root / "targets.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(root / "targets.csv", rows)
     return open_dump(root)
 
 

@@ -20,8 +20,8 @@ from faults import (
     edited,
     faults_of,
     ground_moved,
-    later,
     repaint,
+    rows_late,
     sized,
     table,
     write,
@@ -358,13 +358,7 @@ def _of_instants(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         if place:
             times, ms = sized(2.0, rng)
 
-            def late(dump: Path, strips: tuple[str, ...] = strips, ms: float = ms) -> None:
-                def edit(row: Row) -> None:
-                    if row["id"] in strips:
-                        row["utc_first_row"] = later(row["utc_first_row"], 1e-3 * ms)
-
-                edited("strips.csv", edit, dump)
-
+            late = partial(rows_late, strips, 1e-3 * ms)
             words = (any_of(strips), LATE + "|mounting|attitude")
             item = "/".join(strips[:3])
             yield Fault(f"clock {place}", item, ms, "ms", times, late, words, any_of(strips), strips)

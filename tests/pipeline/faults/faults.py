@@ -141,6 +141,57 @@ def ground_moved(listed: str, strips: tuple[str, ...], axis: str, metres: float,
     edited(listed, edit, dump)
 
 
+def rows_late(strips: Iterable[str], seconds: float, dump: Path) -> None:
+    """Rows of some strips dated later."""
+
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] in strips:
+            row["utc_first_row"] = later(row["utc_first_row"], seconds)
+
+    edited("strips.csv", edit, dump)
+
+
+def period(strips: Iterable[str], relative: float, dump: Path) -> None:
+    """The row period of some strips, longer by a part of it."""
+
+    def edit(row: dict[str, str]) -> None:
+        if row["id"] in strips:
+            row["row_period_s"] = repr(float(row["row_period_s"]) * (1.0 + relative))
+
+    edited("strips.csv", edit, dump)
+
+
+def files_exchanged(name: str, pairs: Iterable[tuple[int, int]], dump: Path) -> None:
+    """Files of rows of a table, from 0, in each other's place."""
+    header, *rows = table(dump / name)
+    at = header.index("file")
+    for a, b in pairs:
+        rows[a][at], rows[b][at] = rows[b][at], rows[a][at]
+    write(dump / name, [header, *rows])
+
+
+def paths_exchanged(one: Path, other: Path) -> None:
+    """Two files under each other's name."""
+    one.rename(one.with_name("kept"))
+    other.rename(one)
+    one.with_name("kept").rename(other)
+
+
+def conjugate(row: dict[str, str]) -> None:
+    """The inverse of the rotation of a row."""
+    row.update({key: repr(-float(row[key])) for key in ("qx", "qy", "qz")})
+
+
+def earth_turned(seconds: float, dump: Path) -> None:
+    """The orbit as over an Earth so much earlier."""
+    R = Rotation.from_rotvec([0.0, 0.0, -EARTH_RAD_S * seconds])
+
+    def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
+        p[:], v[:] = R.apply(p), R.apply(v)
+
+    states(edit, dump)
+
+
 def states(edit: Callable[[np.ndarray, np.ndarray, np.ndarray], None], dump: Path) -> None:
     """Change the positions (K, 3), km, and velocities of the orbit; its times (K,) are given in s."""
     head, mark, body = (dump / "orbit.oem").read_text().partition("META_STOP\n")
@@ -245,21 +296,6 @@ def sized(smallest: float, rng: np.random.Generator, largest: float = LARGEST) -
 
 def _of_times(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     """Clocks of strips, heads and exposures; row period; the instant of a row."""
-
-    def rows_late(strips: tuple[str, ...], seconds: float, dump: Path) -> None:
-        def edit(row: dict[str, str]) -> None:
-            if row["id"] in strips:
-                row["utc_first_row"] = later(row["utc_first_row"], seconds)
-
-        edited("strips.csv", edit, dump)
-
-    def period(strips: tuple[str, ...], relative: float, dump: Path) -> None:
-        def edit(row: dict[str, str]) -> None:
-            if row["id"] in strips:
-                row["row_period_s"] = repr(float(row["row_period_s"]) * (1.0 + relative))
-
-        edited("strips.csv", edit, dump)
-
     # 2 m of the orbit are 0.27 ms, clocks 0.1 ms; stars of the sky say a row's time to some 0.1 ms.
     for strip in facts.strips:
         times, ms = sized(2.0 if facts.kinds[strip] == "ground" else 1.0, rng)
@@ -332,15 +368,9 @@ def _exposure_times(rng: np.random.Generator) -> Iterator[Fault]:
     yield Fault("exposures' clock", "", ms, "ms", times, make, ("exposure|star|all", LATE), LATE)
     yield from _rows_dated_wrong("exposures.csv", "utc_mid", "", rng)
 
-    def exchanged(first: int, second: int, dump: Path) -> None:
-        header, *rows = table(dump / "exposures.csv")
-        at = header.index("file")
-        rows[first][at], rows[second][at] = rows[second][at], rows[first][at]
-        write(dump / "exposures.csv", [header, *rows])
-
     for times, (first, second) in ((3.0, (4, 5)), (30.0, (2, 9))):
         names = (f"e{first + 1:04d}", f"e{second + 1:04d}")
-        make = partial(exchanged, first, second)
+        make = partial(files_exchanged, "exposures.csv", [(first, second)])
         words = ("|".join(names), "exchang|swap|order|time")
         item = "/".join(names)
         yield Fault("exposure files exchanged", item, second - first, "places", times, make, words, "", names)
@@ -459,10 +489,7 @@ def _of_strip_images(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         def other_strip(dump: Path) -> None:
             a, b = facts.of_ground[:2]
             for name in every:
-                one, other = (dump / f"strips/{strip}_ccd{name}.tif" for strip in (a, b))
-                one.rename(dump / "kept")
-                other.rename(one)
-                (dump / "kept").rename(other)
+                paths_exchanged(*(dump / f"strips/{strip}_ccd{name}.tif" for strip in (a, b)))
 
         own = facts.of_ground[:2]
         words = ("|".join(own),)
@@ -561,22 +588,14 @@ def _of_orbit(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
                 words = (rf"{strip}|orbit\.oem", "orbit|position|clock|time|late|early|point")
                 yield Fault(f"orbit of a strip {axis}", strip, metres, "m", times, make, words, "", (strip,))
 
-    def turned(seconds: float, dump: Path) -> None:
-        R = Rotation.from_rotvec([0.0, 0.0, -EARTH_RAD_S * seconds])
-
-        def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
-            p[:], v[:] = R.apply(p), R.apply(v)
-
-        states(edit, dump)
-
     yield Fault("orbit of the next day", "", 1, "day", 30.0, partial(dated_later, 86400.0), ("orbit.oem",))
     yield Fault(
         "orbit of the day before", "", -1, "day", 30.0, partial(dated_later, -86400.0), ("orbit.oem",)
     )
-    make, words = partial(turned, REVOLUTION_S), (orbit,)
+    make, words = partial(earth_turned, REVOLUTION_S), (orbit,)
     blind = "velocity of the orbit" if sky_only else ""
     yield Fault("orbit of the next revolution", "", 1, "", 30.0, make, words, blind)
-    make, words = partial(turned, -REVOLUTION_S), (orbit,)
+    make, words = partial(earth_turned, -REVOLUTION_S), (orbit,)
     blind = "velocity of the orbit" if sky_only else ""
     yield Fault("orbit of the revolution before", "", -1, "", 30.0, make, words, blind)
     for frame in ("GCRF", "EME2000"):
@@ -610,9 +629,6 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
     def stated(edit: Callable[[dict[str, str]], None], name: str, dump: Path) -> None:
         edited(f"{name}.csv", edit, dump)
-
-    def conjugate(row: dict[str, str]) -> None:
-        row.update({key: repr(-float(row[key])) for key in Q[:3]})
 
     def scalar_first(row: dict[str, str]) -> None:
         x, y, z, w = (row[key] for key in Q)
@@ -672,10 +688,7 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     if len(facts.heads) == 2:
 
         def exchanged(dump: Path) -> None:
-            one, other = (dump / f"{head}.csv" for head in facts.heads)
-            one.rename(dump / "kept")
-            other.rename(one)
-            (dump / "kept").rename(other)
+            paths_exchanged(*(dump / f"{head}.csv" for head in facts.heads))
 
         words = ("head|attitude|" + "|".join(facts.heads),)
         yield Fault("heads exchanged", "", 1, "pair", 30.0, exchanged, words, "", facts.heads)

@@ -27,6 +27,7 @@ from astropy.io import fits
 from handmade import write_handmade_dump, write_strip
 from handmade_dimap import as_version_2, dimap_text
 from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
+from rasters import write_raster
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.information import InformationPairs
@@ -142,17 +143,13 @@ def _write_gcps(path: Path) -> None:
         for r in (1, 30)
         for c in (2, 40)
     ]
-    profile = {"driver": "GTiff", "width": WIDTH, "height": HEIGHT, "count": 1, "dtype": "uint8"}
-    with rasterio.open(path, "w", **profile, gcps=gcps, crs="EPSG:4326") as file:
-        file.write(np.zeros((1, HEIGHT, WIDTH), np.uint8))
+    write_raster(path, np.zeros((HEIGHT, WIDTH), np.uint8), gcps=gcps, crs="EPSG:4326")
 
 
 def _write_terrain(path: Path) -> None:
     heights = np.random.default_rng(3).normal(100.0, 20.0, (30, 30)).astype(np.float32)
     transform = rasterio.Affine(0.01, 0, 102.85, 0, -0.01, 0.15)
-    profile = {"driver": "GTiff", "width": 30, "height": 30, "count": 1, "dtype": "float32"}
-    with rasterio.open(path, "w", **profile, crs="EPSG:4326", transform=transform, nodata=-32768) as file:
-        file.write(heights, 1)
+    write_raster(path, heights, crs="EPSG:4326", transform=transform, nodata=-32768)
 
 
 def _write_result(result: Path) -> None:

@@ -59,22 +59,6 @@ def told(sound: Path, tmp_path: Path) -> Iterator[Callable[[Make], DumpCalibrati
     return calibrated
 
 
-def rows_late(strip: str, seconds: float, dump: Path) -> None:
-    def edit(row: dict[str, str]) -> None:
-        if row["id"] == strip:
-            row["utc_first_row"] = later(row["utc_first_row"], seconds)
-
-    edited("strips.csv", edit, dump)
-
-
-def period(strip: str, factor: float, dump: Path) -> None:
-    def edit(row: dict[str, str]) -> None:
-        if row["id"] == strip:
-            row["row_period_s"] = repr(float(row["row_period_s"]) * factor)
-
-    edited("strips.csv", edit, dump)
-
-
 def camera(key: str, ccd: int | None, add: float, dump: Path) -> None:
     faults.toml_number("remote_camera.toml", key, lambda value: value + add, ccd, dump)
 
@@ -93,8 +77,8 @@ def one_point(name: str, column: str, new: Callable[[str], str], dump: Path) -> 
 
 CAUSES = [  # others: `test_faults_of_images.py`
     # fault, cause, item, size (NaN: none is reported), file
-    (partial(rows_late, "s02", -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
-    (partial(period, "s01", 1.0018), "row period", "strip s01", 0.18, "strips.csv"),
+    (partial(faults.rows_late, ("s02",), -7e-3), "clock of the rows", "strip s02", -7.0, "strips.csv"),
+    (partial(faults.period, ("s01",), 0.0018), "row period", "strip s01", 0.18, "strips.csv"),
     (
         focal_length,
         "focal length of the remote-sensing camera",
@@ -250,10 +234,7 @@ def test_trackers_that_are_slower_than_the_margin_are_told_with_the_margin_that_
 
 
 def exchanged_heads(dump: Path) -> None:
-    one, other = dump / "STR1.csv", dump / "STR2.csv"
-    one.rename(dump / "kept")
-    other.rename(one)
-    (dump / "kept").rename(other)
+    faults.paths_exchanged(dump / "STR1.csv", dump / "STR2.csv")
 
 
 def test_exchanged_heads_are_named_by_what_the_strips_then_see(told):
@@ -263,13 +244,7 @@ def test_exchanged_heads_are_named_by_what_the_strips_then_see(told):
 
 
 def test_a_head_whose_attitudes_are_the_inverse_is_named_and_no_target_beside_it(told):
-    def inverse(dump: Path) -> None:
-        def conjugate(row: dict[str, str]) -> None:
-            row.update({q: repr(-float(row[q])) for q in ("qx", "qy", "qz")})
-
-        edited("STR2.csv", conjugate, dump)
-
-    verdict = told(inverse).verdict
+    verdict = told(partial(edited, "STR2.csv", faults.conjugate)).verdict
     (first,) = [one for one in verdict.findings if one.is_fault]
     assert verdict.outcome is Outcome.REFUTED and first.refutes
     assert (first.cause, first.item, first.file) == ("attitudes of a head", "head STR2", "dump.toml")
@@ -325,7 +300,7 @@ def test_a_finding_that_leaves_the_choice_between_two_strips_lists_the_other(tol
             header, *rows = faults.table(dump / name)
             at = header.index(column)
             faults.write(dump / name, [header, *(row for row in rows if row[at] != "s03")])
-        rows_late("s02", 8e-3, dump)
+        faults.rows_late(("s02",), 8e-3, dump)
 
     (found,) = [one for one in told(of_two).verdict.findings if one.is_fault]
     assert (found.item, found.rivals[0]) == ("strip s01", "clock of the rows, strip s02")
@@ -369,23 +344,10 @@ def test_numbers_of_two_ccds_exchanged_in_all_strips_are_one_finding_about_both(
     assert (first.item, more) == ("CCD 1 and CCD 2", []) and "ccd in points.csv exchanged" in first.text
 
 
-def revolution(sign: float, dump: Path) -> None:
-    """The orbit that the satellite has one revolution later or earlier."""
-    R = Rotation.from_rotvec([0.0, 0.0, -sign * faults.EARTH_RAD_S * faults.REVOLUTION_S])
-
-    def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
-        p[:], v[:] = R.apply(p), R.apply(v)
-
-    faults.states(edit, dump)
-
-
 def strips_exchanged(dump: Path) -> None:
-    header, *rows = faults.table(dump / "strips.csv")
-    ids, files = header.index("id"), header.index("file")
-    a, b = ([row for row in rows if row[ids] == strip] for strip in ("s01", "s02"))
-    for one, other in zip(a, b):
-        one[files], other[files] = other[files], one[files]
-    faults.write(dump / "strips.csv", [header, *rows])
+    ids = [row[0] for row in faults.table(dump / "strips.csv")[1:]]
+    places = ([n for n, one in enumerate(ids) if one == strip] for strip in ("s01", "s02"))
+    faults.files_exchanged("strips.csv", zip(*places), dump)
 
 
 def no_aberration(dump: Path) -> None:
@@ -395,7 +357,11 @@ def no_aberration(dump: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "cause", "words"),
     [
-        (partial(revolution, -1.0), "orbit, times or coordinates", "none of 24 comes into view"),
+        (
+            partial(faults.earth_turned, -faults.REVOLUTION_S),
+            "orbit, times or coordinates",
+            "none of 24 comes into view",
+        ),
         (strips_exchanged, "files of two strips", "as stated none"),
         (no_aberration, "orbit, or datum of the targets", "or light.aberration in dump.toml"),
     ],

@@ -15,8 +15,8 @@ from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 
-edited, later, repaint, table, toml_number, write = (
-    getattr(faults, name) for name in ("edited", "later", "repaint", "table", "toml_number", "write")
+files_exchanged, later, repaint, table, toml_number, write = (
+    getattr(faults, name) for name in ("files_exchanged", "later", "repaint", "table", "toml_number", "write")
 )
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 CONSISTENT, FINDINGS, REFUTED = Outcome.CONSISTENT, Outcome.FINDINGS, Outcome.REFUTED
@@ -30,27 +30,12 @@ def told(with_fault) -> Callable[[str, Make], DumpCalibration]:
 
 
 def late(dump: Path, **ms: float) -> None:
-    def edit(row: dict[str, str]) -> None:
-        row["utc_first_row"] = later(row["utc_first_row"], 1e-3 * ms.get(row["id"], 0.0))
-
-    edited("strips.csv", edit, dump)
-
-
-def period(dump: Path) -> None:
-    edited("strips.csv", lambda row: row.update(row_period_s=repr(1.01 * float(row["row_period_s"]))), dump)
+    for strip, by in ms.items():
+        faults.rows_late((strip,), 1e-3 * by, dump)
 
 
 def number(file: str, key: str, edit: Callable[[float], float], which: int | None = None) -> Make:
     return partial(toml_number, file, key, edit, which)
-
-
-def files_exchanged(name: str, pairs: list[tuple[int, int]], dump: Path) -> None:
-    """Files of rows of a table, from 0."""
-    header, *rows = table(dump / name)
-    at = header.index("file")
-    for a, b in pairs:
-        rows[a][at], rows[b][at] = rows[b][at], rows[a][at]
-    write(dump / name, [header, *rows])
 
 
 def two_at_once(dump: Path) -> None:
@@ -143,7 +128,8 @@ ROWS = [
     ("sky", partial(every_second_early, keep=4), FINDINGS, [IN_TURN]),  # as four rows are no record
     ("mini", partial(every_second_early, keep=5), REFUTED, [IN_TURN]),
     ("sky", lines_lost, REFUTED, [("lines of a strip", "strip sky01 from line 1004 on", 8.0, "strips.csv")]),
-    ("sky", period, REFUTED, [("row period", "strip sky01", 1.0, "strips.csv")]),
+    ("sky", partial(faults.period, ("sky01",), 0.01), REFUTED,
+        [("row period", "strip sky01", 1.0, "strips.csv")]),
 ]  # fmt: skip
 
 

@@ -12,7 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 from command_line import invoked, ran
+from edits import replaced
 from rasterio.transform import Affine
+from rasters import write_raster
 
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.console.messages import say, tell
@@ -27,7 +29,7 @@ IMAGES = ("exposures/0.png", "strips/0.tif", "chips/0.tif")
 pytestmark = pytest.mark.usefixtures("ends_in_time")
 
 
-def replaced(path: Path, kind: str) -> None:
+def no_file(path: Path, kind: str) -> None:
     path.unlink()
     if kind == "fifo":
         os.mkfifo(path)
@@ -38,7 +40,7 @@ def replaced(path: Path, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["fifo", "device"])
 @pytest.mark.parametrize("file", [*TEXTS, *TABLES, "orbit.oem", *IMAGES])
 def test_fifo_or_device_in_the_place_of_a_file_is_named(file, kind, handmade, tmp_path):
-    replaced(handmade / file, kind)
+    no_file(handmade / file, kind)
     told = ran("calibrate", handmade, "--out", tmp_path / "out", "--workers", 1, status=1)
     assert isinstance(told.exception, (RawDataError, DataNotSufficientError)), told.output
     if file not in IMAGES:
@@ -104,9 +106,7 @@ def test_name_of_a_mission_is_one_printable_line(mission: str, handmade: Path) -
     ],
 )
 def test_escape_character_never_reaches_the_terminal(file: str, old: str, new: str, handmade: Path) -> None:
-    text = (handmade / file).read_text()
-    assert old in text
-    (handmade / file).write_text(text.replace(old, new, 1))
+    replaced(handmade / file, old, new, 1)
     with pytest.raises(RawDataError) as caught:
         open_dump(handmade)
     assert str(caught.value).isprintable(), repr(str(caught.value))
@@ -178,11 +178,9 @@ def test_raster_with_values_beyond_single_precision_has_no_value_there(handmade:
     from boresight.pipeline.files.images.rasters import read_grid
 
     path = handmade / "grid.tif"
-    profile = {"driver": "GTiff", "width": 4, "height": 4, "count": 1, "dtype": "float64"}
     values = np.full((4, 4), 1e308)
     values[0, 0] = 5.0
-    with rasterio.open(path, "w", **profile, crs="EPSG:32648", transform=Affine(1, 0, 0, 0, -1, 0)) as image:
-        image.write(values, 1)
+    write_raster(path, values, crs="EPSG:32648", transform=Affine(1, 0, 0, 0, -1, 0))
     grid = read_grid(path, "grid.tif", max_pixels=100)
     assert grid.values[0, 0] == 5.0 and np.isnan(grid.values).sum() == 15
 

@@ -16,6 +16,7 @@ from astropy.io import fits
 from command_line import ran
 from image_mutants import FORMATS, differs, mutated
 from PIL import Image
+from rasters import write_raster
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.png import png_rows
@@ -206,9 +207,7 @@ def test_tiff_of_some_kb_that_states_a_huge_image_is_refused_before_it_is_unpack
 def test_deflated_block_of_a_tiff_whose_end_is_damaged_is_refused(fault, form, tmp_path):
     """The last pixels of such a block are other ones by GDAL than by Pillow, without a word of either."""
     path, pixels = tmp_path / "sky.tif", np.random.default_rng(3).integers(0, 200, (40, 50), dtype=np.uint8)
-    profile = {"driver": "GTiff", "width": 50, "height": 40, "count": 1, "dtype": "uint8"}
-    with rasterio.open(path, "w", **profile, compress="deflate", **form) as image:
-        image.write(pixels, 1)
+    write_raster(path, pixels, compress="deflate", **form)
     exposure = {"width": 50, "height": 40, "bit_depth": 8}
     assert np.array_equal(read_star_image(path, "sky.tif"), pixels)
     assert np.array_equal(read_exposure(path, "sky.tif", **exposure), pixels)

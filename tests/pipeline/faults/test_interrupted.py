@@ -12,10 +12,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from command_line import ended
 from fixture_strips import stopped_run
 from readers import write_sound_files
 
-from boresight.console import run_command_line
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import write_whole
@@ -154,26 +154,20 @@ def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     dump, out, expected = begun
-    command = ["boresight", "calibrate", str(dump), "--out", str(out), "--workers", "1", "--no-report"]
+    command = ("calibrate", dump, "--out", out, "--workers", 1, "--no-report")
     if named != "matching-0/":  # its units are there already
         shutil.copytree(dump.parent / "result" / "work", out / "work", dirs_exist_ok=True)
     units = {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
     with monkeypatch.context() as patch:
-        patch.setattr(sys, "argv", command)
         patch.setattr(where, *fault)
-        with pytest.raises(SystemExit) as ended:
-            run_command_line()
-    assert ended.value.code == 1
-    told = "".join(capsys.readouterr().err.split("\n"))
+        status, told = ended(capsys, *command)
+    told = told.replace("\n", "")
+    assert status == 1
     assert "error: " in told and named in told and "No space left on device" in told, told
     assert not (out / "installation.json").exists()
     assert not list(out.rglob("*.tmp"))
     assert {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")} == units
-    with monkeypatch.context() as patch:
-        patch.setattr(sys, "argv", command)
-        with pytest.raises(SystemExit) as ended:
-            run_command_line()
-    assert not ended.value.code
+    assert ended(capsys, *command)[0] == 0
     assert (out / "installation.json").read_bytes() == expected
     assert all(path.stat().st_mtime_ns == made for path, made in units.items())
 
@@ -208,13 +202,10 @@ def test_interrupted_run_says_what_is_kept_and_what_it_still_needs(handmade, tmp
         raise KeyboardInterrupt
 
     result = tmp_path / "a result"
-    command = ["calibrate", str(handmade), "--out", str(result), "--workers", "1"]
     monkeypatch.setattr("boresight.pipeline.stages.head.fit_exposures", interrupt)
-    monkeypatch.setattr(sys, "argv", ["boresight", *command])
-    with pytest.raises(SystemExit) as ended:
-        run_command_line()
-    assert ended.value.code == 130
-    said = capsys.readouterr().err.splitlines()
+    status, told = ended(capsys, "calibrate", handmade, "--out", result, "--workers", 1)
+    said = told.splitlines()
+    assert status == 130
     assert f"finished units are kept in {result}: 4 of star exposures" in said
     assert f"go on with: boresight calibrate {handmade} --out '{result}' --workers 1" in said
     assert f"look at it with: boresight status '{result}'" in said and said[-1] == "interrupted"

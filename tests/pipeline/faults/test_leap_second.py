@@ -1,11 +1,11 @@
 """A leap second inside a strip: labels, TAI seconds, and the matrix that comes out."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 from astropy.time import Time
+from edits import rows_of
 
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
@@ -35,8 +35,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mission, Dump]:
 
 
 def labels(root: Path, table: str, column: str) -> list[str]:
-    with (root / table).open(newline="") as stream:
-        return [row[column] for row in csv.DictReader(stream)]
+    return [row[column] for row in rows_of(root / table)]
 
 
 def test_times_across_a_leap_second_are_those_of_erfa(flown: tuple[Mission, Dump]) -> None:

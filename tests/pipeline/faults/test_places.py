@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import rasterio
 import rasterio.warp
+from edits import replaced
+from rasters import write_raster
 
 from boresight.features.geolocate.positions import Pixels, ground_places
 from boresight.geometry.constants import WGS84
@@ -69,8 +71,7 @@ def flown(request, tmp_path_factory) -> tuple[str, Mission, Dump]:
             mission = fly(scenario, 3)
         write_dump(mission, root, created_by="a test")
         write_grid(root / "terrain/dem.tif", POLAR_HEIGHTS, 3995, rasterio.Affine(*POLAR_AFFINE))
-        head = (root / "dump.toml").read_text()
-        (root / "dump.toml").write_text(head.replace('"egm96"', '"ellipsoidal"'))
+        replaced(root / "dump.toml", '"egm96"', '"ellipsoidal"')
     else:
         mission = fly(scenario, 3)
         write_dump(mission, root, created_by="a test")
@@ -246,10 +247,7 @@ def test_terrain_in_several_files_is_that_of_one(handmade: Path) -> None:
 
 
 def write_grid(path: Path, values: np.ndarray, epsg: int, transform: rasterio.Affine) -> None:
-    height, width = values.shape
-    profile = {"driver": "GTiff", "width": width, "height": height, "count": 1, "dtype": values.dtype.name}
-    with rasterio.open(path, "w", **profile, crs=f"EPSG:{epsg}", transform=transform) as file:
-        file.write(values, 1)
+    write_raster(path, values, crs=f"EPSG:{epsg}", transform=transform)
 
 
 def test_longitudes_of_places_near_the_pole_are_those_of_the_ground(flown) -> None:

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from astropy.io import fits
 from astropy.io.votable import from_table
 from astropy.table import Table
+from edits import replaced
 from rasterio.transform import from_origin
+from rasters import write_raster
 
 from boresight.features.targets.ortho_files import RasterWindow, open_raster
 from boresight.pipeline.errors import RawDataError
@@ -107,8 +108,7 @@ def test_dump_with_such_a_table_is_refused_and_nothing_is_requested(handmade, se
     address, requests = server
     text = votable(handmade / "stars.vot", "binary").replace("<STREAM", f'<STREAM href="{address}/a"')
     (handmade / "stars.vot").write_text(text)
-    head = (handmade / "dump.toml").read_text()
-    (handmade / "dump.toml").write_text(head.replace("[files]", '[files]\nstar_catalogue = "stars.vot"'))
+    replaced(handmade / "dump.toml", "[files]", '[files]\nstar_catalogue = "stars.vot"')
     with pytest.raises(RawDataError, match=r"stars.vot|star_catalogue"):
         dump = open_dump(handmade)
         assert dump.star_catalogue is not None
@@ -159,10 +159,8 @@ def test_xml_and_toml_that_name_others_in_words_are_only_words(tmp_path, server)
 
 
 def chip(path: Path) -> None:
-    profile = {"driver": "GTiff", "width": 40, "height": 32, "count": 1, "dtype": "uint8"}
-    place = {"crs": "EPSG:32633", "transform": from_origin(5e5, 5e6, 10.0, 10.0)}
-    with rasterio.open(path, "w", **profile, **place) as file:
-        file.write(np.arange(1280, dtype=np.uint8).reshape(1, 32, 40))
+    pixels = np.arange(1280, dtype=np.uint8).reshape(32, 40)
+    write_raster(path, pixels, crs="EPSG:32633", transform=from_origin(5e5, 5e6, 10.0, 10.0))
 
 
 def vrt(source: str, more: str = "", tag: str = "SourceFilename") -> str:

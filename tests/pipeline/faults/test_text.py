@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from edits import replaced
 
 from boresight.features.planning.campaign_plan import read_plan
 from boresight.features.sky_images.centroid_report import _read_truth
@@ -61,8 +62,7 @@ def test_path_that_could_leave_the_dump_is_refused_in_every_table(name: str, han
 )
 def test_name_that_other_programs_would_interpret_is_a_name(name: str, handmade: Path) -> None:
     """Nothing is unescaped, expanded or fetched: there is no such file, or the path is none."""
-    rows = (handmade / "strips.csv").read_text()
-    (handmade / "strips.csv").write_text(rows.replace("strips/0.tif", name))
+    replaced(handmade / "strips.csv", "strips/0.tif", name)
     if "//" in name:
         with pytest.raises(RawDataError, match=r"strips.csv: line 2, file: found .*, expected a path inside"):
             open_dump(handmade)
@@ -166,8 +166,8 @@ def test_json_of_a_result_may_be_anything_but_an_error_of_the_program(tmp_path: 
 
 
 def test_strip_without_image_needs_measured_points(handmade: Path) -> None:
-    text = (handmade / "strips.csv").read_text()
-    (handmade / "strips.csv").write_text(text.replace("strips/0.tif", "").replace("strips/1.tif", ""))
+    for n in range(2):
+        replaced(handmade / "strips.csv", f"strips/{n}.tif", "")
     with pytest.raises(RawDataError, match=r"strips.csv: file: found no image of strip s1, .*files.points"):
         open_dump(handmade)
 

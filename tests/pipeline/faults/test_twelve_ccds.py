@@ -2,13 +2,13 @@
 errors at once is named by console and page, though the name of one is the beginning of the other's.
 """
 
-import csv
 import json
 from pathlib import Path
 
 import fault_dumps
 import pytest
 from command_line import invoked
+from edits import rows_of, write_rows
 
 SHIFT_PX = 1.5  # of the points of a CCD: 15 of their 1-sigma
 
@@ -24,16 +24,11 @@ def moved_points(source: Path, target: Path, ccds: tuple[int, ...]) -> Path:
     """A copy of the dump in which the samples of some CCDs are too large."""
     fault_dumps.linked(source, target)
     path = target / "points.csv"
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(path)
     for row in rows:
         if int(row["ccd"]) in ccds:
             row["sample"] = repr(float(row["sample"]) + SHIFT_PX)
-    path.unlink()
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(path, rows)
     return target
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import replaced
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
@@ -12,7 +13,7 @@ from boresight.pipeline.files.dump import open_dump
 
 def test_an_orbit_of_the_next_day_is_told_with_both_dates(handmade: Path) -> None:
     orbit = handmade / "orbit.oem"
-    orbit.write_text(orbit.read_text().replace("2024-11-20T03", "2024-11-21T03"))
+    replaced(orbit, "2024-11-20T03", "2024-11-21T03")
     with pytest.raises(RawDataError) as told:
         open_dump(handmade)
     assert (told.value.file, told.value.field) == ("orbit.oem", "time of the states")
@@ -23,7 +24,7 @@ def test_an_orbit_of_the_next_day_is_told_with_both_dates(handmade: Path) -> Non
 @pytest.mark.parametrize("scale", ["TT", "TAI"])
 def test_a_wrong_time_system_is_named_where_it_explains_the_dates(handmade: Path, scale: str) -> None:
     orbit = handmade / "orbit.oem"
-    orbit.write_text(orbit.read_text().replace("TIME_SYSTEM = UTC", f"TIME_SYSTEM = {scale}"))
+    replaced(orbit, "TIME_SYSTEM = UTC", f"TIME_SYSTEM = {scale}")
     with pytest.raises(RawDataError, match=f"with TIME_SYSTEM UTC, not {scale}, it would cover every strip"):
         open_dump(handmade)
 
@@ -40,7 +41,7 @@ def test_orbit_has_the_segment_over_the_strips(handmade: Path) -> None:
     here = np.flatnonzero(t_s > -3600.0)  # s, not of the day before
     assert np.abs(t_s[here] - whole.t_s).max() < 1e-9  # s
     assert np.array_equal(of_second.positions_m[here], whole.positions_m)
-    orbit.write_text(orbit.read_text().replace("2024-11-20T03", "2024-11-21T03"))
+    replaced(orbit, "2024-11-20T03", "2024-11-21T03")
     with pytest.raises(
         RawDataError, match=r"orbit.oem \(segment 1 of 2\): time of the states: found 2024-11-19"
     ):

@@ -1,11 +1,13 @@
 """A real sensor: the operator's own location grid of a Pleiades strip; and damaged files."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+from edits import replaced
 from handmade_dimap import as_version_2, dimap_text
 
 from boresight.geometry.constants import WGS84
@@ -98,10 +100,8 @@ def test_light_effects_move_the_real_strip_by_what_physics_says(strip, operator_
     ],
 )
 def test_damaged_metadata_is_refused_by_file_and_field(tmp_path, old, new, field):
-    text = DIMAP.read_text()
-    assert old in text
-    damaged = tmp_path / "damaged.xml"
-    damaged.write_text(text.replace(old, new))
+    damaged = shutil.copy(DIMAP, tmp_path / "damaged.xml")
+    replaced(damaged, old, new)
     with pytest.raises(RawDataError) as error:
         read_dimap(damaged, bundled_earth_orientation(), OFF)
     assert field in error.value.field and error.value.file == "damaged.xml"

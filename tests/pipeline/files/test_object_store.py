@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from command_line import ran
 from fixture_strips import begun
+from rasters import write_raster
+from stored import bucket_served
 
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files import object_store
@@ -30,25 +31,11 @@ from boresight.pipeline.run.settings import Settings
 @pytest.fixture(scope="module")
 def store(finished: tuple[Path, Path]) -> Iterator[str]:
     """Address of a server of objects that holds the dump of `finished` as s3://archive/passes/dump."""
-    import fsspec
-    from moto.server import ThreadedMotoServer
-
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    address = "http://{}:{}".format(*server.get_host_and_port())
-    environment = {"AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret", "AWS_ENDPOINT_URL": address}
-    environment |= {"AWS_DEFAULT_REGION": "us-east-1", "AWS_EC2_METADATA_DISABLED": "true"}
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        readable = {"ACL": "public-read"}  # over HTTP too
-        files = fsspec.filesystem("s3", skip_instance_cache=True, s3_additional_kwargs=readable)
-        files.mkdir("archive")
+    with bucket_served() as (address, files):
         files.put(f"{finished[0]}/", "archive/passes/dump/", recursive=True)
         files.s3_additional_kwargs = {"ACL": "private"}
         files.pipe("archive/private/dump.toml", b"")
         yield address
-    server.stop()
 
 
 def calibrate(finished: tuple[Path, Path], out: Path, *how: str) -> None:
@@ -84,9 +71,7 @@ def test_window_of_a_large_image_is_fetched_alone(tmp_path, monkeypatch, recwarn
 
     image = np.random.default_rng(3).integers(0, 256, (3000, 4000), dtype=np.uint8)
     tiles = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "lzw"}
-    size = {"width": 4000, "height": 3000, "count": 1, "dtype": "uint8"}
-    with rasterio.open(tmp_path / "strip.tif", "w", driver="GTiff", **size, **tiles) as file:
-        file.write(image, 1)
+    write_raster(tmp_path / "strip.tif", image, **tiles)
     content = (tmp_path / "strip.tif").read_bytes()
     fsspec.filesystem("memory").pipe("/large/strip.tif", content)
     path = dump_folder("memory://large") / "strip.tif"

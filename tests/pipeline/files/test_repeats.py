@@ -1,6 +1,5 @@
 """What a dump gives twice is counted once, with its reason; clean dumps lose nothing."""
 
-import csv
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+from edits import rows_of, write_rows
 from fixture_strips import FIXTURE
 from handmade import write_handmade_dump, write_strip
 from scipy.spatial.transform import Rotation
@@ -32,12 +32,7 @@ def mini(tmp_path: Path) -> Path:
 
 
 def change(table: Path, into: Callable[[list[Row]], list[Row]]) -> None:
-    with table.open(newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    with table.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(into(rows))
+    write_rows(table, into(rows_of(table)))
 
 
 def later(utc: str, ms: int) -> str:

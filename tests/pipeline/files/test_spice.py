@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import spiceypy
-from handmade import write_handmade_dump
+from edits import replaced
+from handmade import give_heads, write_handmade_dump
 from leap_seconds import leap_second_kernel
 from scipy.spatial.transform import Rotation
 from spiceypy.utils.libspicehelper import libspice
@@ -189,10 +190,8 @@ def dump(tmp_path: Path) -> Path:
     t = np.arange(0.0, 40.0)
     states = np.hstack([plain.orbit.positions_i(t), plain.orbit.states_i(t)[1]]) / 1e3
     write_spk(root / "sat.bsp", states, ephemeris_time(EPOCH, t))
-    text = (root / "dump.toml").read_text().replace("orbit.oem", "sat.bsp")
-    for name in ("star_camera", "installation", "exposures"):
-        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
-    (root / "dump.toml").write_text(text + SPICE)
+    replaced(root / "dump.toml", "orbit.oem", "sat.bsp")
+    give_heads(root, SPICE)
     return root
 
 
@@ -240,9 +239,7 @@ def test_a_dump_of_kernels_has_the_orbit_and_the_attitudes_of_the_toolkit(dump: 
 
 
 def changed(root: Path, old: str, new: str) -> Dump:
-    text = (root / "dump.toml").read_text()
-    assert old in text
-    (root / "dump.toml").write_text(text.replace(old, new))
+    replaced(root / "dump.toml", old, new)
     return open_dump(root)
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomlkit
-from handmade import ATTITUDE_HEAD, write_handmade_dump
+from edits import replaced
+from handmade import ATTITUDE_HEAD, give_heads, write_handmade_dump
 
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -46,18 +47,13 @@ def attitudes(tmp_path: Path) -> Path:
     ]
     (root / "str1.csv").write_text("\n".join(["utc,qx,qy,qz,qw", *rows]) + "\n")
     (root / "points.csv").write_text(POINTS + POINT)
-    text = (root / "dump.toml").read_text()
-    for name in ("star_camera", "installation", "exposures"):
-        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
-    text = text.replace('targets = "targets.csv"', 'points = "points.csv"')
-    (root / "dump.toml").write_text(text + HEAD + WHITE)
+    replaced(root / "dump.toml", 'targets = "targets.csv"', 'points = "points.csv"')
+    give_heads(root, HEAD + WHITE)
     return root
 
 
 def changed(root: Path, old: str, new: str, file: str = "dump.toml") -> Dump:
-    text = (root / file).read_text()
-    assert old in text
-    (root / file).write_text(text.replace(old, new))
+    replaced(root / file, old, new)
     return open_dump(root)
 
 
@@ -133,12 +129,9 @@ def test_points_that_contradict_are_refused(row: str, complaint: str, attitudes:
 
 def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
     root = write_handmade_dump(tmp_path / "dump")
-    text = (root / "dump.toml").read_text()
-    for name in ("star_camera", "installation", "exposures"):
-        text = text.replace(f'{name} = "{name}', f'#{name} = "{name}')
     head = HEAD[: HEAD.index("attitudes = ")].replace('"attitudes"', '"centroids"')
     keys = 'camera = "star_camera.toml"\nexposures = "exposures.csv"\ncentroids = "stars.csv"\n'
-    (root / "dump.toml").write_text(text + head + keys)
+    give_heads(root, head + keys)
     rows = "exposures/1.png,10.5,20.25,0.05,0.06,0.001,300\nexposures/1.png,3,4,0.1,0.1,0,900\n"
     (root / "stars.csv").write_text("file,x_px,y_px,sigma_x_px,sigma_y_px,cov_xy_px2,flux_dn\n" + rows)
     (head_read,) = open_dump(root).heads
@@ -169,6 +162,6 @@ def test_a_foreign_lens_comes_back_from_its_file(tmp_path):
     read = star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
     error = read.directions_from_pixels(xy_px) - camera.directions_from_pixels(xy_px)
     assert np.abs(error).max() < 1e-14  # rad: the pixel pitch is written with 14 digits
-    file.write_text(file.read_text("utf-8").replace("degree = 3", "degree = 4"), "utf-8")
+    replaced(file, "degree = 3", "degree = 4")
     with pytest.raises(RawDataError, match=r"smooth.columns_px.*12 coefficients"):
         star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))

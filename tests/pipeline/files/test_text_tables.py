@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import app
+from command_line import invoked, ran
+from edits import rows_of
 from PIL import Image
-from typer.testing import CliRunner
 
 import boresight
 from boresight.pipeline.files.text_tables import csv_line, table_csv
@@ -57,12 +57,10 @@ def test_names_of_images_are_no_formulas_in_what_identify_and_centroids_write(tm
     pixels = np.random.default_rng(1).poisson(50.0, (64, 64)).astype(np.uint8)
     pixels[30:33, 40:43] = 200
     Image.fromarray(pixels).save("=1+1.png")
-    ran = CliRunner().invoke(app, ["identify", "./=1+1.png", "=1+1.png", "--fov", "10", "--csv"])
-    lines = list(csv.DictReader(io.StringIO(ran.stdout)))
-    assert [line["file"] for line in lines] == ["'=1+1.png", "'=1+1.png"], ran.output
-    ran = CliRunner().invoke(app, ["centroids", "=1+1.png", "--out", "stars.csv"])
-    assert ran.exit_code == 0, ran.output
-    with Path("stars.csv").open(newline="") as stream:
-        found = list(csv.DictReader(stream))
+    told = invoked("identify", "./=1+1.png", "=1+1.png", "--fov", 10, "--csv")
+    lines = list(csv.DictReader(io.StringIO(told.stdout)))
+    assert [line["file"] for line in lines] == ["'=1+1.png", "'=1+1.png"], told.output
+    ran("centroids", "=1+1.png", "--out", "stars.csv")
+    found = rows_of(Path("stars.csv"))
     assert found and {row["file"] for row in found} == {"'=1+1.png"}
     assert abs(float(found[0]["x_px"]) - 41.0) < 0.5, found[0]  # the star drawn at columns 40 to 42

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import replaced
 from handmade import write_handmade_dump, write_strip
-from wrong_dumps import OTHERWISE, WRONG, replaced
+from wrong_dumps import OTHERWISE, WRONG
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
@@ -26,7 +27,7 @@ def names_file_and_field(dump: Path, file: str, field: str, says: str) -> None:
 
 @pytest.mark.parametrize(("file", "old", "new", "field", "says"), WRONG)
 def test_wrong_text_is_named_with_field_found_and_expected(file, old, new, field, says, handmade):
-    replaced(handmade, file, old, new)
+    replaced(handmade / file, old, new, 1)
     names_file_and_field(handmade, file, field, says)
 
 

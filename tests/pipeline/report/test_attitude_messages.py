@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command_line import ran
-from handmade import ATTITUDE_HEAD
+from handmade import ATTITUDE_HEAD, give_heads
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
@@ -39,10 +39,7 @@ def of_attitudes(finished, tmp_path_factory) -> Path:
         rows.writerow(["utc", "qx", "qy", "qz", "qw", "temperature_c"])
         warm = 20.0 + 0.5 * (t_s - t_s[0])  # 0.5 K a second
         rows.writerows([u.rstrip("Z"), *map(repr, one), w] for u, one, w in zip(utc, q.tolist(), warm))
-    text = (dump / "dump.toml").read_text()
-    for name in ("star_camera", "installation", "exposures"):
-        text = text.replace(f'{name} = "{name}', f'# {name} = "{name}')
-    (dump / "dump.toml").write_text(text + HEAD)
+    give_heads(dump, HEAD)
     ran("calibrate", dump, "--out", result, "--workers", 1)
     return result
 

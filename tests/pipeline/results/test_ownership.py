@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
-from command_line import ran
+from command_line import ended, ran
 from fixture_strips import FIXTURE, strip_of_fixture
 
-from boresight.console import run_command_line
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 from boresight.pipeline.results.folder import store_of
@@ -26,17 +25,6 @@ def contents(folder: Path) -> dict[str, bytes]:
         for path in folder.rglob("*")
         if path.is_file() and path.name != LOCK
     }
-
-
-def told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
-) -> tuple[int, str]:
-    """Exit status and text of the command as a user runs it."""
-    monkeypatch.setattr(sys, "argv", ["boresight", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        run_command_line()
-    said = capsys.readouterr()
-    return int(ended.value.code or 0), said.out + said.err
 
 
 @pytest.fixture
@@ -64,7 +52,7 @@ def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still
     dump, out = mine
     (out / MARKER).unlink()
     before = contents(out)
-    status, text = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out), "--overwrite")
+    status, text = ended(capsys, "calibrate", str(dump), "--out", str(out), "--overwrite")
     version = json.loads(before["installation.json"])["version"]
     assert status == 1 and f"a result of boresight {version} without {MARKER}" in text
     assert "another folder (report, validate and export still read this one), or delete it first" in text
@@ -125,7 +113,7 @@ def test_finished_run_asked_again_says_so_at_once_and_changes_nothing(mine, monk
     before = contents(out)
     calibrating = "boresight.pipeline.calibration_run.calibrate_dump"
     monkeypatch.setattr(calibrating, None)
-    status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out))
+    status, said = ended(capsys, "calibrate", str(dump), "--out", str(out))
     assert (status, contents(out) == before) == (0, True) and "nothing to do" in said
     image = sorted((dump / "exposures").iterdir())[0]
     image.write_bytes(image.read_bytes() + b"\0")  # any change of an input is work again
@@ -134,7 +122,7 @@ def test_finished_run_asked_again_says_so_at_once_and_changes_nothing(mine, monk
         raise DataNotSufficientError("it calibrates again")
 
     monkeypatch.setattr(calibrating, begun)
-    status, said = told(monkeypatch, capsys, "calibrate", str(dump), "--out", str(out), "--workers", "1")
+    status, said = ended(capsys, "calibrate", str(dump), "--out", str(out), "--workers", "1")
     assert status == 1 and "it calibrates again" in said
     assert not (out / "installation.json").exists()  # no longer the result of these inputs
 
@@ -233,7 +221,7 @@ def test_result_folder_that_is_moved_or_deleted_during_a_run_fails_it(
         write_whole(out / "sightings" / "stars.parquet", lambda path: path.write_text("x"))
 
     monkeypatch.setattr("boresight.pipeline.calibration_run.calibrate_dump", taken_away)
-    status, said = told(monkeypatch, capsys, "calibrate", str(one_strip), "--out", str(out), "--workers", "1")
+    status, said = ended(capsys, "calibrate", str(one_strip), "--out", str(out), "--workers", "1")
     assert status == 1 and "moved or deleted during the run" in said
     assert not out.exists() or everything(out) == {}
 
@@ -264,7 +252,7 @@ def test_result_is_not_used_with_another_dump(command, mine, monkeypatch, capsys
         "geolocate": ["--strip", "1", "--pixels", str(out.parent / "pixels.csv")],
         "export": ["--format", "csm-isd", "--out", str(out.parent / "exports")],
     }[command]
-    status, said = told(monkeypatch, capsys, command, str(out), "--dump", str(FIXTURE), *more)
+    status, said = ended(capsys, command, str(out), "--dump", str(FIXTURE), *more)
     assert status == 1 and "found another dump" in said
 
 

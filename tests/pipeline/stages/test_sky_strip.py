@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 from command_line import ran
+from edits import replaced
 from ledgers import ledger_of_cells
 from scipy.spatial.transform import Rotation
 
@@ -54,12 +55,6 @@ def units(sky_result, tmp_path_factory):
 def dump(tmp_path):
     shutil.copytree(SKY, tmp_path / "dump")
     return tmp_path / "dump"
-
-
-def edited(dump, file, old, new):
-    text = (dump / file).read_text()
-    assert old in text
-    (dump / file).write_text(text.replace(old, new))
 
 
 def strip_images(dump, change):
@@ -109,7 +104,7 @@ def test_names_are_those_of_the_stars_that_cross_there(calibration):
 
 
 def test_a_strip_of_the_sky_called_ground_is_refused_and_so_is_ground_called_sky(dump, demo, tmp_path):
-    edited(dump, "strips.csv", ",sky", ",ground")
+    replaced(dump / "strips.csv", ",sky", ",ground")
     with pytest.raises(RawDataError, match=r"files\.targets"):
         open_dump(dump)
     mini = tmp_path / "mini"

@@ -11,6 +11,7 @@ from astropy.io import fits
 from handmade import write_strip
 from PIL import Image
 from pyproj import Transformer
+from rasters import write_raster
 
 from boresight.features.sky_images.image_time import time_of_image
 from boresight.pipeline.errors import RawDataError
@@ -159,16 +160,7 @@ def test_the_time_of_an_image_is_that_of_its_header(tmp_path: Path) -> None:
 
 def test_the_place_of_a_raster_is_that_of_its_corners_and_middle(tmp_path: Path) -> None:
     transform = rasterio.Affine(20.0, 3.0, 305_000.0, 2.0, -30.0, 5_200_000.0)  # turned and unequal
-    profile = {
-        "driver": "GTiff",
-        "width": 70,
-        "height": 40,
-        "count": 1,
-        "dtype": "uint8",
-        "crs": "EPSG:32719",
-    }
-    with rasterio.open(tmp_path / "a.tif", "w", transform=transform, **profile) as file:
-        file.write(np.zeros((1, 40, 70), dtype=np.uint8))
+    write_raster(tmp_path / "a.tif", np.zeros((40, 70), np.uint8), crs="EPSG:32719", transform=transform)
     place = grid_place(tmp_path / "a.tif", "a.tif")
     east, north = 305_000.0 + 35 * 20.0 + 20 * 3.0, 5_200_000.0 + 35 * 2.0 - 20 * 30.0
     lon, lat = Transformer.from_crs(32719, 4326, always_xy=True).transform(east, north)
