@@ -36,7 +36,6 @@ from boresight.geometry.record import Floats
 
 __all__ = ["locate", "locate_template"]
 
-_PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 # Height of a correlation peak over that of the highest from which its position is refined, too, and may
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
@@ -47,8 +46,7 @@ _AGREE_SIGMAS = 3.0  # within which two fits of one scene lie, of their errors t
 _PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
-# Default settings, for the functions of this module that take single ones.
-_DEFAULTS = MatchSettings()
+_DEFAULTS = MatchSettings()  # for the functions of this module that take single settings
 
 
 def locate_template(
@@ -197,7 +195,7 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    wrong = probability_wrong([surface], best_peak, _PRIOR_ABSENT)
+    wrong = probability_wrong([surface], best_peak)
     return _Found(best, surface, best_peak, float(peaks.value[0]), wrong, np.zeros((2, 2)))
 
 
@@ -237,7 +235,8 @@ def _of_changed(
     """
     template, picture = band_passed(template), band_passed(picture)
     surface = _surface(template, picture, start_px, radius_px)
-    unsigned = _surface(edge_strength(template), edge_strength(picture), start_px, radius_px)
+    edges = edge_strength(template)
+    unsigned = _surface(edges, edge_strength(picture), start_px, radius_px)
     inverted = bool(-surface.min() > surface.max())
     if inverted:
         template, surface = replace(template, normalised=-template.normalised), -surface
@@ -248,10 +247,10 @@ def _of_changed(
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     peak = np.round(peaks.xy[0])
-    wrong = probability_wrong([surface, unsigned], peak, _PRIOR_ABSENT, REACH_PX)
+    own = [_surface(one, one, (0, 0), radius_px) for one in (template, edges)]
+    wrong = probability_wrong([surface, unsigned], peak, REACH_PX, own)
     mean, moved = mean_position([surface, unsigned], peak, REACH_PX)
-    xy = mean + start_px - radius_px + reference_px
-    fit = replace(fit, xy_px=xy, cov_px=fit.cov_px + moved)
+    fit = replace(fit, xy_px=mean + start_px - radius_px + reference_px, cov_px=fit.cov_px + moved)
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.gct_match.imaging.views import window
 from boresight.gct_match.records import Image
 from boresight.geometry.record import Bools, Floats, array, record
 
@@ -26,6 +27,7 @@ __all__ = [
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
 _FAR, _SHARED = 0.25, 0.25
+_PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
@@ -64,24 +66,29 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
 
 
 def probability_wrong(
-    surfaces: Sequence[Image], peak_xy: Floats, absent: float, reach_px: int | None = None
+    surfaces: Sequence[Image], peak_xy: Floats, reach_px: int | None = None, own: Sequence[Image] = ()
 ) -> float:
     """Probability that the true position is not under the peak (x, y) of the first of the whole correlation
     surfaces (R, C) of a pair.
 
     Each position has the likelihood (1 - r²)^(-n/2) of being the true one in each surface, against 1 for
-    chance, which is another in each surface (of 2880 wrong windows their logarithms correlate by 0.1). One
-    over the variance of r away from the peak is the number of independent values; what has changed takes as
-    many of them: n is half of it. Under the peak are positions joined to it at more than half its height,
+    chance. One over the variance of r away from the peak is the number of independent values; what has
+    changed takes as many of them, and all surfaces show the same pixels: n is half of it over the number of
+    surfaces. Side lobes are not chance: those of `own`, each template's correlation with itself, highest in
+    the middle (R, C), are taken off. Under the peak are positions joined to it at more than half its height,
     from which least squares converges to it: all of a ridge along a road, or what lies within `reach_px` of
-    the peak. `absent` is the prior probability that the surfaces do not contain the target.
+    the peak.
     """
     under = _under(surfaces[0], peak_xy, reach_px)
     if np.count_nonzero(~under) < 30:
         return 1.0
-    log_likelihood = _log_likelihood(surfaces, [surface[~under] for surface in surfaces], 0.5)
+    (column, row), (h, w) = np.round(peak_xy).astype(int), under.shape
+    away = list(surfaces)
+    for k, lobes in enumerate(own):
+        away[k] = away[k] - away[k][row, column] * window(lobes, w // 2 - column, h // 2 - row, w, h)
+    log_likelihood = _log_likelihood(surfaces, [rest[~under] for rest in away], 0.5 / len(surfaces))
     here, elsewhere = (float(np.logaddexp.reduce(log_likelihood[part])) for part in (under, ~under))
-    wrong = float(np.logaddexp(elsewhere, np.log(absent / (1.0 - absent) * under.size)))
+    wrong = float(np.logaddexp(elsewhere, np.log(_PRIOR_ABSENT / (1.0 - _PRIOR_ABSENT) * under.size)))
     return float(np.exp(wrong - np.logaddexp(wrong, here)))
 
 

@@ -48,9 +48,9 @@ def test_correlation_is_one_where_the_template_was_cut_out():
 def test_lone_peak_is_right_and_one_among_equals_is_not():
     surface = 0.05 * noise(6, 41)
     surface[20, 20] = 0.8
-    assert probability_wrong([surface], np.array([20.0, 20.0]), 0.05) < 1e-6
+    assert probability_wrong([surface], np.array([20.0, 20.0])) < 1e-6
     surface[5, 33] = 0.8
-    assert probability_wrong([surface], np.array([20.0, 20.0]), 0.05) > 0.4
+    assert probability_wrong([surface], np.array([20.0, 20.0])) > 0.4
 
 
 def test_highest_of_nothing_but_chance_is_not_believed():
@@ -58,7 +58,7 @@ def test_highest_of_nothing_but_chance_is_not_believed():
     for seed in range(200):
         surface = 0.05 * noise(seed, 33)
         row, column = np.unravel_index(np.argmax(surface), surface.shape)
-        wrong.append(probability_wrong([surface], np.array([column, row], dtype=float), 0.05))
+        wrong.append(probability_wrong([surface], np.array([column, row], dtype=float)))
     assert min(wrong) > 0.01  # the limit at which matches are refused
 
 
