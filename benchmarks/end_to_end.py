@@ -9,7 +9,8 @@ first `--cuts` missions are calibrated again with their strips cut, in files of 
 and between targets: how data are cut must not change the result, and each cut has errors as small as its
 covariance says.
 With `--changed` the strips are of another date than the chips: that share of the fields bears another crop,
-under other light, with new patches and clouds.
+under other light, with new patches and clouds. With `--clouds` opaque clouds hide that share of the strips
+and shade as much beside, and a Sun that has turned casts shadows beside all bright structures.
 """
 
 from __future__ import annotations
@@ -96,7 +97,27 @@ def apart_by_cuts(dump: Path, result: Path) -> tuple[tuple[float, float], tuple[
     return (float(max(moved)), float(max(share))), tuple(squares)
 
 
-def run_seed(scenario: str, seed: int, changed: float, workers: int, is_cut: bool) -> Run:
+def shade(dump: Path, seed: int, share: float) -> None:
+    """Opaque clouds over that share of a dump's strips, their shadows, and those of bright structures."""
+    rng = np.random.default_rng([seed, 19])
+    for path in sorted((dump / "strips").glob("*.tif")):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        grey = image.astype(np.float32)
+        high = (grey - cv2.GaussianBlur(grey, (0, 0), 4.0) > 8.0).astype(np.uint8)  # roofs, trees, banks
+        shadow = np.zeros_like(high)
+        for step in range(2, 7):  # px, towards the right and down: the Sun is at the upper left
+            shadow |= np.roll(high, (step // 2, step), axis=(0, 1))
+        noise = rng.normal(size=tuple(n // 16 + 2 for n in grey.shape)).astype(np.float32)
+        field = cv2.resize(
+            cv2.GaussianBlur(noise, (0, 0), 4.0), grey.shape[::-1], interpolation=cv2.INTER_CUBIC
+        )
+        cloud = field > np.quantile(field, 1.0 - share)
+        shade = (shadow > high) | np.roll(cloud, (50, 90), axis=(0, 1))
+        out = np.where(cloud, 217.0, np.where(shade, 0.45 * grey, grey))
+        cv2.imwrite(str(path), np.round(out).astype(image.dtype))
+
+
+def run_seed(scenario: str, seed: int, changed: float, clouds: float, workers: int, is_cut: bool) -> Run:
     """Simulate, calibrate, validate, cut, remove."""
     with tempfile.TemporaryDirectory() as scratch:
         dump, result = Path(scratch) / "dump", Path(scratch) / "result"
@@ -104,8 +125,10 @@ def run_seed(scenario: str, seed: int, changed: float, workers: int, is_cut: boo
         date = ["ground.cloud.cover=0.1", *(f"ground.other_date.{one}" for one in light)] if changed else []
         sets = [text for change in date for text in ("--set", change)]
         run_command("simulate", scenario, str(dump), "--seed", str(seed), *sets)
+        if clouds:
+            shade(dump, seed, clouds)
         command = "calibrate", str(dump), "--out", str(result), "--workers", str(workers)
-        calibrated = run_command(*command, status=None if changed else 0)  # findings are allowed
+        calibrated = run_command(*command, status=None if changed or clouds else 0)  # findings are allowed
         saved = read_saved_result(result)
         facts = saved.installation
         return Run(
@@ -153,6 +176,11 @@ def main() -> int:
         ("--seeds", 6, "missions"),
         ("--first", 1, "seed of the first"),
         ("--changed", 0.0, "share of the fields that bear another crop"),
+        (
+            "--clouds",
+            0.0,
+            "share of the strips under opaque clouds; shadows of these and of a Sun that has turned",
+        ),
         ("--workers", 1, "processes of each calibration"),
         ("--cuts", 0, "missions whose strips are cut"),
     )
@@ -161,15 +189,17 @@ def main() -> int:
     runs = []
     for seed in range(options.first, options.first + options.seeds):
         is_cut = len(runs) < options.cuts
-        runs.append(run_seed(options.scenario, seed, options.changed, options.workers, is_cut))
+        runs.append(
+            run_seed(options.scenario, seed, options.changed, options.clouds, options.workers, is_cut)
+        )
         print(row(runs[-1]), flush=True)
     errors = np.array([run.errors.error_rad for run in runs])
     sigmas = np.array([run.errors.error_rad / run.errors.sigma_rad for run in runs])
     print(f"\nrms error {_triple(np.sqrt((errors**2).mean(axis=0)) / ARCSEC, '.3f')} arcsec")
     print(f"rms of errors in sigmas {_triple(np.sqrt((sigmas**2).mean(axis=0)), '.2f')}")
     name = f"{options.scenario} from pixels"
-    if options.changed:
-        name = f"{name}, {options.changed:g} of the fields changed"
+    if options.changed or options.clouds:
+        name = f"{name}, {options.changed:g} of the fields changed, {options.clouds:g} under clouds"
         targets, visible = (sum(getattr(run, what) for run in runs) for what in ("targets", "visible"))
         judge_share(f"{name}: targets used of those visible", targets, visible, least=0.8)
     judge_largest(f"{name}: largest error", float(np.abs(sigmas).max()), 4.0, "of its own sigma", len(runs))

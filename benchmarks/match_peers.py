@@ -33,6 +33,7 @@ from rendered_pairs import RATIO, Pair, load_picture, make_pair  # noqa: E402
 
 from boresight.gct_match.imaging.views import normalised, view_of  # noqa: E402
 from boresight.gct_match.locate import locate  # noqa: E402
+from boresight.gct_match.records import TemplateMatch  # noqa: E402
 from boresight.gct_match.search.correlation import correlation_surface, peaks_of  # noqa: E402
 from boresight.gct_match.settings import MatchSettings  # noqa: E402
 from boresight.geometry.ledger import Entry  # noqa: E402
@@ -194,12 +195,19 @@ def boresight(pair: Pair) -> Outcome:
 
 
 def located(template: NDArray, window: NDArray, radius: int) -> Outcome:
-    middle = (np.array(template.shape[::-1]) - 1.0) / 2.0
-    views = (view_of(image, image > 0.0) for image in (template, window))
-    outcome = locate(*views, (MARGIN, MARGIN), radius, middle, SETTINGS)
+    outcome = match_of(template, window, radius)
     if isinstance(outcome, Entry):
         return None, None
-    return outcome.xy_px - middle, outcome.cov_px
+    return outcome.xy_px - _middle(template), outcome.cov_px
+
+
+def match_of(template: NDArray, window: NDArray, radius: int) -> TemplateMatch | Entry:
+    views = (view_of(image, image > 0.0) for image in (template, window))
+    return locate(*views, (MARGIN, MARGIN), radius, _middle(template), SETTINGS)
+
+
+def _middle(template: NDArray) -> Array:
+    return (np.array(template.shape[::-1]) - 1.0) / 2.0
 
 
 METHODS: dict[str, Callable[[Pair], Outcome]] = {

@@ -25,8 +25,9 @@ from boresight.gct_match.refine.changed import REACH_PX, fit_changed
 from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
 from boresight.gct_match.search.correlation import (
     correlation_surface,
+    mean_position,
     peaks_of,
-    posterior,
+    probability_wrong,
     self_similarity,
 )
 from boresight.gct_match.settings import MatchSettings
@@ -35,7 +36,6 @@ from boresight.geometry.record import Floats
 
 __all__ = ["locate", "locate_template"]
 
-_PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 # Height of a correlation peak over that of the highest from which its position is refined, too, and may
 # make the place ambiguous (set by hand).
 _SECOND_PEAK = 0.7
@@ -46,8 +46,7 @@ _AGREE_SIGMAS = 3.0  # within which two fits of one scene lie, of their errors t
 _PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
-# Default settings, for the functions of this module that take single ones.
-_DEFAULTS = MatchSettings()
+_DEFAULTS = MatchSettings()  # for the functions of this module that take single settings
 
 
 def locate_template(
@@ -151,6 +150,7 @@ def locate(
     return TemplateMatch(
         xy_px=best.xy_px,
         cov_px=best.cov_px,
+        cov_moved_px=found.moved,
         correlation=best.correlation,
         probability_wrong=found.wrong,
         affine=best.affine,
@@ -169,6 +169,7 @@ class _Found:
     peak_xy: Floats  # (2,) peak of the fit, (column, row) of the surface, whole px
     highest: float  # correlation of the highest peak
     wrong: float  # probability that the true position is not under that peak
+    moved: Floats  # (2, 2) part of the fit's covariance by what has moved with its surroundings, px²
 
 
 def _of_unchanged(
@@ -194,8 +195,8 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    wrong = posterior([surface], best_peak, _PRIOR_ABSENT).wrong
-    return _Found(best, surface, best_peak, float(peaks.value[0]), wrong)
+    wrong = probability_wrong([surface], best_peak)
+    return _Found(best, surface, best_peak, float(peaks.value[0]), wrong, np.zeros((2, 2)))
 
 
 def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
@@ -229,11 +230,13 @@ def _of_changed(
     """The fit to the whole template by its strong edges; what it shows bright the picture may show dark.
 
     Shores and crops that have moved leave a displaced peak. Edges without their sign are a second look at the
-    pair, and the positions that both leave possible are added to the covariance.
+    pair: the position is the mean of those that both leave possible, and their covariance is added to that of
+    the fit.
     """
     template, picture = band_passed(template), band_passed(picture)
     surface = _surface(template, picture, start_px, radius_px)
-    unsigned = _surface(edge_strength(template), edge_strength(picture), start_px, radius_px)
+    edges = edge_strength(template)
+    unsigned = _surface(edges, edge_strength(picture), start_px, radius_px)
     inverted = bool(-surface.min() > surface.max())
     if inverted:
         template, surface = replace(template, normalised=-template.normalised), -surface
@@ -244,9 +247,11 @@ def _of_changed(
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     peak = np.round(peaks.xy[0])
-    where = posterior([surface, unsigned], peak, _PRIOR_ABSENT, REACH_PX)
-    fit = replace(fit, cov_px=fit.cov_px + where.cov_px)
-    return _Found(fit, surface, peak, float(peaks.value[0]), where.wrong)
+    own = [_surface(one, one, (0, 0), radius_px) for one in (template, edges)]
+    wrong = probability_wrong([surface, unsigned], peak, REACH_PX, own)
+    mean, moved = mean_position([surface, unsigned], peak, REACH_PX)
+    fit = replace(fit, xy_px=mean + start_px - radius_px + reference_px, cov_px=fit.cov_px + moved)
+    return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 
 
 def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
@@ -257,31 +262,23 @@ def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px
 
 
 def _tested(found: _Found | Entry, radius_px: int, template: View, settings: MatchSettings) -> _Found | Entry:
-    """A fit, or the first test that it fails."""
+    """A fit, or the first test that it fails; `radius_px` is the half-width of the search window."""
     if isinstance(found, Entry):
         return found
-    at_edge = bool(np.abs(found.peak_xy - radius_px).max() >= radius_px)
-    refusal = _failed_test(found, radius_px if at_edge else 0, template, settings)
-    return found if refusal is None else refusal
-
-
-def _failed_test(found: _Found, edge_px: int, template: View, settings: MatchSettings) -> Entry | None:
-    """The first test that a fit fails; `edge_px` is the window's half-width if the peak lies at its edge."""
-    fit, wrong = found.fit, found.wrong
-    sigma = fit.sigma_px
+    fit, sigma, wrong = found.fit, found.fit.sigma_px, found.wrong
     if wrong > settings.probability_wrong:
         return not_matched(Reason.PROBABLY_WRONG, wrong, settings.probability_wrong, (found.highest,))
     if not sigma <= settings.sigma_px:
         return not_matched(Reason.UNCERTAIN_POSITION, sigma, settings.sigma_px)
-    if edge_px:
-        return not_matched(Reason.AT_WINDOW_EDGE, limit=edge_px)
+    if radius_px <= np.abs(found.peak_xy - radius_px).max():
+        return not_matched(Reason.AT_WINDOW_EDGE, limit=radius_px)
     if sigma > settings.sigma_self_similar_px:
         similarity = self_similarity(template.normalised)
         if similarity > _SELF_SIMILAR:
             return not_matched(Reason.SELF_SIMILAR, sigma, settings.sigma_self_similar_px, (similarity,))
     if fit.correlation < settings.least_correlation:
         return not_matched(Reason.LOW_CORRELATION, fit.correlation, settings.least_correlation)
-    return None
+    return found
 
 
 def _view(image: NDArray, name: str) -> View:

@@ -84,6 +84,7 @@ class TemplateMatch:
 
     xy_px: Floats = array("2", "(x, y) of the template's reference point in the picture, px")
     cov_px: Floats = array("2, 2", "its covariance, px²")
+    cov_moved_px: Floats = array("2, 2", "part of it by ground that has moved between the dates, px²")
     correlation: float = scalar("of template and picture at that position, both filtered")
     probability_wrong: float = scalar("probability that the true position is another one")
     affine: Floats = array("2, 2", "A - I of the affine map template to picture; zero for a translation")

@@ -14,10 +14,8 @@ from boresight.geometry.record import Floats
 __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 
 _GRID = 32.0  # OpenCV's remap rounds every point to this part of a pixel
-# Pixels on either side that the interpolating kernel takes (set by hand).
-_REACH = 5
-# Distances of the kernel's taps, px.
-_TAP = np.arange(-_REACH, _REACH + 1)
+_REACH = 5  # pixels on either side that the interpolating kernel takes (set by hand)
+_TAP = np.arange(-_REACH, _REACH + 1)  # distances of the kernel's taps, px
 
 
 def composed(warp: Floats, P: Floats) -> Floats:
@@ -107,8 +105,7 @@ def _slope() -> Image:
     return (taps / np.sum(taps * _TAP)).astype(np.float32)
 
 
-# Weights of the taps that give the slope of a picture.
-_SLOPE = _slope()
+_SLOPE = _slope()  # weights of the taps that give the slope of a picture
 
 
 def _cut(picture: Image, x: int, y: int, w: int, h: int) -> Image:

@@ -17,8 +17,7 @@ from boresight.geometry.record import Floats
 
 __all__ = ["approach", "robust_weights"]
 
-# Most steps of the first approach to a position (set by hand).
-_STEPS = 3
+_STEPS = 3  # of the first approach to a position, at most (set by hand)
 _NEAR_PX = 0.15  # steps end below this displacement
 _AFFINE_PX = 0.25  # translations below this allow the test for an affine map
 

@@ -35,10 +35,8 @@ __all__ = ["UNCHANGED_PX", "PositionFit", "fit_position", "usable_pixels"]
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
 _COLUMNS = 2 + TERMS  # of the design matrix: the two derivatives and the radiometry
-# Most Gauss-Newton steps with given weights (set by hand).
-_STEPS = 5
-# Most rounds of weighting anew and fitting (set by hand).
-_ROUNDS = 4
+_STEPS = 5  # Gauss-Newton steps with given weights, at most (set by hand)
+_ROUNDS = 4  # of weighting anew and fitting, at most (set by hand)
 _NEAR_PX = 0.05  # a coherence measured at a larger misalignment is biased
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error, from errors of the derivatives
 _SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate

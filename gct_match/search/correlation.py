@@ -7,26 +7,28 @@ That probability follows from the correlation away from the peak. Pictures are n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.gct_match.imaging.views import window
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.geometry.record import Bools, Floats, array, record
 
 __all__ = [
     "Peaks",
-    "Posterior",
     "correlation_surface",
+    "mean_position",
     "peaks_of",
-    "posterior",
+    "probability_wrong",
     "self_similarity",
 ]
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
 _FAR, _SHARED = 0.25, 0.25
+_PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
+_PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
 @record
@@ -35,14 +37,6 @@ class Peaks:
 
     xy: Floats = array("K, 2", "column, row of the surface, to a fraction of a pixel")
     value: Floats = array("K", "correlation")
-
-
-@record
-class Posterior:
-    """Where the true position may be, by correlation surfaces."""
-
-    wrong: float = scalar("probability that it is not under the peak")
-    cov_px: Floats = array("2, 2", "covariance of the positions under the peak, px²")
 
 
 def correlation_surface(template: Image, picture: Image) -> Image:
@@ -71,41 +65,51 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
     return Peaks(xy.astype(float), value.astype(float))
 
 
-def posterior(
-    surfaces: Sequence[Image], peak_xy: Floats, absent: float, reach_px: int | None = None
-) -> Posterior:
-    """Where the true position may be, given the whole correlation surfaces (R, C) of a pair.
+def probability_wrong(
+    surfaces: Sequence[Image], peak_xy: Floats, reach_px: int | None = None, own: Sequence[Image] = ()
+) -> float:
+    """Probability that the true position is not under the peak (x, y) of the first of the whole correlation
+    surfaces (R, C) of a pair.
 
     Each position has the likelihood (1 - r²)^(-n/2) of being the true one in each surface, against 1 for
     chance. One over the variance of r away from the peak is the number of independent values; what has
-    changed lies along the same edges and takes as many of them as one surface has: n is the number over one
-    more than the surfaces. Under the peak of the first are positions joined to it at more than half its
-    height, from which least squares converges to it: all of a ridge along a road, or what lies within
-    `reach_px` of the peak. `absent` is the prior probability that the surfaces do not contain the target.
+    changed takes as many of them, and all surfaces show the same pixels: n is half of it over the number of
+    surfaces. Side lobes are not chance: those of `own`, each template's correlation with itself, highest in
+    the middle (R, C), are taken off. Under the peak are positions joined to it at more than half its height,
+    from which least squares converges to it: all of a ridge along a road, or what lies within `reach_px` of
+    the peak.
     """
-    first = surfaces[0]
-    column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(first.shape[::-1]) - 1)
-    _, labels = cv2.connectedComponents((first > 0.5 * first[row, column]).astype(np.uint8))
-    near = (labels == labels[row, column]).astype(np.uint8)
-    near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = 1
-    under = cv2.dilate(near, np.ones((5, 5), np.uint8)).astype(bool)
-    y, x = np.mgrid[: first.shape[0], : first.shape[1]]
-    if reach_px is not None:
-        under &= np.maximum(np.abs(x - column), np.abs(y - row)) <= reach_px
+    under = _under(surfaces[0], peak_xy, reach_px)
     if np.count_nonzero(~under) < 30:
-        return Posterior(1.0, np.diag([np.inf, np.inf]))
-    log_likelihood = np.zeros(first.shape)
-    for surface in surfaces:
-        r = surface.astype(float)
-        n = 1.0 / max(float(np.mean(r[~under] ** 2)), 1e-6) / (1.0 + len(surfaces))
-        log_likelihood -= 0.5 * n * np.log1p(-(np.clip(r, 0.0, 0.99999) ** 2))
+        return 1.0
+    (column, row), (h, w) = np.round(peak_xy).astype(int), under.shape
+    away = list(surfaces)
+    for k, lobes in enumerate(own):
+        away[k] = away[k] - away[k][row, column] * window(lobes, w // 2 - column, h // 2 - row, w, h)
+    log_likelihood = _log_likelihood(surfaces, [rest[~under] for rest in away], 0.5 / len(surfaces))
     here, elsewhere = (float(np.logaddexp.reduce(log_likelihood[part])) for part in (under, ~under))
-    chance = float(np.log(absent / (1.0 - absent) * first.size))
-    wrong = float(np.logaddexp(elsewhere, chance))
-    weight = np.exp(log_likelihood[under] - here)
-    return Posterior(
-        float(np.exp(wrong - np.logaddexp(wrong, here))), np.cov(x[under], y[under], ddof=0, aweights=weight)
-    )
+    wrong = float(np.logaddexp(elsewhere, np.log(_PRIOR_ABSENT / (1.0 - _PRIOR_ABSENT) * under.size)))
+    return float(np.exp(wrong - np.logaddexp(wrong, here)))
+
+
+def mean_position(surfaces: Sequence[Image], peak_xy: Floats, reach_px: int) -> tuple[Floats, Floats]:
+    """Mean (x, y) and covariance (2, 2), px², of the positions within `reach_px` of a peak (x, y) that the
+    correlation surfaces (R, C) of a pair leave possible.
+
+    Likelihoods are those of `probability_wrong`, at fractions of a pixel. What has moved with its
+    surroundings lies along the same edges in all surfaces and takes as many values as one of them has: n is
+    the number of independent values over one more than the surfaces.
+    """
+    under = _under(surfaces[0], peak_xy, reach_px)
+    offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
+    x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
+    inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
+    share = 1.0 / (1.0 + len(surfaces))
+    fine = [cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside] for surface in surfaces]
+    log_likelihood = _log_likelihood(fine, [surface[~under] for surface in surfaces], share)
+    weight = np.exp(log_likelihood - log_likelihood.max())
+    xy = np.stack([x[inside], y[inside]]).astype(float)
+    return xy @ weight / weight.sum(), np.cov(xy, ddof=0, aweights=weight)
 
 
 def self_similarity(template: Image) -> float:
@@ -115,32 +119,42 @@ def self_similarity(template: Image) -> float:
     h, w = (n // 2 for n in template.shape)
     small: Image = cv2.resize(template, (w, h), interpolation=cv2.INTER_AREA)
     small = small - np.float32(cv2.mean(small)[0])
-    every, far = _displaced(h, w)
-    spectrum, power = (cv2.dft(_twice(part)) for part in (small, small * small))
+    up, left = 3 * h // 4, 3 * w // 4  # the farthest with such an overlap
     common, energy = (
-        cv2.idft(cv2.mulSpectrums(one, other, 0, conjB=True), flags=cv2.DFT_SCALE)
-        for one, other in ((spectrum, spectrum), (power, every))
+        cv2.matchTemplate(
+            cv2.copyMakeBorder(part, up, up, left, left, cv2.BORDER_CONSTANT), other, cv2.TM_CCORR
+        )
+        for part, other in ((small, small), (small * small, np.ones_like(small)))
     )
-    back = np.roll(energy[::-1, ::-1], 1, axis=(0, 1))  # of the other copy's shared part
+    down, along = (np.abs(np.arange(-n, n + 1)) / side for n, side in ((up, h), (left, w)))
+    far = (np.maximum(down[:, None], along) >= _FAR) & (np.outer(1.0 - down, 1.0 - along) >= _SHARED)
+    back = energy[::-1, ::-1]  # of the other copy's shared part
     floor = 1e-6 * float(np.vdot(small, small)) ** 2 + 1e-12
     return float(np.max(common[far] / np.sqrt(np.maximum(energy[far] * back[far], floor))))
 
 
-@lru_cache(maxsize=16)
-def _displaced(h: int, w: int) -> tuple[Image, Bools]:
-    """Packed spectrum of ones (h, w) padded with zeros, and the mask of displacements of at least a quarter
-    of the side that leave an overlap of at least a quarter of the area.
+def _under(surface: Image, peak_xy: Floats, reach_px: int | None) -> Bools:
+    """The positions (R, C) of a surface that are under its peak (x, y), as in `probability_wrong`."""
+    column, row = np.clip(np.round(peak_xy).astype(int), 0, np.array(surface.shape[::-1]) - 1)
+    _, labels = cv2.connectedComponents((surface > 0.5 * surface[row, column]).astype(np.uint8))
+    near = (labels == labels[row, column]).astype(np.uint8)
+    near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = 1
+    under = cv2.dilate(near, np.ones((5, 5), np.uint8)).astype(bool)
+    if reach_px is not None:
+        y, x = np.ogrid[: surface.shape[0], : surface.shape[1]]
+        under &= np.maximum(np.abs(x - column), np.abs(y - row)) <= reach_px
+    return under
+
+
+def _log_likelihood(correlations: Sequence[NDArray], away: Sequence[NDArray], share: float) -> Floats:
+    """That of positions by their correlations in several surfaces, with a `share` of the numbers of
+    independent values, which the correlations `away` from the peak tell.
     """
-    down, along = (np.minimum(np.arange(2 * n), 2 * n - np.arange(2 * n)) / n for n in (h, w))
-    shared = np.outer(1.0 - down, 1.0 - along)
-    far = np.maximum(down[:, None], along) >= _FAR
-    return cv2.dft(_twice(np.ones((h, w), dtype=np.float32))), far & (shared >= _SHARED)
-
-
-def _twice(image: Image) -> Image:
-    """A picture padded with zeros to twice its size."""
-    h, w = image.shape
-    return cv2.copyMakeBorder(image, 0, h, 0, w, borderType=cv2.BORDER_CONSTANT)
+    out: Floats = np.zeros(correlations[0].shape)
+    for r, far in zip(correlations, away, strict=True):
+        n = share / max(float(np.mean(far.astype(float) ** 2)), 1e-6)
+        out -= 0.5 * n * np.log1p(-(np.clip(r.astype(float), 0.0, 0.99999) ** 2))
+    return out
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Floats:

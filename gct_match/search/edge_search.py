@@ -38,8 +38,7 @@ _POOLED = 4  # pixels of a picture to one of its pooled edge field
 _KEPT = 16, 4  # times as many positions as are wanted in the end are looked at in the next finer picture
 _REACH = 2  # pixels by which the next finer picture may move a position
 _RING = 1  # pixel around them: the outermost edges of a window are those of a cut
-# Pixels around a position in the next finer picture that are cut out.
-_SPARE = _REACH + _RING
+_SPARE = _REACH + _RING  # pixels around a position in the next finer picture that are cut out
 
 
 @record

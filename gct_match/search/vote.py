@@ -22,8 +22,7 @@ __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 _STEPS = 480
 _NOTHING: Floats = np.eye(1, _STEPS + 1)[0]  # probabilities of a share that is none
 _LEAST = 1e-300  # probability: smaller ones are stated as this one
-# Most steps of fitting the common rotation to its supporters (set by hand).
-_REFINEMENTS = 4
+_REFINEMENTS = 4  # steps of fitting the common rotation to its supporters, at most (set by hand)
 # Most values of the rotation about the line of sight that are tried with each pair of candidates (set by
 # hand; bounds the time).
 _MOST_THIRD_VALUES = 61

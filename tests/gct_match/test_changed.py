@@ -9,7 +9,7 @@ from test_locate import MARGIN, SETTINGS, looked_for
 
 from boresight.gct_match.imaging.views import band_passed, view_of
 from boresight.gct_match.records import TemplateMatch
-from boresight.gct_match.search.correlation import posterior
+from boresight.gct_match.search.correlation import probability_wrong
 from boresight.geometry.ledger import Entry
 
 SIDE = 128
@@ -70,8 +70,8 @@ def test_along_a_road_what_the_fit_cannot_reach_is_another_place():
     surface = 0.03 * np.random.default_rng(2).standard_normal((33, 33)).astype(np.float32)
     surface[16] = 0.5 + 0.02 * np.cos(np.arange(33) - 16.0)  # a ridge, highest in its middle
     peak = np.array([16.0, 16.0])
-    assert posterior([surface], peak, 0.05).wrong < 1e-4  # all of it is taken for the peak
-    assert posterior([surface], peak, 0.05, 3).wrong > 0.1
+    assert probability_wrong([surface], peak) < 1e-4  # all of it is taken for the peak
+    assert probability_wrong([surface], peak, 3) > 0.1
 
 
 def test_pixels_that_are_not_valid_leave_the_band_of_others_as_it_is():

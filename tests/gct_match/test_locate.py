@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from rendered_pairs import Pair, make_pair
 from scipy import ndimage
 
-from boresight.gct_match import locate as module
 from boresight.gct_match.imaging.views import normalised, view_of
 from boresight.gct_match.locate import locate, locate_template
 from boresight.gct_match.records import TemplateMatch, not_matched
+from boresight.gct_match.search import correlation as module
 from boresight.gct_match.search.correlation import self_similarity
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.ledger import Entry, Reason
