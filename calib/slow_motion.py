@@ -21,7 +21,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from boresight.calib.attitude_motion import motion_modes
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
 from boresight.geometry.record import Floats, array, record
@@ -34,6 +33,7 @@ __all__ = [
     "has_few_exposures",
     "missed_covariance",
     "motion_is_shown",
+    "motion_modes",
     "motion_of",
 ]
 
@@ -102,6 +102,17 @@ def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -
         log_posterior += _log_likelihood(strips[n], amplitudes, times_s)
     weight = np.exp(log_posterior - log_posterior.max()).sum(axis=0)
     return SlowMotion(time_s=times_s, variance=amplitudes**2 @ weight / weight.sum())
+
+
+def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
+    """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
+    (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
+    modes (S, M, K) of unit variance by noise, M = K - D.
+    """
+    rest = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :].T
+    white = np.linalg.solve(np.linalg.cholesky(rest @ noise @ rest.T), rest)
+    variance, vectors = np.linalg.eigh(white @ shapes @ white.T)
+    return np.maximum(variance, 0.0), np.swapaxes(vectors, 1, 2) @ white
 
 
 def _nodes_of(strip: StripSightings) -> tuple[InterpolationNodes, Floats]:

@@ -1,7 +1,7 @@
 """Attitudes against their own motion: rows that are no attitude of a satellite that moves as the others tell.
 
 Before anything else is looked at, the attitudes of every head are held against a motion that a satellite can
-make (`geometry.attitude_motion`). Where they are likelier with larger errors than stated, the proportion of
+make (`diagnosis.stretches`). Where they are likelier with larger errors than stated, the proportion of
 these from axis to axis tells the cause: errors of the instants, errors of all axes alike, or the stated ones
 several times. Single rows that do not fit are reported singly, and as exchanged where two of them fit in each
 other's place. A slow error, or a lag of all rows, is motion too: others tell of it. Where a gyro covers the
@@ -21,12 +21,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.attitude_motion import FACTORS, Stretch, stretches
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroRecord
 from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.pipeline.diagnosis.stretches import FACTORS, Stretch, stretches
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 

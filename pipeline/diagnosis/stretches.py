@@ -19,29 +19,19 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.slow_motion import motion_modes
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroRecord, without_gap
 from boresight.geometry.record import Floats, Ints, array, record, scalar
 
-__all__ = ["FACTORS", "Stretch", "motion_modes", "stretches"]
+__all__ = ["FACTORS", "Stretch", "stretches"]
 
 FEWEST_ROWS, MOST_ROWS = 5, 64  # of a stretch; longer ones are cut, since the work grows with the cube
 SMOOTH_STEPS = (2.0, 3.0, 5.0, 9.0)  # over which a motion is smooth
 SIZES = np.exp(np.linspace(-3.0, 10.0, 27))  # a, in units of the stated error
 FACTORS = np.exp(np.linspace(0.0, 10.0, 41))  # s of the errors, from as stated to four decades more
 WILD = 1e3  # 1-sigma of a row that says nothing, in units of the stated error
-
-
-def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
-    """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
-    (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
-    modes (S, M, K) of unit variance by noise, M = K - D.
-    """
-    rest = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :].T
-    white = np.linalg.solve(np.linalg.cholesky(rest @ noise @ rest.T), rest)
-    variance, vectors = np.linalg.eigh(white @ shapes @ white.T)
-    return np.maximum(variance, 0.0), np.swapaxes(vectors, 1, 2) @ white
 
 
 @record(kw_only=True)
