@@ -69,7 +69,7 @@ def test_two_pairs_are_two_findings():
 
 
 @pytest.mark.parametrize(
-    ("draws", "turn_s"), [(200, None), (20, TIMES_S[6] + 0.3)]
+    ("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)]
 )  # the latter: a manoeuvre
 def test_exposures_in_order_have_no_finding(draws, turn_s):
     assert [findings(attitudes(seed, turn_s=turn_s)) for seed in range(draws)] == [[]] * draws
