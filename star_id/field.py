@@ -50,7 +50,7 @@ from boresight.star_id.identification.identify import (
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_misfit import PER_PARAMETER
-from boresight.star_id.lens_model import CLEARLY_MORE
+from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
     Observer,
@@ -81,8 +81,6 @@ _FOV_STEP = 0.10
 # Largest relative change of a triangle's shape that an error of the nominal focal length may cause; it
 # makes the steps of wide fields smaller than `_FOV_STEP` (set by hand).
 _SHAPE_STEP = 0.012
-# Field of view, rad, from which a lens may be a fisheye: both projections are tried. (Set by hand.)
-_WIDE_RAD = np.radians(45.0)
 # Stars that the first lens is fitted to, the brightest: false detections are mostly faint, and bend a lens
 # that few stars hold (set by hand).
 _STARS_TO_START = 12
@@ -286,7 +284,7 @@ def solve_list(
     if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
         return _of_fisheye(stars, known, fov_x_rad)
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
-    if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
+    if camera is None and fov_x_rad is not None and fov_x_rad > WIDE_RAD:
         attempts = (*attempts, (False, _PASSES, "equidistant"))
     view = cache(lambda mirrored: stars.mirrored(size[0]) if mirrored else stars)
     tried, reasons, best = 0, [], None
@@ -310,7 +308,7 @@ def solve_list(
             best, named = replace(solution, mirrored=True) if mirrored else solution, found
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
-    if camera is None and best.fov_x_rad > _WIDE_RAD:
+    if camera is None and best.fov_x_rad > WIDE_RAD:
         return _of_likelier_projection(best, named, view(best.mirrored), known)
     return best
 
@@ -447,7 +445,7 @@ def _fitted(
         if np.array_equal(rows, before):
             break
     timeless = known.settings.epoch_error_years > 0.0 and observer is None
-    unknown_scale = np.hypot(ABERRATION_SCALE if timeless else 0.0, stars.psf.scale_sigma)
+    unknown_scale = ABERRATION_SCALE if timeless else 0.0
     return _solution(
         replace(found, detections=detections, stars=rows, R_si=R_si),
         stars.xy_px,

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (
     SMALL_CHANGE,
@@ -102,7 +103,7 @@ def _fit(
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera)
     residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
-    common = float(np.median((residual**2).sum(axis=1))) / 1.386  # median of chi2 with two degrees of freedom
+    common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
     for _ in range(_ROUNDS):
         cov = cov_px + common * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)

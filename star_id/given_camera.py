@@ -17,11 +17,11 @@ from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
-    STRETCH_SIZES_PX,
+    SIZES_PX,
     LensEquations,
     LensErrors,
     lens_errors,
@@ -167,7 +167,7 @@ def _departing(
 
 def _errors(equations: LensEquations) -> LensErrors:
     """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
-    linear = equations.stretched(float(STRETCH_SIZES_PX[-1]))  # no prior
+    linear = equations.stretched(float(SIZES_PX[-1]))  # no prior
     common = with_common_variance(linear, 0.0)
     residual = linear.residual_px - linear.columns @ linear.solved(common).mean
     square = np.einsum(
@@ -184,5 +184,5 @@ def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) ->
     off = xy_px - predicted
     inverse = np.linalg.inv(cov_px + errors.common_px2 * np.eye(2))
     square = np.nan_to_num(np.einsum("ni,nij,nj->n", off, inverse, off), nan=np.inf)
-    scatter = max(1.0, float(np.median(square) / chdtri(2, 0.5)))
+    scatter = max(1.0, float(np.median(square) / MEDIAN_CHI2))
     return square <= scatter * float(chdtri(2, LOST_BY_CHANCE))

@@ -17,20 +17,19 @@ from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.beyond_chance import NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
 __all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
 
 # Fewest stars that may remain after rejection: of fewer none is rejected.
 _FEWEST = 3
-# Median of a chi-square of two degrees of freedom.
-_MEDIAN = float(chdtri(2, 0.5))
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
 # The components after and before each of three, cyclically: (a x b)_k = a[next] b[previous] - a[previous]
 # b[next].
-NEXT, PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
+NEXT = np.array([1, 2, 0])
+PREV = NEXT[NEXT]
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, NEVER_SIGMA, SELDOM_SIGMA)
@@ -98,7 +97,7 @@ def fit_image_attitude(
     stars, kept, start = _Whitened.of(slopes, cov_px, u_i, by_scale), np.ones(n) > 0.0, R_si.as_matrix()
     R, scale, z, F = stars.refined(start)
     square = (z * z).sum(axis=0)
-    scatter = max(1.0, median_of(square) / _MEDIAN) if n else 1.0
+    scatter = max(1.0, median_of(square) / MEDIAN_CHI2) if n else 1.0
     limit = scatter * float(chdtri(2, false_alarm))
     if square.max(initial=0.0) > limit:
         gross = (square > GROSS * scatter).any()

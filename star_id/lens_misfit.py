@@ -42,8 +42,8 @@ from boresight.star_id.camera_fit import (
 
 __all__ = [
     "PER_PARAMETER",
+    "SIZES_PX",
     "SMALL_CHANGE",
-    "STRETCH_SIZES_PX",
     "LensEquations",
     "LensErrors",
     "lens_errors",
@@ -64,8 +64,9 @@ _WARP_LOG_EVIDENCE = 2.0
 _TRIED_SHARES = (1.0, 0.5)
 # Size of the distortion of these trials over the root of the common variance.
 _TRIED_WARP = 2.0
-# Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
-STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
+# Prior sizes, px, that are compared by evidence, in ratios of 1.6: of a stretch along one direction
+# (displacement at the ends of the longer side), and of a smooth distortion of a lens.
+SIZES_PX = np.geomspace(1e-3, 1e2, 26, dtype=np.float64)
 # Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
 # one parameter (Akaike 1974).
 PER_PARAMETER = 1.0
@@ -80,7 +81,7 @@ _ROUNDS, SMALL_CHANGE = 40, 1e-4
 _SCALE_BY_STRETCH2 = np.sqrt(2.0)
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
-_FOCAL = PARAMETERS[:1]
+_FOCAL = ("focal_m",)
 # Cells along columns and rows whose middles stand for the detector: its mean squares to 2 %.
 _CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
@@ -403,8 +404,8 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
         v = value + size**2
         return float((square / v**2 - 1.0 / v).sum())
 
-    best = min(max(int(gained(STRETCH_SIZES_PX).argmax()), 1), len(STRETCH_SIZES_PX) - 2)
-    size = _zero(slope, *STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
+    best = min(max(int(gained(SIZES_PX).argmax()), 1), len(SIZES_PX) - 2)
+    size = _zero(slope, *SIZES_PX[[best - 1, best + 1]].tolist())
     likeliest = gained(np.array([size], dtype=np.float64))
     return size * share_by_evidence(float(likeliest[0]), PER_PARAMETER) ** 0.5
 

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints
-from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, NOISIER, SELDOM_SIGMA
 
 __all__ = ["SPARSE", "without_lines"]
 
@@ -44,11 +44,6 @@ _LEAST_NOISE_DN = 1.0
 # The same for 8 bits where the sky is cut off (set by hand: of two real frames in sixteen a seventh of the
 # stars is lost otherwise, the others have more).
 _LEAST_NOISE_CUT_OFF_DN = 4.0
-# Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
-# have half the weight; estimated to 0.04).
-_NOISIER = 1.4
-# Noise of a line over that around it below which it is dead: no light changes its pixels (set by hand).
-_QUIETER = 0.5
 # Share of the pixels of most lines above the least value from which a sky is not cut off (set by hand).
 _WHOLE = 0.99
 # Every so many rows and columns are looked at for shares of pixels (set by hand).
@@ -184,5 +179,5 @@ def _unlike_others(clipped: NDArray[Any]) -> Bools:
     parts = np.array_split(clipped, _QUARTERS, axis=1)
     noise = np.array([np.sqrt((part**2).mean(axis=1)) for part in parts])
     usual = scipy.ndimage.median_filter(noise.min(axis=0), _AROUND, mode="nearest")
-    noisy = noise.min(axis=0) > _NOISIER * np.maximum(usual, 0.3)
-    return np.asarray(noisy | (noise.max(axis=0) < _QUIETER * usual))
+    noisy = noise.min(axis=0) > NOISIER * np.maximum(usual, 0.3)
+    return np.asarray(noisy | (NOISIER * noise.max(axis=0) < usual))  # no light changes those of dead ones

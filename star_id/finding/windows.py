@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 
-__all__ = ["StarWindows", "star_windows", "windows_at"]
+__all__ = ["NINE", "StarWindows", "star_windows", "windows_at"]
+
+# A pixel and the eight around it: twice, those up to 2 px away.
+NINE = np.ones((3, 3), np.uint8)
 
 
 @record(kw_only=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from boresight.geometry.record import Floats, array, record
+from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.centroid import covariance_inflation
 from boresight.star_id.finding.psf import PsfImages
 from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
@@ -40,9 +41,6 @@ LEAST_GAIN = 0.1
 _GAINS = (LEAST_GAIN, 1e4)  # beyond, photons add nothing
 # Number of these, in factors of 1.2: a strip's stars tell the gain to 0.2 at best.
 _GAIN_STEPS = 61
-# Largest loss of log likelihood, times 2, that one star may have against its own best gain: 3 sigma
-# squared.
-_MOST_OF_A_STAR = 9.0
 
 
 @record(kw_only=True)
@@ -140,7 +138,7 @@ def gain_from_windows(windows: StarWindows, offset: Floats, motion: Motion, sigm
     state = start_state(windows, offset, images)
     gains = np.geomspace(*_GAINS, _GAIN_STEPS)
     deviance = np.stack([_deviance(windows, images, state, gain) for gain in gains.tolist()])  # (G, N)
-    against = np.minimum(deviance - deviance.min(axis=0), _MOST_OF_A_STAR).sum(axis=1)
+    against = np.minimum(deviance - deviance.min(axis=0), CLIP_SIGMA**2).sum(axis=1)
     weight = np.exp(-0.5 * (against - against.min()))
     return float(weight.sum() / (weight / gains).sum())
 
