@@ -33,8 +33,8 @@ PREV = NEXT[NEXT]
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, NEVER_SIGMA, SELDOM_SIGMA)
-# Most steps of Gauss-Newton of one fit, and rounds of rejection.
-_STEPS, _ROUNDS = 5, 12
+# Most steps of Gauss-Newton of one fit, or rounds of rejection.
+_ROUNDS = 12
 
 
 @record
@@ -168,7 +168,7 @@ class _Whitened:
         """Attitude (3, 3) and scale of all stars by Gauss-Newton from R (3, 3), their residuals (2, N) and
         the normal matrix (P, P) there."""
         scale = 0.0
-        for _ in range(_STEPS):
+        for _ in range(_ROUNDS):
             z, D = self.linear(R, scale)
             F, right = _normal(z, D)
             R, scale, step = _stepped(R, scale, F, right)

@@ -42,6 +42,7 @@ from boresight.star_id.camera_fit import (
 
 __all__ = [
     "PER_PARAMETER",
+    "ROUNDS",
     "SIZES_PX",
     "SMALL_CHANGE",
     "LensEquations",
@@ -58,12 +59,6 @@ _DEGREE = 6
 _TERMS = term_orders(_DEGREE)
 # Gain of log evidence by a smooth distortion for it to be stated: e^2 to 1 (set by hand).
 _WARP_LOG_EVIDENCE = 2.0
-# Trials whether a smooth distortion is to be searched for at all: the variance common to all stars is
-# multiplied by these shares, and a distortion of `_TRIED_WARP` times its root is added. If neither raises
-# the evidence, no size will (set by hand).
-_TRIED_SHARES = (1.0, 0.5)
-# Size of the distortion of these trials over the root of the common variance.
-_TRIED_WARP = 2.0
 # Prior sizes, px, that are compared by evidence, in ratios of 1.6: of a stretch along one direction
 # (displacement at the ends of the longer side), and of a smooth distortion of a lens.
 SIZES_PX = np.geomspace(1e-3, 1e2, 26, dtype=np.float64)
@@ -74,7 +69,7 @@ PER_PARAMETER = 1.0
 _LARGEST_VARIANCE = 1e12
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
 # hand).
-_ROUNDS, SMALL_CHANGE = 40, 1e-4
+ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
@@ -277,7 +272,7 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
     """Variance, px^2 along one axis, of an error that each star has for itself, as the residuals of the
     solution with this variance show it."""
     own, common = 0.5 * np.trace(equations.cov_px, axis1=1, axis2=2), start_px2
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
         before, common = common, _common_variance(residual, solution.leverage, own, common)
@@ -358,15 +353,14 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tupl
     def solved(common: float, warp: float) -> _Linear:
         return normal(common).solved(np.append(equations.sigma, warp * decay))
 
-    tried = (solved(share * common_px2, _TRIED_WARP * common_px2**0.5) for share in _TRIED_SHARES)
-    if all(trial.log_evidence <= plain.log_evidence for trial in tried):
-        return None
     floor = 1e-4 * common_px2
 
     def sized(size: Floats) -> tuple[float, float]:
         return float(np.exp(2.0 * size[0])) + floor, float(np.exp(size[1]))
 
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    if solved(*sized(start)).log_evidence <= plain.log_evidence:  # then no size raises it
+        return None
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
     share = share_by_evidence(log_evidence - plain.log_evidence, _WARP_LOG_EVIDENCE)
     if share == 0.0:

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, NOISIER, SELDOM_SIGMA
+from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
 
-__all__ = ["SPARSE", "without_lines"]
+__all__ = ["PART_PX", "SPARSE", "without_lines"]
 
-# Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
-_PART_PX = 32
+# Side, px, of the parts of an image that are summed to one number when offsets of readout or colours are
+# looked for (set by hand): of 32 x 32 px the mean of a colour is known to 1/16 of their noise.
+PART_PX = 32
 # Adjacent lines in the middle of the image that are looked at for offsets of all lines, and pixels of a line
 # whose median is taken: known to 1/25 of a pixel's noise.
 _LINES = 1024
@@ -38,11 +40,9 @@ _AROUND = 51
 _SMOOTH = 301
 # Share of lines that stand so low that their cut-off is above that of the others.
 _RAISED = 0.05
-# Standard deviation of a pixel, DN, up to which an image of whole numbers has too few grey levels to show the
-# offsets of all lines: rounding then adds a tenth to the variance (1/12 DN^2).
-_LEAST_NOISE_DN = 1.0
-# The same for 8 bits where the sky is cut off (set by hand: of two real frames in sixteen a seventh of the
-# stars is lost otherwise, the others have more).
+# Standard deviation of a pixel, DN, of 8 bits whose sky is cut off, up to which it has too few grey levels to
+# show the offsets of all lines (set by hand: of two real frames in sixteen a seventh of the stars is lost
+# otherwise, the others have more).
 _LEAST_NOISE_CUT_OFF_DN = 4.0
 # Share of the pixels of most lines above the least value from which a sky is not cut off (set by hand).
 _WHOLE = 0.99
@@ -105,14 +105,14 @@ def _has_offsets(image: NDArray[Any], axis: int) -> bool:
     steps = np.diff(parts[:, :_LINES], axis=1)
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
     scale = MAD_SIGMA * float(few[len(few) // 2])
-    least_dn = _LEAST_NOISE_DN if np.issubdtype(image.dtype, np.integer) else 0.0
-    scale = max(scale, least_dn / np.sqrt(_PART_PX))
+    least_dn = LEAST_LEVELS_PER_SIGMA if np.issubdtype(image.dtype, np.integer) else 0.0
+    scale = max(scale, least_dn / np.sqrt(PART_PX))
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
     limit = SELDOM_SIGMA * scale
     single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
     if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
         return True
-    pixel_dn = scale * np.sqrt(0.5 * _PART_PX)
+    pixel_dn = scale * np.sqrt(0.5 * PART_PX)
     if image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn:
         least_dn = _LEAST_NOISE_CUT_OFF_DN
     if pixel_dn <= least_dn:
@@ -131,9 +131,9 @@ def _parts(image: NDArray[Any], axis: int) -> Floats:
     """(2, N) means of two parts of the N rows (axis 0) or columns (axis 1)."""
     along = image.shape[1 - axis]
     means = []
-    for s in (along // 3 - _PART_PX // 2, 2 * along // 3 - _PART_PX // 2):
+    for s in (along // 3 - PART_PX // 2, 2 * along // 3 - PART_PX // 2):
         s = max(s, 0)
-        part = image[:, s : s + _PART_PX] if axis == 0 else image[s : s + _PART_PX]
+        part = image[:, s : s + PART_PX] if axis == 0 else image[s : s + PART_PX]
         count = part.shape[1 - axis]
         weight = np.full(count, 1.0 / count, dtype=np.float32)
         part = part.astype(np.float32)

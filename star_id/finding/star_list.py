@@ -26,6 +26,7 @@ from boresight.star_id.finding.own_scale import in_own_counts
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX, Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import (
+    PSF_MISFIT,
     STARS_FOR_WIDTH,
     WidthFits,
     fit_widths,
@@ -62,9 +63,6 @@ _TRIED = 3
 _MANY_BAD = 1e-3
 # Cells along each side of the image over which the stars that are kept are spread.
 _CELLS = 8
-# Residual over a star's energy (squared SNR) above which it is a cosmic ray, a trail, or the arm of a bloom
-# (set by hand; PSFs of real lenses leave up to 0.15).
-_MISFIT_LIMIT = 0.3
 # Fields of `StarList` that have a row a star, and those that detection gives.
 _COLUMNS = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
 _GRIDS = ("level_dn", "noise_dn", "above_cut", "unusable")  # of `Background`
@@ -354,7 +352,9 @@ def _fits_of(frame: _Frame, found: _Found, rows: Ints) -> tuple[StarFits, Bools]
     )
     counts = Counts(found.gain_e_per_dn, frame.saturation_dn)
     fits = fit_stars(image, pixels, offset, background, psf, counts)
-    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    # a larger share of the energy (squared SNR) is that of a cosmic ray, a trail, or the arm of a bloom
+    largest = np.maximum(2.0 * PSF_MISFIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    star_like = fits.chi2 - fits.dof < largest
     least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
 

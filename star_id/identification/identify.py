@@ -63,9 +63,6 @@ _STAGES = (
     *sorted((*stages_of(USUAL, 8, 14, MOST_DETECTIONS), *stages_of(WIDER, 10, 18)), key=itemgetter(-1)),
     *stages_of(DENSER, 14, MOST_DETECTIONS),
 )
-# Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
-# neighbours that proposals are judged by (set by hand).
-_OF_MISSING = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
 _STARS_FOR_SHIFT = 30
 # Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
@@ -171,8 +168,8 @@ def identify_stars(
         size = min(brightest, n, settings.max_identification_stars)
         if size <= done or number not in tables:
             continue
-        at_least = _OF_MISSING if number == DENSER else 0
-        proposals = propose(image, tables[number], index.u_i, done, size, at_least=at_least)
+        # where many stars are missing, so are the neighbours that proposals are judged by
+        proposals = propose(image, tables[number], index.u_i, done, size, unlikely_too=number == DENSER)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             corners = image.points[triangle]

@@ -16,14 +16,12 @@ from boresight.geometry.record import Floats, array, record
 from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.centroid import covariance_inflation
 from boresight.star_id.finding.psf import PsfImages
-from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images
 
 __all__ = ["LEAST_GAIN", "TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
-# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
-_LARGEST_STEP_PX = 0.6
 # Step, in standard errors, at which a fit has converged.
 _CONVERGED = 0.05
 # Largest bias that is corrected, in standard errors: more is no bias of second order, the star is hardly
@@ -66,7 +64,7 @@ def fit_traces(
         in_sigmas = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2]))
         if in_sigmas.max(initial=0.0) < _CONVERGED:
             break
-        step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        step[:, :2] = np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX)
         state = state + step
         images = trace_images(state[:, :2], motion, sigma_px, windows.radius)
     chi2 = np.einsum("nm,nm,nm->n", residual, residual, weight).astype(float)

@@ -25,7 +25,7 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import NEVER_SIGMA, SELDOM_SIGMA
 
 __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]
 
@@ -33,8 +33,6 @@ __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", 
 _TWICE_RAD = 1e-4
 # Fewest stars that must agree on a rotation: two always do.
 _LEAST = 3
-# Chi-square of two degrees of freedom up to which a star agrees: one in 100 000 exceeds it, exp(-23 / 2).
-_GATE = 23.0
 
 
 @record(kw_only=True)
@@ -185,7 +183,7 @@ def name_stars(
     moved = np.concatenate([seen.by_rotation @ theta_root, seen.by_attitude], axis=2)
     covariance = moved @ np.swapaxes(moved, 1, 2) + seen.variance[:, None, None] * np.eye(2)
     distance = np.einsum("nma,nab,nmb->nm", miss, np.linalg.inv(covariance), miss)
-    row, star = np.nonzero(ahead & (distance < _GATE))
+    row, star = np.nonzero(ahead & (distance < NEVER_SIGMA**2))
     density = len(seen.u_c) / field.strip_area
     pairs = _Pairs.of(miss[row, star], moved[row], seen.variance[row], _rivals(seen, row, star), density)
     sure = pairs.probability_wrong(np.zeros(len(row), dtype=bool)) < max_name_error
