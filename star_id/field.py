@@ -40,6 +40,7 @@ from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
 from boresight.star_id.identification.identify import (
     DENSER,
+    FEW_DETECTIONS,
     USUAL,
     WIDER,
     Identification,
@@ -48,7 +49,7 @@ from boresight.star_id.identification.identify import (
     stages_of,
 )
 from boresight.star_id.identification.tangent_plane import FieldOfView
-from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
 from boresight.star_id.lens_misfit import PER_PARAMETER
 from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
 from boresight.star_id.observer import (
@@ -90,9 +91,9 @@ _LEAST_RELIABLE = 4
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
 _FIRST, *_LATER = _PASSES = (
-    stages_of(USUAL, 6, 9),
-    (*stages_of(USUAL, 13, begin=9), *stages_of(WIDER, 9)),
-    stages_of(DENSER, 8, 12),
+    stages_of(USUAL, FEW_DETECTIONS),
+    (*stages_of(USUAL, STARS_PER_FIELD, begin=FEW_DETECTIONS), *stages_of(WIDER, FEW_DETECTIONS)),
+    stages_of(DENSER, FEW_DETECTIONS, STARS_PER_FIELD),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown

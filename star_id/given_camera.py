@@ -29,6 +29,7 @@ from boresight.star_id.lens_misfit import (
     stretch_size,
     with_common_variance,
 )
+from boresight.star_id.observer import ABERRATION
 
 __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 
@@ -37,8 +38,6 @@ __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivati
 # not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
 # three times its error.
 _LINEAR_SEEN = 5.0
-# Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
-_EXPECTED_SCALE = 2e-4
 
 
 def fit_known_camera(
@@ -160,7 +159,8 @@ def _departing(
             break
     turn, cov_s = errors.turned()
     scale = errors.mean[3] / camera.focal_m
-    linear_only = len(errors.mean) == 4 and abs(scale) < _EXPECTED_SCALE
+    # the Earth's velocity changes angles by half of that
+    linear_only = len(errors.mean) == 4 and abs(scale) < 2.0 * ABERRATION
     misfit_px = 0.0 if linear_only else errors.displaced_px()
     return FieldFit(Rotation.from_rotvec(turn) * R_si, cov_s, camera, 0.0, misfit_px)
 

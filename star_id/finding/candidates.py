@@ -103,11 +103,10 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     scale = 2**halvings
     noise = float(np.median(background.noise_dn))
     low, high = float(background.level_dn.min()), float(background.level_dn.max())
-    # means of four may be rounded to whole DN if the noise is larger: that adds 1/12 DN^2 to 0.56; 16 bits are
-    # always fine enough
-    whole = (
-        halvings > 0 and image.dtype == np.uint8 and float(background.noise_dn.min()) > LEAST_LEVELS_PER_SIGMA
-    )
+    # means of four may be rounded to whole DN if the noise is larger: that adds 1/12 DN^2 to 0.56; 16 bits
+    # are always fine enough
+    fine = float(background.noise_dn.min()) > LEAST_LEVELS_PER_SIGMA
+    whole = halvings > 0 and image.dtype == np.uint8 and fine
     converted_after = min(halvings, 1) if whole or image.dtype == np.uint16 else 0
     gain = min(_LEVELS_PER_SIGMA / noise, 255.0 / (4.0 * (high - low) + _RANGE_SIGMA * noise))
     if whole and halvings == 1:

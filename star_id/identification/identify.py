@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -33,11 +32,12 @@ from boresight.star_id.identification.hypothesis import (
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
 from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
-from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
     "DENSER",
+    "FEW_DETECTIONS",
     "USUAL",
     "WIDER",
     "AttitudePrior",
@@ -58,10 +58,17 @@ def stages_of(table: int, *ends: int, begin: int = 0) -> tuple[tuple[int, int, i
     return tuple((table, below, end) for below, end in pairwise((begin, *ends)))
 
 
-# Stages of identification in their order: those of fewer detections first (set by hand).
+# Brightest detections whose triangles, 56, are tried first; then those of as many as the index has stars in a
+# field, last all (set by hand).
+FEW_DETECTIONS = 8
+# Stages of identification in their order.
 _STAGES = (
-    *sorted((*stages_of(USUAL, 8, 14, MOST_DETECTIONS), *stages_of(WIDER, 10, 18)), key=itemgetter(-1)),
-    *stages_of(DENSER, 14, MOST_DETECTIONS),
+    *stages_of(USUAL, FEW_DETECTIONS),
+    *stages_of(WIDER, FEW_DETECTIONS),
+    *stages_of(USUAL, STARS_PER_FIELD, begin=FEW_DETECTIONS),
+    *stages_of(WIDER, STARS_PER_FIELD, begin=FEW_DETECTIONS),
+    *stages_of(USUAL, MOST_DETECTIONS, begin=STARS_PER_FIELD),
+    *stages_of(DENSER, STARS_PER_FIELD, MOST_DETECTIONS),
 )
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
 _STARS_FOR_SHIFT = 30
