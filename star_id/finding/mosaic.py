@@ -52,7 +52,8 @@ def has_mosaic(image: NDArray[Any]) -> bool:
     if np.median(cells[:, :, ends[0]]) <= cells.min():  # of a sky that is cut off levels follow the noise
         return False
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
-    noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
+    between = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)  # the quartiles
+    noise = 0.5 * MAD_SIGMA * between[2 * len(tiles)]
     spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
     if spread <= max(_DIFFERENT_SIGMA * noise, 1e-3 * np.sort(level, axis=None)[2 * len(tiles)]):
         return False
