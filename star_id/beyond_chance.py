@@ -12,6 +12,7 @@ from math import log
 __all__ = [
     "CLIP_SIGMA",
     "FEW_STARS",
+    "LEAST_STARS",
     "LOST_BY_CHANCE",
     "MAD_SIGMA",
     "MEDIAN_CHI2",
@@ -34,5 +35,7 @@ MEDIAN_CHI2 = 2.0 * log(2.0)
 NOISIER = 1.5
 # Probability of rejecting a good star by its place.
 LOST_BY_CHANCE = 1e-4
+# Fewest stars that anything is measured by: two agree on any rotation or width.
+LEAST_STARS = 3
 # Fewest stars whose median and scatter judge a PSF or a camera: both are then known to a third (set by hand).
 FEW_STARS = 8

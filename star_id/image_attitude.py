@@ -17,13 +17,11 @@ from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.beyond_chance import MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
 __all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
 
-# Fewest stars that may remain after rejection: of fewer none is rejected.
-_FEWEST = 3
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
 # The components after and before each of three, cyclically: (a x b)_k = a[next] b[previous] - a[previous]
@@ -104,7 +102,7 @@ def fit_image_attitude(
         R_kept, scale_kept, found = stars.without_outliers(
             *(stars.robust(start) if gross else (R, scale)), limit
         )
-        if np.count_nonzero(found) >= _FEWEST:
+        if np.count_nonzero(found) >= LEAST_STARS:  # else none is rejected
             R, scale, kept = R_kept, scale_kept, found
             z, D = stars.linear(R, scale)
             F, square = _normal(z, D, kept)[0], (z * z).sum(axis=0)

@@ -36,6 +36,9 @@ _LEVELS_PER_SIGMA = 4.0
 _RANGE_SIGMA = 28.0
 # Level of a sum of four of the sky below which no offset is subtracted: half of the range is left.
 _DARK_LEVELS = 128.0
+# Noise of the sky, DN, from which the mean of four pixels may be rounded to whole numbers: that adds 1/12
+# DN^2 to 0.36.
+_COARSE_NOISE_DN = 1.2
 # Steps of an uneven threshold within a block of the background (set by hand).
 _TILES_PER_BLOCK = 32
 # Most candidates that are tested, the highest: an image with more shows no sky. Bounds time and memory.
@@ -103,10 +106,8 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     scale = 2**halvings
     noise = float(np.median(background.noise_dn))
     low, high = float(background.level_dn.min()), float(background.level_dn.max())
-    # means of four may be rounded to whole DN if the noise is larger: that adds 1/12 DN^2 to 0.56; 16 bits
-    # are always fine enough
-    fine = float(background.noise_dn.min()) > LEAST_LEVELS_PER_SIGMA
-    whole = halvings > 0 and image.dtype == np.uint8 and fine
+    # means of four may be rounded to whole DN if the noise is larger; 16 bits are always fine enough
+    whole = halvings > 0 and image.dtype == np.uint8 and float(background.noise_dn.min()) > _COARSE_NOISE_DN
     converted_after = min(halvings, 1) if whole or image.dtype == np.uint16 else 0
     gain = min(_LEVELS_PER_SIGMA / noise, 255.0 / (4.0 * (high - low) + _RANGE_SIGMA * noise))
     if whole and halvings == 1:

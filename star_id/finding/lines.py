@@ -2,15 +2,15 @@
 
 Two short parts of each line far apart show its offset alike, which noise and stars do not: the covariance of
 the parts, over the lines, is the variance of the offsets, and in a single hot line both parts stand out.
-Where either is significant each line's mean without stars, less the smooth course of these, is subtracted;
-the level of the sky over the image remains. A single line that is near saturation, or much noisier or quieter
-than those around it, shows no stars: it is replaced by the mean of the lines beside it, and told, so that it
-has no weight in fits.
+Where the former is significant each line's mean without stars, less the smooth course of these, is
+subtracted, where the latter alone is that of the single lines; the level of the sky over the image remains. A
+single line that is near saturation, or much noisier or quieter than those around it, shows no stars: it is
+replaced by the mean of the lines beside it, and told, so that it has no weight in fits.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -62,7 +62,7 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[An
     """
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         image = image.astype(np.float32)
-    lines = [axis for axis in (0, 1) if _has_offsets(image, axis)]
+    lines = {axis: kind for axis in (0, 1) if (kind := _lines_with_offsets(image, axis)) != "none"}
     if not lines:
         return image, None
     clean = image.astype(np.float32)
@@ -70,9 +70,13 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[An
     above = image[::SPARSE, ::SPARSE] > image.min()  # of dead lines all pixels are at the least value
     whole = max(float(np.median(above.mean(axis=axis))) for axis in (0, 1)) > _WHOLE
     useless = []
-    for axis in lines:
+    for axis, kind in lines.items():
         seen = clean if axis == 0 else clean.T
         offset, unusable = _offsets(seen, saturation_dn, whole)
+        if kind == "single":  # what others have is of the scene: trees, roofs
+            parts = _parts(seen, 0)
+            others = np.delete(np.arange(len(offset)), _single_lines(parts, _scale(np.diff(parts))))
+            offset[others] = 0.0
         floor -= min(0.0, float(np.quantile(offset, _RAISED)))
         seen -= offset[:, None]
         useless.append((seen, unusable))
@@ -96,22 +100,41 @@ def _replace(image: NDArray[np.float32], rows: Ints, no_stars: Bools) -> None:
             image[run], no_stars[run] = image[beside].mean(axis=0), True
 
 
-def _has_offsets(image: NDArray[Any], axis: int) -> bool:
-    """Whether the rows (axis 0) or columns (axis 1) of an image have offsets."""
+def _lines_with_offsets(image: NDArray[Any], axis: int) -> Literal["none", "single", "all"]:
+    """Which rows (axis 0) or columns (axis 1) of an image have offsets: none, single ones or all."""
     if axis == 0:  # rows lie apart in memory: some will do
         first = max(0, (len(image) - _LINES) // 2)
         image = image[first : first + _LINES]
     parts = _parts(image, axis)
     steps = np.diff(parts[:, :_LINES], axis=1)
-    few = np.sort(np.abs(steps[:, ::3]), axis=None)
-    scale = MAD_SIGMA * float(few[len(few) // 2])
     least_dn = LEAST_LEVELS_PER_SIGMA if np.issubdtype(image.dtype, np.integer) else 0.0
-    scale = max(scale, least_dn / np.sqrt(PART_PX))
+    scale = max(_scale(steps), least_dn / np.sqrt(PART_PX))
+    single = _single_lines(parts, scale)
+    some = len(single) and _differ(image if axis == 0 else image.T, single, 0.5 * SELDOM_SIGMA * scale)
+    if _all_have_offsets(image, parts, steps, scale, least_dn):
+        return "all"
+    return "single" if some else "none"
+
+
+def _scale(steps: Floats) -> float:
+    """Standard deviation of steps (2, N) between parts of adjacent lines."""
+    few = np.sort(np.abs(steps[:, ::3]), axis=None)
+    return MAD_SIGMA * float(few[len(few) // 2])
+
+
+def _single_lines(parts: Floats, scale: float) -> Ints:
+    """The lines both of whose parts (2, N) stand out alike from the lines beside them, whose steps have a
+    standard deviation `scale`."""
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
     limit = SELDOM_SIGMA * scale
-    single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
-    if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
-        return True
+    return ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0] + 2
+
+
+def _all_have_offsets(
+    image: NDArray[Any], parts: Floats, steps: Floats, scale: float, least_dn: float
+) -> bool:
+    """Whether the steps (2, N) between parts of adjacent lines are alike in both parts by more than
+    chance."""
     pixel_dn = scale * np.sqrt(0.5 * PART_PX)
     if image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn:
         least_dn = _LEAST_NOISE_CUT_OFF_DN

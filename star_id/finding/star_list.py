@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import FEW_STARS, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
@@ -37,8 +37,6 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["BRIGHT_SNR", "StarList", "list_stars"]
 
-# Fewest stars that give a width; with fewer the assumed one stays.
-_LEAST_STARS = 3
 # Most stars that trails are fitted to, and their least SNR: below it noise hides shapes and bias.
 _STARS_FOR_BLUR, BRIGHT_SNR = 80, 15.0
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
@@ -415,7 +413,7 @@ def _detections(frame: _Frame) -> _Found:
             image, background, candidates, psf_sigma_px=psf.sigma_px, threshold=threshold, reach_px=reach
         )
         shapes = _shapes(frame, found, psf)
-        if settings.psf_sigma_px is not None or shapes.stars < _LEAST_STARS:
+        if settings.psf_sigma_px is not None or shapes.stars < LEAST_STARS:
             break
         before, psf_stars = psf, shapes.stars
         psf = psf_of(shapes, before, find_smear=settings.smear_px is None)

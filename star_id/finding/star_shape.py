@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import CLIP_SIGMA, FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import (
+    CLIP_SIGMA,
+    FEW_STARS,
+    LEAST_STARS,
+    MAD_SIGMA,
+    NEVER_SIGMA,
+    SELDOM_SIGMA,
+)
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
@@ -26,6 +33,9 @@ __all__ = ["PSF_MISFIT", "STARS_FOR_WIDTH", "WidthFits", "fit_widths", "gain_fro
 STARS_FOR_WIDTH = 40
 # Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
 PSF_MISFIT = 0.15
+# Squared deviation of a star's 1 / gain from the median over half its variance, above which it is left out:
+# 4.5 sigma, for a skewed distribution.
+_OUTLIER = 40.0
 # Largest change of the squared width in a round, as a share of it; the next round finds the rest.
 _LARGEST_STRETCH = 0.6
 
@@ -138,7 +148,7 @@ def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
         weight = np.maximum((weighted * slope).sum(axis=1), 1e-30)
         each = (weighted * excess).sum(axis=1) / weight
         middle = _weighted_median(each, weight)
-        inlier = (each - middle) ** 2 * weight < 2.0 * NEVER_SIGMA**2  # weights are two over the variances
+        inlier = (each - middle) ** 2 * weight < _OUTLIER
         per_dn = max(float((each * weight)[inlier].sum() / weight[inlier].sum()), 0.0)
     return 1.0 / per_dn if per_dn > 0 else np.inf
 
@@ -211,7 +221,7 @@ def _width_over_field(psf: Psf, xy: Floats, sigma: Floats, error: Floats) -> tup
         mean = (w * sigma).sum() / w.sum()
         spread = max(1.0, MAD_SIGMA * _median(np.abs(sigma - mean)[keep] / error[keep]))
         keep = np.abs(sigma - mean) < SELDOM_SIGMA * spread * error
-        if keep.sum() < 3:
+        if keep.sum() < LEAST_STARS:
             return middle, middle
     if keep.sum() < 12:
         return float(mean), float(mean)
