@@ -189,7 +189,7 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
         levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
         fovs = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
-        fovs = fov_rad * _LEVEL_STEP ** np.arange(-1.0, 2.0)  # denser, own, wider
+        fovs = fov_rad * np.power(_LEVEL_STEP, np.arange(-1.0, 2.0))  # denser, own, wider
     close = np.sort(cKDTree(u_i).query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
     close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
     to_brighter = np.full(len(u_i), np.inf)
