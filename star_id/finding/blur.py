@@ -27,7 +27,7 @@ __all__ = [
 
 # Relative step of a parameter for numerical derivatives (set by hand).
 _STEP = 0.02
-# Fewest bright stars that a coma or trail is fitted to (set by hand; four a parameter).
+# Fewest bright stars that a trail is fitted to (set by hand; four a parameter).
 _FEWEST = 12
 # Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
 # (set by hand).
