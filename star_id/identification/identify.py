@@ -58,9 +58,9 @@ def stages_of(table: int, *ends: int, begin: int = 0) -> tuple[tuple[int, int, i
     return tuple((table, below, end) for below, end in pairwise((begin, *ends)))
 
 
-# Brightest detections whose triangles, 56, are tried first; then those of as many as the index has stars in a
+# Brightest detections whose triangles, 20, are tried first; then those of as many as the index has stars in a
 # field, last all (set by hand).
-FEW_DETECTIONS = 8
+FEW_DETECTIONS = 6
 # Stages of identification in their order.
 _STAGES = (
     *stages_of(USUAL, FEW_DETECTIONS),
