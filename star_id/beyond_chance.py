@@ -30,7 +30,7 @@ NEVER_SIGMA = 5.0
 # Standard deviation of a normal distribution over its median absolute deviation.
 MAD_SIGMA = 1.4826
 # Median of a chi-square of two degrees of freedom.
-MEDIAN_CHI2 = 2.0 * log(2.0)
+MEDIAN_CHI2 = log(4.0)
 # Noise of a part of an image over the usual one, from which it is unlike the rest (set by hand).
 NOISIER = 1.5
 # Probability of rejecting a good star by its place.

@@ -41,6 +41,7 @@ from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_D
 from boresight.star_id.identification.identify import (
     DENSER,
     FEW_DETECTIONS,
+    SOME_DETECTIONS,
     USUAL,
     WIDER,
     Identification,
@@ -49,7 +50,7 @@ from boresight.star_id.identification.identify import (
     stages_of,
 )
 from boresight.star_id.identification.tangent_plane import FieldOfView
-from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
+from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_misfit import PER_PARAMETER
 from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
 from boresight.star_id.observer import (
@@ -92,8 +93,8 @@ _LEAST_RELIABLE = 4
 # stars be missing (set by hand).
 _FIRST, *_LATER = _PASSES = (
     stages_of(USUAL, FEW_DETECTIONS),
-    (*stages_of(USUAL, STARS_PER_FIELD, begin=FEW_DETECTIONS), *stages_of(WIDER, FEW_DETECTIONS)),
-    stages_of(DENSER, FEW_DETECTIONS, STARS_PER_FIELD),
+    (*stages_of(USUAL, SOME_DETECTIONS, begin=FEW_DETECTIONS), *stages_of(WIDER, FEW_DETECTIONS)),
+    stages_of(DENSER, FEW_DETECTIONS, SOME_DETECTIONS),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown

@@ -38,6 +38,7 @@ from boresight.star_id.settings import StarSettings
 __all__ = [
     "DENSER",
     "FEW_DETECTIONS",
+    "SOME_DETECTIONS",
     "USUAL",
     "WIDER",
     "AttitudePrior",
@@ -61,6 +62,8 @@ def stages_of(table: int, *ends: int, begin: int = 0) -> tuple[tuple[int, int, i
 # Brightest detections whose triangles, 20, are tried first; then those of as many as the index has stars in a
 # field, last all (set by hand).
 FEW_DETECTIONS = 6
+# The same of an unknown camera's further passes.
+SOME_DETECTIONS = 2 * FEW_DETECTIONS
 # Stages of identification in their order.
 _STAGES = (
     *stages_of(USUAL, FEW_DETECTIONS),
