@@ -50,6 +50,7 @@ from hard_frames import (
     Stars,
     bound_after_jpeg_px,
     cramer_rao_px,
+    fan_at,
     psf_table,
     render,
     response,
@@ -123,6 +124,7 @@ ROWS = (
     Row("trail of 10 px", blur=Blur(trail_px=(9.1, -4.2)), complete=0.9),
     Row("trail of 15 px", blur=Blur(trail_px=(4.0, 14.5)), complete=0.9),
     Row("trail of 20 px", blur=Blur(trail_px=(17.3, 10.0)), complete=0.9),
+    Row("coma of 6 px in the corners", blur=Blur(coma_px=6.0), complete=0.9),
     Row("mirrored", mirrored=True),
     Row("caption of 5 % of the rows", sensor=Sensor(caption=True)),
     Row("Bayer mosaic", sensor=Sensor(bayer=(0.45, 1.0, 1.0, 0.6)), electrons_at_v7=1900.0, complete=0.9),
@@ -353,9 +355,15 @@ def _score_stars(row: Row, stars: StarList, sky: Stars, variance: NDArray, score
 
 
 def _bound(row: Row, xy: NDArray, electrons: NDArray, variance: NDArray) -> tuple[NDArray, NDArray]:
+    cells = 9 if row.blur.coma_px else 1
+    cell = np.clip((xy / row.side_px * cells).astype(int), 0, cells - 1)
     share = response(row.sensor, (row.side_px, row.side_px))
-    uneven = row.sensor.prnu, row.sensor.sky_e
-    answer = cramer_rao_px(xy, electrons, variance, share, psf_table(row.blur), *uneven)
+    answer = np.empty((len(xy), 2))
+    for i, j in np.unique(cell, axis=0):
+        here = (cell == [i, j]).all(axis=1)
+        table = psf_table(row.blur, fan_at(np.array([i, j]), cells))
+        uneven = row.sensor.prnu, row.sensor.sky_e
+        answer[here] = cramer_rao_px(xy[here], electrons[here], variance, share, table, *uneven)
     return answer[:, 0], answer[:, 1]
 
 

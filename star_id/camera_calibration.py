@@ -287,6 +287,8 @@ def _calibration(
     if settings.epoch_error_years:  # images without time: each has another aberration, unknown
         timeless = sum(frames[k].observer is None for k, _ in identified)
         covariance[0, 0] += timeless * (fit.camera.focal_m * ABERRATION_SCALE / len(identified)) ** 2
+    comatic = np.mean([frames[k].stars.psf.scale_sigma ** 2 for k, _ in identified])
+    covariance[0, 0] += fit.camera.focal_m**2 * comatic  # of one lens: no smaller with more images
     return CameraCalibration(
         camera=fit.camera,
         parameters=lens.parameters,

@@ -447,7 +447,7 @@ def _fitted(
         if np.array_equal(rows, before):
             break
     timeless = known.settings.epoch_error_years > 0.0 and observer is None
-    unknown_scale = ABERRATION_SCALE if timeless else 0.0
+    unknown_scale = np.hypot(ABERRATION_SCALE if timeless else 0.0, stars.psf.scale_sigma)
     return _solution(
         replace(found, detections=detections, stars=rows, R_si=R_si),
         stars.xy_px,

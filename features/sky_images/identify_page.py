@@ -103,6 +103,7 @@ def _seen(stars: StarList) -> list[tuple[str, str]]:
         ("point spread function", f"{shape}, {source}"),
         ("its width (1σ)", f"{psf.sigma_px:.2f} px, {psf.sigma_corner_px:.2f} px in the corners"),
         ("motion during the exposure", f"{smear:.1f} px" if smear else "none seen"),
+        ("coma in the corners", f"{psf.coma_px:.1f} px" if psf.coma_px else "none seen"),
         ("detection limit", f"{stars.threshold:.2f} sigmas of the matched filter"),
         ("sky", f"{sky.level_dn.min():.1f} to {sky.level_dn.max():.1f} DN"),
         ("noise of a pixel", f"{sky.noise_dn.min():.2f} to {sky.noise_dn.max():.2f} DN"),
@@ -163,7 +164,7 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     xy, flux = stars.xy_px[some], stars.flux_dn[some]
     pixels = np.rint(xy).astype(np.int64)
     windows = star_windows(image, pixels, stars.background, radius, stars.saturation_dn)
-    model = images_at(stars.psf, windows.offsets(xy), stars.psf.sigma_at(xy), radius).value
+    model = images_at(stars.psf, windows.middles, windows.offsets(xy), stars.psf.sigma_at(xy), radius).value
     weight = (flux / flux.sum())[:, None]
     side = 2 * radius + 1
     mean = (weight * windows.data / flux[:, None]).sum(axis=0).reshape(side, side)

@@ -144,14 +144,14 @@ def _fit(
     if len(pixels) == 0:
         return _no_fits()
     offset = windows.offsets(pixels + start)
-    images = images_at(psf, offset, sigma, windows.radius)
+    images = images_at(psf, windows.middles, offset, sigma, windows.radius)
     state = start_state(windows, offset, images)
     fit = _iterate(windows, state, images, sigma, psf, gain, steps=1 if one_step else 2)
     good = _without_outliers(fit, windows.saturated)
     slow = np.flatnonzero(((fit.last > _SMALL_STEP) & (not one_step)) | (good != fit.good).any(axis=1))
     if len(slow):
         rest = replace(windows.take(slow), good=good[slow])
-        images = images_at(psf, fit.state[slow, :2], sigma[slow], windows.radius)
+        images = images_at(psf, rest.middles, fit.state[slow, :2], sigma[slow], windows.radius)
         steps = 1 if one_step else 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
         more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
         for name in _Fit.__slots__:
@@ -186,7 +186,7 @@ def _iterate(
     """Up to `steps` Gauss-Newton steps on all stars from a state (N, 4) and its images."""
     for k in range(steps):
         if k > 0:
-            images = images_at(psf, state[:, :2], sigma, windows.radius)
+            images = images_at(psf, windows.middles, state[:, :2], sigma, windows.radius)
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)

@@ -1,8 +1,10 @@
 """Point spread function: a Gaussian integrated over pixels, smeared along a line if the camera rotates.
 
 The width may grow with the square of the distance from the image's centre. A smear is the mean of Gaussians
-along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations. Stars
-of any other form have an empirical image instead (`finding.shape`), interpolated by cubic splines.
+along its line, by Gauss-Legendre quadrature, so that a smear of a few sigmas costs a few evaluations; coma
+that of Gaussians over the fan of third-order coma (Born & Wolf, Principles of Optics, 5.3), whose length
+grows with the distance from the image's centre. Stars of any other form have an empirical image instead
+(`finding.shape`), interpolated by cubic splines.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, record, scalar
+from boresight.geometry.record import Floats, Ints, record, scalar
 from boresight.star_id.finding.windows import AT_ONCE
 
 __all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
@@ -35,6 +37,17 @@ class Psf:
     smear_px: tuple[float, float] = scalar("motion (column, row) during the exposure, px")
     width_px: int = scalar("columns of the image")
     height_px: int = scalar("rows of the image")
+    coma_px: float = scalar(
+        "length of the comatic fan in the corners, outwards; negative: inwards", default=0.0
+    )
+    wings: float = scalar(
+        "of a fan's Gaussians: half of the light has a variance that is this share larger, half smaller",
+        default=0.0,
+    )
+    scale_sigma: float = scalar(
+        "1-sigma error of all distances from the image's middle, relative, by that of the fan",
+        default=0.0,
+    )
     shape: NDArray[Any] | None = scalar(
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",
         default=None,
@@ -54,6 +67,19 @@ class Psf:
         radius2 = 2.0 * (((xy_px + 0.5) / size - 0.5) ** 2).sum(axis=1)
         return np.asarray(self.sigma_px + (self.sigma_corner_px - self.sigma_px) * radius2)
 
+    def coma_at(self, xy_px: Floats) -> Floats | None:
+        """Fans (N, 2) as (column, row) from tip to end, px, at pixels (N, 2); None without coma."""
+        if self.coma_px == 0.0:
+            return None
+        return np.asarray(
+            (xy_px - self.middle_px) * (self.coma_px / float(np.hypot(*(self.middle_px + 0.5))))
+        )
+
+    @property
+    def middle_px(self) -> Floats:
+        """(2,) the middle of the image."""
+        return 0.5 * np.array([self.width_px - 1.0, self.height_px - 1.0])
+
     @property
     def smear_sigma_px(self) -> float:
         """Standard deviation along one axis, px, of the smear: its length over the root of 24."""
@@ -66,8 +92,8 @@ class Psf:
 
     @property
     def reach_px(self) -> float:
-        """Distance, px, beyond that of the Gaussian, to which stars extend by smear."""
-        return 0.5 * float(np.hypot(*self.smear_px))
+        """Distance, px, beyond that of the Gaussian, to which stars extend by smear and coma."""
+        return 0.5 * float(np.hypot(*self.smear_px) + abs(self.coma_px))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,12 +121,13 @@ class PsfImages:
         return self.columns[:, 2]
 
 
-def images_at(psf: Psf, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
-    """Images of stars at `offset` (N, 2), px, from the middle of windows of side 2 radius + 1: empirical, or
-    smeared Gaussians of width `sigma` (N,)."""
+def images_at(psf: Psf, middles: Ints, offset: Floats, sigma: Floats, radius: int) -> PsfImages:
+    """Images of stars at `offset` (N, 2) from the pixels `middles` (N, 2) of the image, px, in windows of
+    side 2 radius + 1 about these: empirical, or smeared Gaussians of width `sigma` (N,)."""
     if psf.shape is not None:
         return shape_images(psf.shape, offset, radius)
-    return psf_images(offset, sigma, psf.smear_px, radius)
+    coma = psf.coma_at(middles.astype(float))
+    return psf_images(offset, sigma, psf.smear_px, radius, coma=coma, wings=psf.wings)
 
 
 def shape_images(shape: NDArray[Any], offset: Floats, radius: int) -> PsfImages:
@@ -147,20 +174,26 @@ def psf_images(
     radius: int,
     *,
     widths: bool = False,
+    coma: Floats | None = None,
+    wings: float = 0.0,
 ) -> PsfImages:
     """Images of stars of width `sigma` (N,) at `offset` (N, 2) from the middle of windows of side 2 radius +
     1, px.
 
-    `widths` adds the derivatives by width and by second moments.
+    `widths` adds the derivatives by width and by second moments, of Gaussians without `wings` (as in `Psf`);
+    `coma` (N, 2) are the fans of `Psf.coma_at`.
     """
-    length = float(np.hypot(*smear_px)) / (float(sigma.min()) if len(sigma) else 1.0)
-    along, weights = _smear_nodes(length)
+    nodes, weights = _nodes(smear_px, coma, float(sigma.min()) if len(sigma) else 1.0)
     edges = np.arange(2 * radius + 2, dtype=np.float32) - np.float32(radius + 0.5)
     n, side = len(offset), 2 * radius + 1
     sigma = sigma.astype(np.float32)
     width = sigma[:, None, None, None]
+    if wings:
+        halves = np.sqrt([1.0 - wings, 1.0 + wings]).astype(np.float32)
+        width = width * np.repeat(halves, len(weights))[:, None, None]
+        nodes, weights = np.tile(nodes, (1, 2, 1)), 0.5 * np.tile(weights, 2)
     weights = weights.astype(np.float32)
-    centre = offset[:, None, :] + along[None, :, None] * np.array(smear_px)  # (N, K, 2)
+    centre = offset[:, None, :] + nodes  # (N, K, 2)
     z = (edges - centre[..., None].astype(np.float32)) / width  # (N, K, 2, side + 1)
     density = np.exp(np.float32(-0.5) * z * z) * np.float32(1.0 / np.sqrt(2.0 * np.pi))
     cumulated = np.float32(0.5) * erf(z * np.float32(np.sqrt(0.5)))
@@ -193,6 +226,20 @@ def psf_images(
     return PsfImages(columns.reshape(n, columns.shape[1], side * side), d_stretch)
 
 
+def _nodes(smear_px: tuple[float, float], coma: Floats | None, sigma: float) -> tuple[Floats, Floats]:
+    """Displacements (1 or N, K, 2), px, of the Gaussians that make a star's image, and their weights (K,),
+    which sum to 1."""
+    along, weights = _smear_nodes(float(np.hypot(*smear_px)) / sigma)
+    nodes = along[None, :, None] * np.array(smear_px)
+    if coma is None:
+        return nodes, weights
+    fan, of_fan = _fan_nodes(float(np.hypot(*coma.T).max(initial=0.0)) / sigma)
+    across = coma[:, ::-1] * [-1.0, 1.0]
+    fans = fan[:, :1] * coma[:, None] + fan[:, 1:] * across[:, None]
+    both = np.asarray((nodes[:, :, None] + fans[:, None]).reshape(len(coma), -1, 2))
+    return both, np.asarray(np.outer(weights, of_fan).ravel())
+
+
 def _smear_nodes(length: float) -> tuple[Floats, Floats]:
     """Nodes along a smear of `length` sigmas in [-1/2, 1/2] and their weights, which sum to 1."""
     if length < 1e-3:
@@ -208,3 +255,16 @@ def _gauss_legendre(count: int) -> tuple[Floats, Floats]:
     nodes.setflags(write=False)
     weights.setflags(write=False)
     return nodes, weights
+
+
+def _fan_nodes(length: float) -> tuple[Floats, Floats]:
+    """Nodes (K, 2), along and across, and weights (K,) of a comatic fan of unit length about its mean.
+
+    They are circles from zones of the pupil, of radius u / 3 for the share u of the pupil's area, displaced
+    by twice that; enough of them for a fan of `length` sigmas.
+    """
+    zone, of_zone = _gauss_legendre(int(np.ceil(2 + 0.3 * length)))
+    angle = 2.0 * np.pi * (np.arange(n := int(np.ceil(5 + 0.5 * length))) + 0.5) / n
+    radius = (1.0 + zone[:, None]) / 6.0
+    nodes = np.stack([radius * (2.0 + np.cos(angle)) - 1.0 / 3.0, radius * np.sin(angle)], axis=2)
+    return nodes.reshape(-1, 2), np.asarray(np.repeat(0.5 * of_zone / n, n))

@@ -1,4 +1,4 @@
-"""Empirical PSF of an image whose stars are no small Gaussians: trails, defocused rings.
+"""Empirical PSF of an image whose stars are no small Gaussians: trails, defocused rings, coma.
 
 The pixels of many bright stars, each divided by its flux and put where it lies in its star, are samples of
 one image, oversampled twice (Anderson & King 2000). Positions and fluxes are then fitted with that image, and

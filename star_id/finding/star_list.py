@@ -3,6 +3,7 @@ star."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from boresight.star_id.beyond_chance import FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
-from boresight.star_id.finding.blur import explains_better, find_trail
+from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise, rounding_of_blocks
@@ -37,7 +38,7 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["BRIGHT_SNR", "StarList", "list_stars"]
 
-# Most stars that trails are fitted to, and their least SNR: below it noise hides shapes and bias.
+# Most stars that coma and trails are fitted to, and their least SNR: below it noise hides shapes and bias.
 _STARS_FOR_BLUR, BRIGHT_SNR = 80, 15.0
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
 _SIGMA_AT_RESOLUTION = (0.65, 1.8)
@@ -260,7 +261,7 @@ def _bright_stars(cells: NDArray[Any], settings: StarSettings, saturation: float
 
 
 def _list_stars(frame: _Frame) -> StarList:
-    """Stars by a Gaussian PSF, or where it does not fit by a trail or an empirical one."""
+    """Stars by a Gaussian PSF, or where it does not fit by one with coma, a trail or an empirical one."""
     frame = replace(frame, background=as_independent_noise(frame.image, frame.background))
     found = _detections(frame)
     many = _MANY_BAD * frame.image.size
@@ -271,7 +272,7 @@ def _list_stars(frame: _Frame) -> StarList:
         found = replace(found, hot_pixels=found.hot_pixels + hot)
     stars = _measured(frame, found)
     if frame.settings.psf_sigma_px is None and frame.settings.smear_px is None:
-        return _trailed_or_shaped(frame, found, stars)
+        return _with_blur(find_coma, frame, found, stars) or _trailed_or_shaped(frame, found, stars)
     return stars
 
 
@@ -279,14 +280,14 @@ def _trailed_or_shaped(frame: _Frame, found: _Found, stars: StarList) -> StarLis
     """The stars by a trail, or by an empirical PSF where many detections are misshapen; as they are where
     neither explains them better.
     """
-    trailed = _with_trail(frame, found, stars)
+    trailed = _with_blur(find_trail, frame, found, stars)
     if not trailed and stars.misshapen <= FEW_STARS + _MISSHAPEN_SHARE * len(stars.xy_px):
         return stars
     shaped = _detections_by_shape(frame, found.hot_pixels)
     if shaped is None:
         return trailed or stars
     others = _measured(frame, shaped)
-    by_image = _with_trail(frame, shaped, others)
+    by_image = _with_blur(find_trail, frame, shaped, others)
     if trails := [one for one in (trailed, by_image) if one]:
         return max(trails, key=lambda one: len(one.xy_px))  # where more are found
     return _by_better_psf(frame, stars, others)
@@ -307,11 +308,13 @@ def _by_better_psf(frame: _Frame, stars: StarList, others: StarList) -> StarList
     return stars.take(distance_px < 2.0)  # the places by two PSFs are those of one star
 
 
-def _with_trail(frame: _Frame, found: _Found, stars: StarList) -> StarList | None:
-    """The stars measured again with the PSF and gain of the trail that the bright ones show, if any."""
+def _with_blur(
+    find_blur: Callable[..., tuple[Psf, float] | None], frame: _Frame, found: _Found, stars: StarList
+) -> StarList | None:
+    """The stars measured again with the PSF and gain that `find_blur` finds from the bright ones, if any."""
     bright = ~stars.saturated & ~stars.blended & (stars.snr > BRIGHT_SNR)
     xy, top = stars.xy_px[bright][:_STARS_FOR_BLUR], frame.saturation_dn
-    answer = find_trail(frame.image, xy, frame.background, stars.psf, saturation_dn=top)
+    answer = find_blur(frame.image, xy, frame.background, stars.psf, saturation_dn=top)
     if answer is None:
         return None
     psf, gain = answer

@@ -1,10 +1,10 @@
 """Frames of the sky as sensors and lenses spoil them, with known truth (also of `benchmarks/star_hard.py`).
 
 The renderer shares nothing with the simulator or with `star_id`: the point spread function is a table of
-eight points a pixel (a core with the wings of a Moffat function, drawn out to a trail or a ring), integrated
-over pixels and interpolated by cubic splines; electrons are Poisson; sensors add column offsets, row noise,
-hot pixels, dead rows, unequal pixels, vignetting, colour filters, captions, a gamma curve and the black clip
-of a consumer camera.
+eight points a pixel (a core with the wings of a Moffat function, drawn out to a trail, a ring or a comatic
+fan), integrated over pixels and interpolated by cubic splines; electrons are Poisson; sensors add column
+offsets, row noise, hot pixels, dead rows, unequal pixels, vignetting, colour filters, captions, a gamma curve
+and the black clip of a consumer camera.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ class Blur:
     beta: float = 5.0  # of the Moffat function
     trail_px: tuple[float, float] = (0.0, 0.0)
     ring_px: float = 0.0  # radius of a defocused ring
+    coma_px: float = 0.0  # length of the fan at the corner, outwards
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,16 @@ class Stars:
     electrons: NDArray = field(default_factory=lambda: np.zeros(0))
 
 
+def psf_table(blur: Blur, outwards: NDArray | None = None) -> NDArray:
+    """Spline coefficients of the pixel-integrated PSF, `FINE` points a pixel, (2 HALF FINE + 1) squared.
+
+    `outwards` (2,) is the direction (column, row) of a fan, its length the fraction of that in the corner.
+    """
+    return _psf_table(blur, None if outwards is None else (float(outwards[0]), float(outwards[1])))
+
+
 @cache
-def psf_table(blur: Blur) -> NDArray:
-    """Spline coefficients of the pixel-integrated PSF, `FINE` points a pixel, (2 HALF FINE + 1) squared."""
+def _psf_table(blur: Blur, outwards: tuple[float, float] | None) -> NDArray:
     n = HALF * FINE
     y, x = np.mgrid[-n : n + 1, -n : n + 1] / FINE
     alpha = 0.5 * blur.core_px / np.sqrt(2.0 ** (1.0 / blur.beta) - 1.0)
@@ -94,7 +102,10 @@ def psf_table(blur: Blur) -> NDArray:
         shape += np.exp(-0.5 * ((np.hypot(x, y) - blur.ring_px) / 0.35) ** 2)
     elif any(blur.trail_px):
         steps = np.linspace(-0.5, 0.5, 8 * n + 1)[:, None] * np.array(blur.trail_px)
-        _splat(shape, steps)
+        _splat(shape, steps, np.ones(len(steps)))
+    elif blur.coma_px and outwards is not None and np.hypot(*outwards) > 0.01:
+        steps, weight = _fan(blur.coma_px * np.array(outwards))
+        _splat(shape, steps, weight)
     else:
         shape[n, n] = 1.0
     table = fftconvolve(core, shape / shape.sum(), mode="same")
@@ -107,7 +118,7 @@ def psf_table(blur: Blur) -> NDArray:
     return np.asarray(spline_filter(table * (FINE**2 / table.sum()), order=3))
 
 
-def _splat(shape: NDArray, points: NDArray) -> None:
+def _splat(shape: NDArray, points: NDArray, weight: NDArray) -> None:
     """Add points (N, 2), px from the middle, to a table, shared linearly by the four nearest cells."""
     n = shape.shape[0] // 2
     at = points * FINE + n
@@ -116,7 +127,21 @@ def _splat(shape: NDArray, points: NDArray) -> None:
     for i in (0, 1):
         for j in (0, 1):
             share = np.abs(1 - i - part[:, 0]) * np.abs(1 - j - part[:, 1])
-            np.add.at(shape, (low[:, 1] + j, low[:, 0] + i), share)
+            np.add.at(shape, (low[:, 1] + j, low[:, 0] + i), weight * share)
+
+
+def _fan(outwards: NDArray) -> tuple[NDArray, NDArray]:
+    """Points and weights of third-order coma of length |outwards|: circles from zones of the pupil, each
+    displaced by twice its radius (Born & Wolf, 5.3)."""
+    length = np.hypot(*outwards)
+    zone, angle = np.meshgrid(np.linspace(0.02, 1.0, 60), np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False))
+    radius = length / 3.0 * zone**2
+    along, across = radius * (2.0 + np.cos(angle)), radius * np.sin(angle)
+    unit = outwards / length
+    points = along[..., None] * unit + across[..., None] * np.array([-unit[1], unit[0]])
+    weight = zone.ravel()
+    points = points.reshape(-1, 2)
+    return points - (points * weight[:, None]).sum(axis=0) / weight.sum(), weight
 
 
 def stamps(xy: NDArray, table: NDArray, half: int, shift: NDArray | None = None) -> tuple[NDArray, NDArray]:
@@ -198,11 +223,19 @@ def response(sensor: Sensor, size: tuple[int, int]) -> NDArray:
 
 
 def add_stars(light: NDArray, stars: Stars, blur: Blur) -> None:
-    """Add stars to an image, in place."""
-    table = psf_table(blur)
-    half = _halves(table, stars.electrons)
-    for size in np.unique(half):
-        _add_alike(light, stars, np.flatnonzero(half == size), table, int(size))
+    """Add stars to an image, in place; a fan is the same within cells of an eighth of the image."""
+    height, width = light.shape
+    cells = 9 if blur.coma_px else 1
+    cell = np.clip((stars.xy_px / [width, height] * cells).astype(int), 0, cells - 1)
+    for i in range(cells):
+        for j in range(cells):
+            rows = np.flatnonzero((cell == [i, j]).all(axis=1))
+            if not len(rows):
+                continue
+            table = psf_table(blur, fan_at(np.array([i, j]), cells))
+            half = _halves(table, stars.electrons[rows])
+            for size in np.unique(half):
+                _add_alike(light, stars, rows[half == size], table, int(size))
 
 
 def _halves(table: NDArray, electrons: NDArray) -> NDArray:
@@ -220,6 +253,11 @@ def _add_alike(light: NDArray, stars: Stars, rows: NDArray, table: NDArray, half
         part = light[t : b + half + 1, q : a + half + 1]
         y, x = t - (b - half), q - (a - half)
         part += np.maximum(image[y : y + part.shape[0], x : x + part.shape[1]], 0.0)
+
+
+def fan_at(cell: NDArray, cells: int) -> NDArray:
+    """Direction outwards of a cell (column, row), as long as the corner's is 1."""
+    return np.asarray(((cell + 0.5) / cells - 0.5) * np.sqrt(2.0))
 
 
 def write_caption(image: NDArray, top: int) -> None:

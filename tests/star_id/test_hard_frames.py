@@ -18,7 +18,9 @@ SIZE = (96, 80)
 PLACE = np.array([[48.3, 39.8]])
 
 
-@pytest.mark.parametrize("blur", [Blur(), Blur(trail_px=(9.0, -4.0)), Blur(ring_px=3.0)], ids=str)
+@pytest.mark.parametrize(
+    "blur", [Blur(), Blur(trail_px=(9.0, -4.0)), Blur(ring_px=3.0), Blur(coma_px=6.0)], ids=str
+)
 def test_a_star_has_its_electrons_whatever_the_blur(blur):
     light = np.zeros(SIZE[::-1])
     add_stars(light, Stars(PLACE, np.array([1e4])), blur)

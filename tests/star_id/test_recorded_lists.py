@@ -25,7 +25,7 @@ def numbers_of(stars: StarList, size: int) -> dict[str, np.ndarray | list[float]
     """What a list says, by name."""
     at = np.linspace(0.0, size - 1.0, 5)
     grid = np.stack(np.meshgrid(at, at), axis=-1).reshape(-1, 2)
-    psf = stars.psf
+    psf, coma = stars.psf, stars.psf.coma_at(grid)
     return {
         "column": stars.xy_px[:, 0],
         "row": stars.xy_px[:, 1],
@@ -35,6 +35,7 @@ def numbers_of(stars: StarList, size: int) -> dict[str, np.ndarray | list[float]
         "snr": stars.snr,
         "marks": np.column_stack([stars.saturated, stars.blended]),
         "psf": [psf.sigma_px, psf.sigma_corner_px, *np.abs(psf.smear_px), stars.psf_stars],
+        "coma": [] if coma is None else coma,
         "shape": [] if psf.shape is None else psf.shape,
         "sensor": [min(stars.gain_e_per_dn, 1e9), stars.threshold, stars.hot_pixels, stars.misshapen],
         "sky": np.stack(stars.background.at(grid)),

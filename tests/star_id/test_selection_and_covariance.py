@@ -283,7 +283,11 @@ def test_the_width_of_the_psf_grows_with_the_square_of_the_distance_from_the_mid
     assert psf.sigma_at(np.array([middle, corner, halfway])) == pytest.approx([1.0, 1.5, 1.125], abs=1e-12)
 
 
-def test_the_width_is_about_the_middle_between_the_outermost_pixels() -> None:
-    psf = Psf(1.0, 1.6, (0.0, 0.0), 300, 200)
+def test_coma_and_width_are_about_the_middle_between_the_outermost_pixels() -> None:
+    psf = Psf(1.0, 1.6, (0.0, 0.0), 300, 200, coma_px=2.0)
     corners = np.array([[-0.5, -0.5], [299.5, -0.5], [-0.5, 199.5], [299.5, 199.5]])
     np.testing.assert_allclose(psf.sigma_at(corners), 1.6, rtol=1e-12)
+    fans = psf.coma_at(corners)
+    assert fans is not None
+    outwards = np.array([[-3.0, -2.0], [3.0, -2.0], [-3.0, 2.0], [3.0, 2.0]]) / np.sqrt(13.0)
+    np.testing.assert_allclose(fans, 2.0 * outwards, rtol=1e-12)
