@@ -7,11 +7,15 @@ Gaussian star has the same distribution: the marks are radii of windows, too, in
 
 from __future__ import annotations
 
+from math import log
+
 __all__ = [
     "CLIP_SIGMA",
     "FEW_STARS",
+    "LEAST_STARS",
     "LOST_BY_CHANCE",
     "MAD_SIGMA",
+    "MEDIAN_CHI2",
     "NEVER_SIGMA",
     "NOISIER",
     "SELDOM_SIGMA",
@@ -25,9 +29,13 @@ SELDOM_SIGMA = 4.0
 NEVER_SIGMA = 5.0
 # Standard deviation of a normal distribution over its median absolute deviation.
 MAD_SIGMA = 1.4826
+# Median of a chi-square of two degrees of freedom.
+MEDIAN_CHI2 = log(4.0)
 # Noise of a part of an image over the usual one, from which it is unlike the rest (set by hand).
 NOISIER = 1.5
 # Probability of rejecting a good star by its place.
 LOST_BY_CHANCE = 1e-4
+# Fewest stars that anything is measured by: two agree on any rotation or width.
+LEAST_STARS = 3
 # Fewest stars whose median and scatter judge a PSF or a camera: both are then known to a third (set by hand).
 FEW_STARS = 8

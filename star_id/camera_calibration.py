@@ -27,7 +27,7 @@ from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.fisheye import FISHEYE_RAD
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.lens_model import LensModel, choose_lens, unmodelled_px
+from boresight.star_id.lens_model import LARGEST_UNMODELLED_PX, LensModel, choose_lens, unmodelled_px
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
     Observer,
@@ -38,7 +38,6 @@ from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import select_for_calibration
 
 __all__ = [
-    "LARGEST_UNMODELLED_PX",
     "CameraCalibration",
     "ResidualMap",
     "SkyFrame",
@@ -47,9 +46,6 @@ __all__ = [
 ]
 
 
-# Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
-# structure exceed twice what is stated, and the lens is refused (benchmarks/star_cameras.py).
-LARGEST_UNMODELLED_PX = 0.01
 # Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
 # model is chosen by evidence first (set by hand).
 _ROUGHLY = 1.5

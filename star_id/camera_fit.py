@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera, legendre_terms
+from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 
 __all__ = [
     "DRIFT",
-    "OUTLIER_CHI2",
     "PARAMETERS",
     "Q3",
     "CameraFit",
@@ -46,9 +46,6 @@ DRIFT = "focal_drift_per_s"
 _ALL = (*PARAMETERS, DRIFT, Q3)
 # The prior of a camera of which nothing is known: no parameter has one.
 _NOTHING: Mapping[str, float] = MappingProxyType({})
-# Squared Mahalanobis distance (2 degrees of freedom) from which a star is an outlier, times the scatter of
-# the others: exceeded by one good star in 3000, exp(-16 / 2).
-OUTLIER_CHI2 = 16.0
 # Change of the logarithm of the focal length at which a fit has diverged: 20 times (set by hand).
 _LARGEST_LOG_SCALE = 3.0
 # Step, in standard errors of the parameters, at which a fit has converged.
@@ -114,10 +111,10 @@ def fit_camera(
         if not np.isfinite(theta).all() or abs(theta[0]) > _LARGEST_LOG_SCALE:
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.d_rotation) * R
-        chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance
+        chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance  # a degree of freedom
         if k < 2:  # from a nominal camera all stars look like outliers
             continue
-        inlier = chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2[keep])) / 0.693)
+        inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * float(np.median(chi2[keep])) / MEDIAN_CHI2)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
         if np.array_equal(inlier, keep) and step.in_sigmas < _SMALL_STEP:

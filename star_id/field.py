@@ -40,6 +40,8 @@ from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
 from boresight.star_id.identification.identify import (
     DENSER,
+    FEW_DETECTIONS,
+    SOME_DETECTIONS,
     USUAL,
     WIDER,
     Identification,
@@ -50,7 +52,7 @@ from boresight.star_id.identification.identify import (
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_misfit import PER_PARAMETER
-from boresight.star_id.lens_model import CLEARLY_MORE
+from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
 from boresight.star_id.observer import (
     ABERRATION_SCALE,
     Observer,
@@ -81,8 +83,6 @@ _FOV_STEP = 0.10
 # Largest relative change of a triangle's shape that an error of the nominal focal length may cause; it
 # makes the steps of wide fields smaller than `_FOV_STEP` (set by hand).
 _SHAPE_STEP = 0.012
-# Field of view, rad, from which a lens may be a fisheye: both projections are tried. (Set by hand.)
-_WIDE_RAD = np.radians(45.0)
 # Stars that the first lens is fitted to, the brightest: false detections are mostly faint, and bend a lens
 # that few stars hold (set by hand).
 _STARS_TO_START = 12
@@ -92,9 +92,9 @@ _LEAST_RELIABLE = 4
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
 _FIRST, *_LATER = _PASSES = (
-    stages_of(USUAL, 6, 9),
-    (*stages_of(USUAL, 13, begin=9), *stages_of(WIDER, 9)),
-    stages_of(DENSER, 8, 12),
+    stages_of(USUAL, FEW_DETECTIONS),
+    (*stages_of(USUAL, SOME_DETECTIONS, begin=FEW_DETECTIONS), *stages_of(WIDER, FEW_DETECTIONS)),
+    stages_of(DENSER, FEW_DETECTIONS, SOME_DETECTIONS),
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
@@ -286,7 +286,7 @@ def solve_list(
     if camera is None and fov_x_rad is not None and fov_x_rad >= FISHEYE_RAD:
         return _of_fisheye(stars, known, fov_x_rad)
     attempts = _ATTEMPTS if camera is None else _ATTEMPTS_OF_CAMERA
-    if camera is None and fov_x_rad is not None and fov_x_rad > _WIDE_RAD:
+    if camera is None and fov_x_rad is not None and fov_x_rad > WIDE_RAD:
         attempts = (*attempts, (False, _PASSES, "equidistant"))
     view = cache(lambda mirrored: stars.mirrored(size[0]) if mirrored else stars)
     tried, reasons, best = 0, [], None
@@ -310,7 +310,7 @@ def solve_list(
             best, named = replace(solution, mirrored=True) if mirrored else solution, found
     if best is None:
         return max(reasons, key=lambda answer: answer.best_log_odds)
-    if camera is None and best.fov_x_rad > _WIDE_RAD:
+    if camera is None and best.fov_x_rad > WIDE_RAD:
         return _of_likelier_projection(best, named, view(best.mirrored), known)
     return best
 

@@ -13,8 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (
+    ROUNDS,
     SMALL_CHANGE,
     LensEquations,
     LensErrors,
@@ -24,10 +26,6 @@ from boresight.star_id.lens_misfit import (
 )
 
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
-
-
-# Most rounds of fitting the camera and the common variance in turn (set by hand; two are usual).
-_ROUNDS = 8
 
 
 @record
@@ -102,8 +100,8 @@ def _fit(
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera)
     residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
-    common = float(np.median((residual**2).sum(axis=1))) / 1.386  # median of chi2 with two degrees of freedom
-    for _ in range(_ROUNDS):
+    common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
+    for _ in range(ROUNDS):  # two are usual
         cov = cov_px + common * np.eye(2)
         fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)

@@ -17,11 +17,11 @@ from scipy.special import chdtri
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
-    STRETCH_SIZES_PX,
+    SIZES_PX,
     LensEquations,
     LensErrors,
     lens_errors,
@@ -29,6 +29,7 @@ from boresight.star_id.lens_misfit import (
     stretch_size,
     with_common_variance,
 )
+from boresight.star_id.observer import ABERRATION
 
 __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 
@@ -37,8 +38,6 @@ __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivati
 # not as given: 3 degrees of freedom, 2 % of clean images by chance. What is below it biases the roll by up to
 # three times its error.
 _LINEAR_SEEN = 5.0
-# Relative change of scale that is no misfit: twice what the Earth's velocity does to angles.
-_EXPECTED_SCALE = 2e-4
 
 
 def fit_known_camera(
@@ -160,14 +159,15 @@ def _departing(
             break
     turn, cov_s = errors.turned()
     scale = errors.mean[3] / camera.focal_m
-    linear_only = len(errors.mean) == 4 and abs(scale) < _EXPECTED_SCALE
+    # the Earth's velocity changes angles by half of that
+    linear_only = len(errors.mean) == 4 and abs(scale) < 2.0 * ABERRATION
     misfit_px = 0.0 if linear_only else errors.displaced_px()
     return FieldFit(Rotation.from_rotvec(turn) * R_si, cov_s, camera, 0.0, misfit_px)
 
 
 def _errors(equations: LensEquations) -> LensErrors:
     """Errors with a variance common to all stars, as the residuals of a scale and any stretch show it."""
-    linear = equations.stretched(float(STRETCH_SIZES_PX[-1]))  # no prior
+    linear = equations.stretched(float(SIZES_PX[-1]))  # no prior
     common = with_common_variance(linear, 0.0)
     residual = linear.residual_px - linear.columns @ linear.solved(common).mean
     square = np.einsum(
@@ -184,5 +184,5 @@ def _agreeing(errors: LensErrors, u_s: Floats, xy_px: Floats, cov_px: Floats) ->
     off = xy_px - predicted
     inverse = np.linalg.inv(cov_px + errors.common_px2 * np.eye(2))
     square = np.nan_to_num(np.einsum("ni,nij,nj->n", off, inverse, off), nan=np.inf)
-    scatter = max(1.0, float(np.median(square) / chdtri(2, 0.5)))
+    scatter = max(1.0, float(np.median(square) / MEDIAN_CHI2))
     return square <= scatter * float(chdtri(2, LOST_BY_CHANCE))

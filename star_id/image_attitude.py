@@ -17,25 +17,22 @@ from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.beyond_chance import NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
 __all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
 
-# Fewest stars that may remain after rejection: of fewer none is rejected.
-_FEWEST = 3
-# Median of a chi-square of two degrees of freedom.
-_MEDIAN = float(chdtri(2, 0.5))
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
 # The components after and before each of three, cyclically: (a x b)_k = a[next] b[previous] - a[previous]
 # b[next].
-NEXT, PREV = np.array([1, 2, 0]), np.array([2, 0, 1])
+NEXT = np.array([1, 2, 0])
+PREV = NEXT[NEXT]
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
 _ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, NEVER_SIGMA, SELDOM_SIGMA)
-# Most steps of Gauss-Newton of one fit, and rounds of rejection.
-_STEPS, _ROUNDS = 5, 12
+# Most steps of Gauss-Newton of one fit, or rounds of rejection.
+_ROUNDS = 12
 
 
 @record
@@ -98,14 +95,14 @@ def fit_image_attitude(
     stars, kept, start = _Whitened.of(slopes, cov_px, u_i, by_scale), np.ones(n) > 0.0, R_si.as_matrix()
     R, scale, z, F = stars.refined(start)
     square = (z * z).sum(axis=0)
-    scatter = max(1.0, median_of(square) / _MEDIAN) if n else 1.0
+    scatter = max(1.0, median_of(square) / MEDIAN_CHI2) if n else 1.0
     limit = scatter * float(chdtri(2, false_alarm))
     if square.max(initial=0.0) > limit:
         gross = (square > GROSS * scatter).any()
         R_kept, scale_kept, found = stars.without_outliers(
             *(stars.robust(start) if gross else (R, scale)), limit
         )
-        if np.count_nonzero(found) >= _FEWEST:
+        if np.count_nonzero(found) >= LEAST_STARS:  # else none is rejected
             R, scale, kept = R_kept, scale_kept, found
             z, D = stars.linear(R, scale)
             F, square = _normal(z, D, kept)[0], (z * z).sum(axis=0)
@@ -169,7 +166,7 @@ class _Whitened:
         """Attitude (3, 3) and scale of all stars by Gauss-Newton from R (3, 3), their residuals (2, N) and
         the normal matrix (P, P) there."""
         scale = 0.0
-        for _ in range(_STEPS):
+        for _ in range(_ROUNDS):
             z, D = self.linear(R, scale)
             F, right = _normal(z, D)
             R, scale, step = _stepped(R, scale, F, right)

@@ -41,8 +41,9 @@ from boresight.star_id.camera_fit import (
 
 __all__ = [
     "PER_PARAMETER",
+    "ROUNDS",
+    "SIZES_PX",
     "SMALL_CHANGE",
-    "STRETCH_SIZES_PX",
     "LensEquations",
     "LensErrors",
     "lens_errors",
@@ -57,14 +58,9 @@ _DEGREE = 6
 _TERMS = term_orders(_DEGREE)
 # Gain of log evidence by a smooth distortion for it to be stated: e^2 to 1 (set by hand).
 _WARP_LOG_EVIDENCE = 2.0
-# Trials whether a smooth distortion is to be searched for at all: the variance common to all stars is
-# multiplied by these shares, and a distortion of `_TRIED_WARP` times its root is added. If neither raises
-# the evidence, no size will (set by hand).
-_TRIED_SHARES = (1.0, 0.5)
-# Size of the distortion of these trials over the root of the common variance.
-_TRIED_WARP = 2.0
-# Sizes of a stretch along one direction that are compared, px: displacement at the ends of the longer side.
-STRETCH_SIZES_PX = np.geomspace(1e-3, 1e2, 101, dtype=np.float64)
+# Prior sizes, px, that are compared by evidence, in ratios of 1.6: of a stretch along one direction
+# (displacement at the ends of the longer side), and of a smooth distortion of a lens.
+SIZES_PX = np.geomspace(1e-3, 1e2, 26, dtype=np.float64)
 # Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
 # one parameter (Akaike 1974).
 PER_PARAMETER = 1.0
@@ -72,14 +68,14 @@ PER_PARAMETER = 1.0
 _LARGEST_VARIANCE = 1e12
 # Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
 # hand).
-_ROUNDS, SMALL_CHANGE = 40, 1e-4
+ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
 _SCALE_BY_STRETCH2 = np.sqrt(2.0)
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
-_FOCAL = PARAMETERS[:1]
+_FOCAL = ("focal_m",)
 # Cells along columns and rows whose middles stand for the detector: its mean squares to 2 %.
 _CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
@@ -275,7 +271,7 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
     """Variance, px^2 along one axis, of an error that each star has for itself, as the residuals of the
     solution with this variance show it."""
     own, common = 0.5 * np.trace(equations.cov_px, axis1=1, axis2=2), start_px2
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
         before, common = common, _common_variance(residual, solution.leverage, own, common)
@@ -356,15 +352,14 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tupl
     def solved(common: float, warp: float) -> _Linear:
         return normal(common).solved(np.append(equations.sigma, warp * decay))
 
-    tried = (solved(share * common_px2, _TRIED_WARP * common_px2**0.5) for share in _TRIED_SHARES)
-    if all(trial.log_evidence <= plain.log_evidence for trial in tried):
-        return None
     floor = 1e-4 * common_px2
 
     def sized(size: Floats) -> tuple[float, float]:
         return float(np.exp(2.0 * size[0])) + floor, float(np.exp(size[1]))
 
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    if solved(*sized(start)).log_evidence <= plain.log_evidence:  # then no size raises it
+        return None
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
     share = share_by_evidence(log_evidence - plain.log_evidence, _WARP_LOG_EVIDENCE)
     if share == 0.0:
@@ -402,8 +397,8 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
         v = value + size**2
         return float((square / v**2 - 1.0 / v).sum())
 
-    best = min(max(int(gained(STRETCH_SIZES_PX).argmax()), 1), len(STRETCH_SIZES_PX) - 2)
-    size = _zero(slope, *STRETCH_SIZES_PX[[best - 1, best + 1]].tolist())
+    best = min(max(int(gained(SIZES_PX).argmax()), 1), len(SIZES_PX) - 2)
+    size = _zero(slope, *SIZES_PX[[best - 1, best + 1]].tolist())
     likeliest = gained(np.array([size], dtype=np.float64))
     return size * share_by_evidence(float(likeliest[0]), PER_PARAMETER) ** 0.5
 

@@ -22,15 +22,15 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.camera_fit import (
-    OUTLIER_CHI2,
     PARAMETERS,
     Q3,
     CameraFit,
@@ -41,21 +41,25 @@ from boresight.star_id.camera_fit import (
     rotation_derivatives,
     smooth_derivatives,
 )
+from boresight.star_id.lens_misfit import SIZES_PX
 
-__all__ = ["CLEARLY_MORE", "TANGENT_RAD", "LensModel", "choose_lens", "unmodelled_px"]
+__all__ = [
+    "CLEARLY_MORE",
+    "LARGEST_UNMODELLED_PX",
+    "TANGENT_RAD",
+    "WIDE_RAD",
+    "LensModel",
+    "choose_lens",
+    "unmodelled_px",
+]
 
 # Degree of the polynomials of a smooth distortion of a lens, from many images.
 _DEGREE = 10
-# Prior sizes of the smooth distortion that are compared by evidence, px rms, in ratios of 1.6.
-_SIZES_PX = np.geomspace(1e-3, 30.0, 24)
-# Ratios of sizes of the parabolas that find the largest evidence between them, least curvature that is
-# assumed, and most steps to its top (set by hand).
-_FINER_RATIOS, _LEAST_BEND, _MOST_STEPS = (1.2, 1.05), 1e-6, 3.0
 # Gain of log evidence by a smooth distortion for it to be taken: e^4, 55 to 1.
 _SEEN = 4.0
-# Angle of a star from the axis, rad, beyond which a lens may be stereographic: to there q1 to q3 follow
-# tan(t/2) to 1e-7 of the radius.
-_STEREOGRAPHIC_RAD = np.radians(45.0)
+# Field of view, rad, from which a lens may be a fisheye (set by hand), and angle of a star from the axis
+# beyond which it may be stereographic: to there q1 to q3 follow tan(t/2) to 1e-7 of the radius.
+WIDE_RAD = np.radians(45.0)
 # Angle of a star from the axis, rad, beyond which a lens has no tangent projection: lenses with one image
 # 110 deg at most, their corners 65 deg from the axis.
 TANGENT_RAD = np.radians(70.0)
@@ -64,9 +68,10 @@ TANGENT_RAD = np.radians(70.0)
 CLEARLY_MORE = 1.1
 # Fewest pairs of stars near one another that show a distortion left over.
 _FEWEST_PAIRS = 50
-# Least error of a place, px, in weighing these pairs: stated errors of bright stars are smaller than what
-# the PSF is wrong by.
-_LEAST_PX = 0.01
+# Largest distortion, px, that the chosen lens model may leave unexplained; beyond it errors near sharp
+# structure exceed twice what is stated, and the lens is refused (benchmarks/star_cameras.py). Pairs of stars
+# have at least this error: stated ones of bright stars are smaller than what the PSF is wrong by.
+LARGEST_UNMODELLED_PX = 0.01
 # Prior displacement of the corner by q3, as a share of its radius: larger ones do not occur in lenses that
 # q1 and q2 describe (set by hand).
 _Q3_CORNER = 0.002
@@ -138,7 +143,7 @@ def _projections(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation
     widest = np.arccos(np.clip(along_axis.min(), -1.0, 1.0))
     if widest > TANGENT_RAD:
         return equidistant, stereographic
-    return (brown, equidistant, stereographic) if widest > _STEREOGRAPHIC_RAD else (brown, equidistant)
+    return (brown, equidistant, stereographic) if widest > WIDE_RAD else (brown, equidistant)
 
 
 def _each(fit: Callable[[_Case], _Fitted], cases: Iterable[_Case]) -> Iterator[_Fitted]:
@@ -206,9 +211,10 @@ def _shared_px(residual_px: Floats, sigma_px: Floats, a: Ints, b: Ints) -> float
     """Root mean product of the residuals of pairs of stars `a`, `b` (K,), px; 0 if not significant."""
     variance = 0.0
     for _ in range(3):  # the weight of a pair depends on the variance that is sought
-        noise2 = sigma_px**2 + max(variance, _LEAST_PX**2)
+        noise2 = sigma_px**2 + max(variance, LARGEST_UNMODELLED_PX**2)
         weight = 1.0 / (noise2[a] * noise2[b])
-        clipped = np.clip(residual_px, *(np.array([[-4.0], [4.0]])[:, :, None] * np.sqrt(noise2)[:, None]))
+        limit = SELDOM_SIGMA * np.sqrt(noise2)[:, None]
+        clipped = np.clip(residual_px, -limit, limit)
         product = 0.5 * weight * (clipped[a] * clipped[b]).sum(axis=1)
         # a star is in several pairs: the error is that of the sums by star
         by_star = np.bincount(a, product, minlength=len(sigma_px))
@@ -230,7 +236,8 @@ def _without_gross(stars: IdentifiedStars, plain: CameraFit) -> Bools:
         system = _System.of(stars, plain, PARAMETERS, keep)
         residual = system.residual - system.columns @ system.solved(1.0).mean
         chi2 = 0.5 * (residual**2).sum(axis=1) / (0.5 * np.trace(stars.cov_px, axis1=1, axis2=2))
-        before, keep = keep, chi2 < OUTLIER_CHI2 * max(1.0, float(np.median(chi2)) / 0.693)
+        limit = SELDOM_SIGMA**2 * max(1.0, 2.0 * float(np.median(chi2)) / MEDIAN_CHI2)
+        before, keep = keep, chi2 < limit
         if np.array_equal(before, keep):
             break
     return keep
@@ -310,14 +317,16 @@ class _System:
         )
 
     def likeliest_size_px(self) -> float:
-        """1-sigma size of the smooth distortion of the largest evidence, between those that are compared by a
-        parabola: of two alike ones rounding would choose."""
-        size = max(_SIZES_PX.tolist(), key=lambda t: self.solved(t).log_evidence)
-        for ratio in _FINER_RATIOS:
-            less, here, more = (self.solved(size * ratio**k).log_evidence for k in (-1, 0, 1))
-            steps = 0.5 * (more - less) / max(2.0 * here - less - more, _LEAST_BEND)
-            size *= ratio ** min(max(steps, -_MOST_STEPS), _MOST_STEPS)
-        return size
+        """1-sigma size of the smooth distortion of the largest evidence, between those compared, too:
+        of two alike ones rounding would choose."""
+
+        def against(log_size: float) -> float:
+            return -self.solved(float(np.exp(log_size))).log_evidence
+
+        sizes = np.log(SIZES_PX)
+        best = min(max(int(np.argmin([against(size) for size in sizes])), 1), len(sizes) - 2)
+        bounds = sizes[best - 1], sizes[best + 1]
+        return float(np.exp(scipy.optimize.minimize_scalar(against, bounds=bounds, method="bounded").x))
 
     def solved(self, size_px: float) -> _Solved:
         """Posterior with a smooth distortion of 1-sigma size; 0: without one."""

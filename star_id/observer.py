@@ -16,6 +16,7 @@ from boresight.geometry.starlight import Air, apparent_star_directions, catalogu
 from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = [
+    "ABERRATION",
     "ABERRATION_SCALE",
     "Observer",
     "proper_motion_covariance",
@@ -25,9 +26,10 @@ __all__ = [
 
 # Steps of inverting the refraction: each reduces the error by its change with altitude, 100 times and more.
 REFRACTION_STEPS = 4
-# Rms relative change of angles by the Earth's velocity over all directions, v / c / sqrt(3), where the time
-# of an image is unknown.
-ABERRATION_SCALE = 9.94e-5 / 3.0**0.5
+# Mean speed of the Earth over that of light: largest relative change of angles by it.
+ABERRATION = 9.94e-5
+# The same, root mean square over all directions, where the time of an image is unknown.
+ABERRATION_SCALE = ABERRATION / 3.0**0.5
 
 
 @record

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA
 from boresight.star_id.finding.psf import Psf, psf_images
 from boresight.star_id.finding.star_list import BRIGHT_SNR, StarList
 
@@ -21,12 +22,8 @@ __all__ = ["SNR_EDGES", "CentroidScore", "cramer_rao_px", "score_centroids"]
 SNR_EDGES = (5.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 80.0, 160.0, 1e4)
 # Parts of a pixel by which bias is reported.
 PHASES = 10
-# Distance of the nearest relevant neighbour, PSF widths, from which a star is isolated.
-_ISOLATED_SIGMA = 10.0
-# Flux of a neighbour over the star's own from which it is relevant.
+# Flux of a neighbour within the windows of both over the star's own from which the star is not isolated.
 _RELEVANT_FLUX = 0.002
-# Distance of a detection from a true star, PSF widths, up to which it is this star's.
-_MATCH_SIGMA = 2.5
 
 
 @record(kw_only=True)
@@ -147,10 +144,10 @@ def _matched(
     size = np.array([psf.width_px, psf.height_px])
     usable = (peak < 0.95 * saturation) & (xy > border).all(axis=1) & (xy < size - 1 - border).all(axis=1)
     tree = cKDTree(xy)
-    pairs = tree.query_pairs(_ISOLATED_SIGMA * sigma, output_type="ndarray")
+    pairs = tree.query_pairs(2.0 * NEVER_SIGMA * sigma, output_type="ndarray")
     for a, b in (pairs.T, pairs.T[::-1]):
         usable[a[flux[b] > _RELEVANT_FLUX * flux[a]]] = False
-    reach = _MATCH_SIGMA * sigma
+    reach = CLIP_SIGMA * sigma
     near, _ = tree.query(stars.xy_px, distance_upper_bound=reach)
     false = int(np.count_nonzero(~np.isfinite(near)))
     back, detection = cKDTree(stars.xy_px).query(xy, distance_upper_bound=reach)

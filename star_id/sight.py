@@ -18,6 +18,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
+from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import list_stars
@@ -127,7 +128,7 @@ def sight_centroids(
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)
     usable = select_for_calibration(stars, found.detections, found.stars, camera, index, settings)
     rows, index_rows = found.detections[usable], found.stars[usable]
-    if len(rows) < 3:
+    if len(rows) < LEAST_STARS:
         reason = f"{len(usable)} stars identified, only {len(rows)} fit for calibration, 3 are needed"
         return NotIdentified(f"exposure {exposure_id}: {reason}", len(usable), found.proposals)
     xy = stars.xy_px[rows]

@@ -28,7 +28,6 @@ from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, panels
 from boresight.star_id.camera_calibration import (
-    LARGEST_UNMODELLED_PX,
     CameraCalibration,
     ResidualMap,
     SkyFrame,
@@ -39,6 +38,7 @@ from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.identification.identify import NotIdentified
+from boresight.star_id.lens_model import LARGEST_UNMODELLED_PX
 from boresight.star_id.settings import StarSettings
 
 __all__ = ["CameraRequest", "calibrate_from_images"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, array, record, scalar
-from boresight.star_id.beyond_chance import CLIP_SIGMA, NOISIER
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NOISIER
 from boresight.star_id.finding.cut_sky import UNCUT, clipped_variance, cut_moments, limit_after_cut
 
 __all__ = [
@@ -183,7 +183,7 @@ def _noise_between_neighbours(image: NDArray[Any]) -> float:
     if np.mean(difference == 0.0) > _ALIKE:
         return np.inf
     middle = difference.size // 2
-    return max(1.0483 * float(np.partition(difference, middle, axis=None)[middle]), 0.3)
+    return max(np.sqrt(0.5) * MAD_SIGMA * float(np.partition(difference, middle, axis=None)[middle]), 0.3)
 
 
 def _noise_in_blocks(image: NDArray[Any], blocks: tuple[int, ...]) -> Floats:
@@ -193,7 +193,7 @@ def _noise_in_blocks(image: NDArray[Any], blocks: tuple[int, ...]) -> Floats:
     parts = image[: blocks[0] * rows, : blocks[1] * columns].astype(np.float32)
     parts = parts.reshape(blocks[0], rows, blocks[1], columns)
     difference = np.abs(parts[..., NEAR_PX:] - parts[..., :-NEAR_PX])
-    return np.asarray(1.0483 * np.median(difference, axis=(1, 3)), dtype=float)
+    return np.asarray(np.sqrt(0.5) * MAD_SIGMA * np.median(difference, axis=(1, 3)), dtype=float)
 
 
 def _by_blocks(image: NDArray[Any], side: float) -> Background:

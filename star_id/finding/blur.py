@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats
-from boresight.star_id.beyond_chance import MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
 from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
@@ -55,9 +55,6 @@ _BETTER = 0.8
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
-# Length of a trail over the width from which a smeared Gaussian of sharp ends is fitted; a shorter one is a
-# Gaussian of other second moments.
-_TRAIL_SIGMA = 3.0
 # Share of the peak below which pixels of an empirical image do not enter its second moments: they are
 # noise.
 _LIGHT = 0.1
@@ -147,7 +144,8 @@ def find_trail(
     gain, e-/DN, that the residuals about it show; None where it explains the images of the stars at `xy_px`
     (N, 2) less well, or there is no trail."""
     width, smear = (psf.sigma_px, np.array(psf.smear_px)) if psf.shape is None else _trail_of(psf)
-    if np.hypot(*smear) < _TRAIL_SIGMA * width or len(xy_px) < _FEWEST:
+    # shorter than that, it is a Gaussian of other second moments
+    if np.hypot(*smear) < CLIP_SIGMA * width or len(xy_px) < _FEWEST:
         return None
     radius = psf.shape_radius_px or int(np.ceil(3.0 * width + psf.reach_px)) + 1
     windows = star_windows(image, np.rint(xy_px).astype(np.int64), background, radius, saturation_dn)
@@ -159,7 +157,7 @@ def find_trail(
             psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None, error_factor=None
         )
 
-    scale = np.append(0.1, np.full(2, np.abs(smear).max()))
+    scale = np.append(_UNSURE, np.full(2, np.abs(smear).max()))
     found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size

@@ -21,6 +21,7 @@ from boresight.geometry.record import Floats, Ints
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, extended
 from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
+from boresight.star_id.finding.windows import NINE
 
 __all__ = ["MAX_CANDIDATES", "find_candidates"]
 
@@ -42,8 +43,6 @@ _COARSE_NOISE_DN = 1.2
 _TILES_PER_BLOCK = 32
 # Most candidates that are tested, the highest: an image with more shows no sky. Bounds time and memory.
 MAX_CANDIDATES = 20_000
-# The pixels that a local maximum must not be lower than.
-_NEIGHBOURS = np.ones((3, 3), np.uint8)
 # Rows of the binned image that are worked on at a time, so that they stay in the processor's cache; a
 # multiple of 8 (`_words`).
 _BAND_ROWS = 64
@@ -83,7 +82,7 @@ def find_candidates(image: NDArray[Any], background: Background, *, halvings: in
         if len(threshold) > 1:
             threshold = threshold[first : first + n, :columns]
         cv2.subtract(sums[:n], threshold, sums[:n])  # saturates: most sums become 0
-        cv2.dilate(sums[:n], _NEIGHBOURS, maxima[:n])
+        cv2.dilate(sums[:n], NINE, maxima[:n])
         own = slice(top - first, top - first + _BAND_ROWS)
         sums[n:] = 0  # below the image
         words, around = _words(sums[own]), _words(maxima[own])

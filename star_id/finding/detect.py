@@ -19,7 +19,7 @@ from scipy.special import erf
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.windows import windows_at
+from boresight.star_id.finding.windows import AT_ONCE, windows_at
 
 __all__ = ["WINGS", "Detections", "detect", "detection_threshold"]
 
@@ -30,8 +30,6 @@ _TAPS_SIGMA = 1.8
 # Light of a pixel's four neighbours together over its own, below which it is hot: of stars only those
 # narrower than 0.35 px have less.
 _CROSS_OF_PEAK = 0.35
-# Windows filtered at a time, so that they stay in the processor's cache.
-_CHUNK = 128
 # Share of a peak that must remain above the level of the ring around it: else it is structure of the sky
 # (set by hand).
 _LEAST_ABOVE_RING = 0.5
@@ -146,8 +144,8 @@ def _product(windows: Pixels, kernel: Pixels) -> Pixels:
     """Matrix product a few rows at a time: they stay in the cache, and are too few for BLAS to start
     threads."""
     flux = np.empty((len(windows), kernel.shape[1]), dtype=np.float32)
-    for k in range(0, len(windows), _CHUNK):
-        np.matmul(windows[k : k + _CHUNK], kernel, out=flux[k : k + _CHUNK])
+    for k in range(0, len(windows), AT_ONCE):
+        np.matmul(windows[k : k + AT_ONCE], kernel, out=flux[k : k + AT_ONCE])
     return flux
 
 

@@ -2,27 +2,29 @@
 
 Two short parts of each line far apart show its offset alike, which noise and stars do not: the covariance of
 the parts, over the lines, is the variance of the offsets, and in a single hot line both parts stand out.
-Where either is significant each line's mean without stars, less the smooth course of these, is subtracted;
-the level of the sky over the image remains. A single line that is near saturation, or much noisier or quieter
-than those around it, shows no stars: it is replaced by the mean of the lines beside it, and told, so that it
-has no weight in fits.
+Where the former is significant each line's mean without stars, less the smooth course of these, is
+subtracted, where the latter alone is that of the single lines; the level of the sky over the image remains. A
+single line that is near saturation, or much noisier or quieter than those around it, shows no stars: it is
+replaced by the mean of the lines beside it, and told, so that it has no weight in fits.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints
-from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, NOISIER, SELDOM_SIGMA
+from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
 
-__all__ = ["SPARSE", "without_lines"]
+__all__ = ["PART_PX", "SPARSE", "without_lines"]
 
-# Pixels of a line that are summed to one number when offsets of lines are looked for (set by hand).
-_PART_PX = 32
+# Side, px, of the parts of an image that are summed to one number when offsets of readout or colours are
+# looked for (set by hand): of 32 x 32 px the mean of a colour is known to 1/16 of their noise.
+PART_PX = 32
 # Adjacent lines in the middle of the image that are looked at for offsets of all lines, and pixels of a line
 # whose median is taken: known to 1/25 of a pixel's noise.
 _LINES = 1024
@@ -38,17 +40,10 @@ _AROUND = 51
 _SMOOTH = 301
 # Share of lines that stand so low that their cut-off is above that of the others.
 _RAISED = 0.05
-# Standard deviation of a pixel, DN, up to which an image of whole numbers has too few grey levels to show the
-# offsets of all lines: rounding then adds a tenth to the variance (1/12 DN^2).
-_LEAST_NOISE_DN = 1.0
-# The same for 8 bits where the sky is cut off (set by hand: of two real frames in sixteen a seventh of the
-# stars is lost otherwise, the others have more).
+# Standard deviation of a pixel, DN, of 8 bits whose sky is cut off, up to which it has too few grey levels to
+# show the offsets of all lines (set by hand: of two real frames in sixteen a seventh of the stars is lost
+# otherwise, the others have more).
 _LEAST_NOISE_CUT_OFF_DN = 4.0
-# Noise of a line over that of the lines around it from which it is left out (set by hand: its pixels would
-# have half the weight; estimated to 0.04).
-_NOISIER = 1.4
-# Noise of a line over that around it below which it is dead: no light changes its pixels (set by hand).
-_QUIETER = 0.5
 # Share of the pixels of most lines above the least value from which a sky is not cut off (set by hand).
 _WHOLE = 0.99
 # Every so many rows and columns are looked at for shares of pixels (set by hand).
@@ -67,7 +62,7 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[An
     """
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         image = image.astype(np.float32)
-    lines = [axis for axis in (0, 1) if _has_offsets(image, axis)]
+    lines = {axis: kind for axis in (0, 1) if (kind := _lines_with_offsets(image, axis)) != "none"}
     if not lines:
         return image, None
     clean = image.astype(np.float32)
@@ -75,9 +70,13 @@ def without_lines(image: NDArray[Any], saturation_dn: float) -> tuple[NDArray[An
     above = image[::SPARSE, ::SPARSE] > image.min()  # of dead lines all pixels are at the least value
     whole = max(float(np.median(above.mean(axis=axis))) for axis in (0, 1)) > _WHOLE
     useless = []
-    for axis in lines:
+    for axis, kind in lines.items():
         seen = clean if axis == 0 else clean.T
         offset, unusable = _offsets(seen, saturation_dn, whole)
+        if kind == "single":  # what others have is of the scene: trees, roofs
+            parts = _parts(seen, 0)
+            others = np.delete(np.arange(len(offset)), _single_lines(parts, _scale(np.diff(parts))))
+            offset[others] = 0.0
         floor -= min(0.0, float(np.quantile(offset, _RAISED)))
         seen -= offset[:, None]
         useless.append((seen, unusable))
@@ -101,23 +100,42 @@ def _replace(image: NDArray[np.float32], rows: Ints, no_stars: Bools) -> None:
             image[run], no_stars[run] = image[beside].mean(axis=0), True
 
 
-def _has_offsets(image: NDArray[Any], axis: int) -> bool:
-    """Whether the rows (axis 0) or columns (axis 1) of an image have offsets."""
+def _lines_with_offsets(image: NDArray[Any], axis: int) -> Literal["none", "single", "all"]:
+    """Which rows (axis 0) or columns (axis 1) of an image have offsets: none, single ones or all."""
     if axis == 0:  # rows lie apart in memory: some will do
         first = max(0, (len(image) - _LINES) // 2)
         image = image[first : first + _LINES]
     parts = _parts(image, axis)
     steps = np.diff(parts[:, :_LINES], axis=1)
+    least_dn = LEAST_LEVELS_PER_SIGMA if np.issubdtype(image.dtype, np.integer) else 0.0
+    scale = max(_scale(steps), least_dn / np.sqrt(PART_PX))
+    single = _single_lines(parts, scale)
+    some = len(single) and _differ(image if axis == 0 else image.T, single, 0.5 * SELDOM_SIGMA * scale)
+    if _all_have_offsets(image, parts, steps, scale, least_dn):
+        return "all"
+    return "single" if some else "none"
+
+
+def _scale(steps: Floats) -> float:
+    """Standard deviation of steps (2, N) between parts of adjacent lines."""
     few = np.sort(np.abs(steps[:, ::3]), axis=None)
-    scale = MAD_SIGMA * float(few[len(few) // 2])
-    least_dn = _LEAST_NOISE_DN if np.issubdtype(image.dtype, np.integer) else 0.0
-    scale = max(scale, least_dn / np.sqrt(_PART_PX))
+    return MAD_SIGMA * float(few[len(few) // 2])
+
+
+def _single_lines(parts: Floats, scale: float) -> Ints:
+    """The lines both of whose parts (2, N) stand out alike from the lines beside them, whose steps have a
+    standard deviation `scale`."""
     bump = parts[:, 2:-2] - 0.5 * (parts[:, 4:] + parts[:, :-4])  # 0.87 of the scale of a step
     limit = SELDOM_SIGMA * scale
-    single = ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0]
-    if len(single) and _differ(image if axis == 0 else image.T, single + 2, 0.5 * limit):
-        return True
-    pixel_dn = scale * np.sqrt(0.5 * _PART_PX)
+    return ((np.minimum(*bump) > limit) | (np.maximum(*bump) < -limit)).nonzero()[0] + 2
+
+
+def _all_have_offsets(
+    image: NDArray[Any], parts: Floats, steps: Floats, scale: float, least_dn: float
+) -> bool:
+    """Whether the steps (2, N) between parts of adjacent lines are alike in both parts by more than
+    chance."""
+    pixel_dn = scale * np.sqrt(0.5 * PART_PX)
     if image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn:
         least_dn = _LEAST_NOISE_CUT_OFF_DN
     if pixel_dn <= least_dn:
@@ -136,9 +154,9 @@ def _parts(image: NDArray[Any], axis: int) -> Floats:
     """(2, N) means of two parts of the N rows (axis 0) or columns (axis 1)."""
     along = image.shape[1 - axis]
     means = []
-    for s in (along // 3 - _PART_PX // 2, 2 * along // 3 - _PART_PX // 2):
+    for s in (along // 3 - PART_PX // 2, 2 * along // 3 - PART_PX // 2):
         s = max(s, 0)
-        part = image[:, s : s + _PART_PX] if axis == 0 else image[s : s + _PART_PX]
+        part = image[:, s : s + PART_PX] if axis == 0 else image[s : s + PART_PX]
         count = part.shape[1 - axis]
         weight = np.full(count, 1.0 / count, dtype=np.float32)
         part = part.astype(np.float32)
@@ -184,5 +202,5 @@ def _unlike_others(clipped: NDArray[Any]) -> Bools:
     parts = np.array_split(clipped, _QUARTERS, axis=1)
     noise = np.array([np.sqrt((part**2).mean(axis=1)) for part in parts])
     usual = scipy.ndimage.median_filter(noise.min(axis=0), _AROUND, mode="nearest")
-    noisy = noise.min(axis=0) > _NOISIER * np.maximum(usual, 0.3)
-    return np.asarray(noisy | (noise.max(axis=0) < _QUIETER * usual))
+    noisy = noise.min(axis=0) > NOISIER * np.maximum(usual, 0.3)
+    return np.asarray(noisy | (NOISIER * noise.max(axis=0) < usual))  # no light changes those of dead ones

@@ -17,16 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Floats
-from boresight.star_id.beyond_chance import MAD_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
-from boresight.star_id.finding.lines import without_lines
+from boresight.star_id.finding.lines import PART_PX, without_lines
 
 __all__ = ["cell_response", "even_image", "has_mosaic", "merged_cells"]
 
 # Tiles along each side of the image in which the levels of the four pixels of a colour cell are compared.
 _TILES = 3
-# Side of such a tile, px: the mean of 256 pixels a colour is known to 1/16 of their noise.
-_TILE_PX = 32
 # Difference between the four levels, in a pixel's noise, from which they matter (set by hand; 2.4 standard
 # errors of a tile).
 _DIFFERENT_SIGMA = 0.15
@@ -35,8 +33,6 @@ _STAR_PX = 24
 # Share of the tiles that must agree on the brightest and on the darkest of the four pixels: by chance a
 # quarter does.
 _ALIKE = 0.8
-# Fewest stars that show a response: a hot pixel is one of them now and then (set by hand).
-_FEWEST = 5
 # Largest standard error of a response that is divided out: its square is added to the noise of starlight.
 # Least response, of the mean: a darker pixel tells nothing of a star, and would be amplified.
 _LARGEST_ERROR = 0.1
@@ -46,17 +42,18 @@ def has_mosaic(image: NDArray[Any]) -> bool:
     """Whether a raw image (H, W) shows four different levels in the pixels of each 2 x 2 cell."""
     height, width = image.shape
     rows, columns = (
-        [k * (size - _TILE_PX) // (_TILES - 1) // 2 * 2 for k in range(_TILES)] for size in (height, width)
+        [k * (size - PART_PX) // (_TILES - 1) // 2 * 2 for k in range(_TILES)] for size in (height, width)
     )
-    tiles = np.stack([image[r : r + _TILE_PX, c : c + _TILE_PX] for r in rows for c in columns])
-    cells = tiles.reshape(len(tiles), _TILE_PX // 2, 2, _TILE_PX // 2, 2).transpose(0, 2, 4, 1, 3)
-    quarter = _TILE_PX**2 // 16
-    ends = (quarter, _TILE_PX**2 // 4 - quarter)
+    tiles = np.stack([image[r : r + PART_PX, c : c + PART_PX] for r in rows for c in columns])
+    cells = tiles.reshape(len(tiles), PART_PX // 2, 2, PART_PX // 2, 2).transpose(0, 2, 4, 1, 3)
+    quarter = PART_PX**2 // 16
+    ends = (quarter, PART_PX**2 // 4 - quarter)
     cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
     if np.median(cells[:, :, ends[0]]) <= cells.min():  # of a sky that is cut off levels follow the noise
         return False
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
-    noise = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)[2 * len(tiles)] / 1.349
+    between = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)  # the quartiles
+    noise = 0.5 * MAD_SIGMA * between[2 * len(tiles)]
     spread = np.sort(np.ptp(level, axis=1))[len(tiles) // 2]
     if spread <= max(_DIFFERENT_SIGMA * noise, 1e-3 * np.sort(level, axis=None)[2 * len(tiles)]):
         return False
@@ -73,7 +70,7 @@ def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
     size = np.array(image.shape[::-1])
     corner = (np.rint(xy_px).astype(np.int64) - _STAR_PX // 2) // 2 * 2
     corner = corner[((corner >= 0) & (corner + _STAR_PX <= size)).all(axis=1)]
-    if len(corner) < _FEWEST:
+    if len(corner) < FEW_STARS:
         return np.ones((2, 2))
     windows = np.stack([image[y : y + _STAR_PX, x : x + _STAR_PX] for x, y in corner]).astype(np.float64)
     half = _STAR_PX // 2
@@ -81,7 +78,7 @@ def cell_response(image: NDArray[Any], xy_px: Floats) -> Floats:
     inner = slice(half // 4, half - half // 4)
     light = (cells[..., inner, inner] - np.median(cells, axis=(3, 4), keepdims=True)).sum(axis=(3, 4))
     mean = light.mean(axis=(0, 1))
-    if np.count_nonzero(mean > 0.0) < _FEWEST:
+    if np.count_nonzero(mean > 0.0) < FEW_STARS:
         return np.ones((2, 2))
     of_star = light[..., mean > 0.0] / mean[mean > 0.0]  # (2, 2, N)
     response = np.median(of_star, axis=2)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, record, scalar
+from boresight.star_id.finding.windows import AT_ONCE
 
 __all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]
 
@@ -25,8 +26,6 @@ __all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_image
 USUAL_SIGMA_PX = 1.2
 # Points along a pixel of the grid of an empirical PSF (set by hand).
 FINE = 2
-# Stars whose empirical images are made at a time, so that they stay in the processor's cache (set by hand).
-_CHUNK = 64
 
 
 @record
@@ -136,8 +135,8 @@ def shape_images(shape: NDArray[Any], offset: Floats, radius: int) -> PsfImages:
     rows, columns = (_spline_weights(offset[:, axis], radius, len(shape)) for axis in (1, 0))
     coefficients = shape.astype(np.float32)
     images = np.ones((len(offset), 4, 2 * radius + 1, 2 * radius + 1), dtype=np.float32)
-    for first in range(0, len(offset), _CHUNK):
-        some = slice(first, first + _CHUNK)
+    for first in range(0, len(offset), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
         across = columns[some].transpose(0, 1, 3, 2)
         half = rows[some] @ coefficients
         np.matmul(half[:, 0], across[:, 1], out=images[some, 0])

@@ -25,7 +25,7 @@ from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
-from boresight.star_id.finding.windows import StarWindows, star_windows
+from boresight.star_id.finding.windows import NINE, StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
@@ -170,7 +170,7 @@ def detect_shape(flat: NDArray[np.float32], shape: NDArray[Any], threshold: floa
     pairs = np.sort(pairs, axis=1)  # the higher first
     d = np.clip(xy[pairs[:, 1]] - xy[pairs[:, 0]], -2 * radius, 2 * radius) + 2 * radius
     d = np.clip(d, 1, wings.shape[0] - 2)
-    near = cv2.dilate(wings, np.ones((3, 3), np.uint8))[d[:, 1], d[:, 0]]
+    near = cv2.dilate(wings, NINE)[d[:, 1], d[:, 0]]
     drop = np.zeros(len(xy), dtype=bool)
     above = snr[pairs[:, 1]] - WINGS * near * snr[pairs[:, 0]]
     drop[pairs[above < threshold * np.sqrt(1.0 - np.minimum(near, 1.0) ** 2), 1]] = True
@@ -181,7 +181,7 @@ def _peaks(height: NDArray[np.float32], threshold: float) -> tuple[Ints, Ints]:
     """Rows (N,) and columns (N,) of pixels above a threshold that none of the 24 around exceeds."""
     found = []
     for band, around in _bands(len(height), 2):
-        highest = cv2.dilate(height[around], np.ones((5, 5), np.uint8))[band.start - around.start :]
+        highest = cv2.dilate(height[around], NINE, iterations=2)[band.start - around.start :]
         peak = (height[band] > threshold) & (height[band] == highest[: band.stop - band.start])
         row, column = np.nonzero(peak)
         found.append((row + band.start, column))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import FEW_STARS, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
 from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
@@ -27,6 +27,7 @@ from boresight.star_id.finding.own_scale import in_own_counts
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX, Psf
 from boresight.star_id.finding.shape import detect_shape, estimate_shape, filter_width_px, flat_image
 from boresight.star_id.finding.star_shape import (
+    PSF_MISFIT,
     STARS_FOR_WIDTH,
     WidthFits,
     fit_widths,
@@ -37,8 +38,6 @@ from boresight.star_id.settings import StarSettings
 
 __all__ = ["BRIGHT_SNR", "StarList", "list_stars"]
 
-# Fewest stars that give a width; with fewer the assumed one stays.
-_LEAST_STARS = 3
 # Most stars that coma and trails are fitted to, and their least SNR: below it noise hides shapes and bias.
 _STARS_FOR_BLUR, BRIGHT_SNR = 80, 15.0
 # Widths, px, up to which stars are searched at full and at half the resolution; wider ones at a quarter.
@@ -63,9 +62,6 @@ _TRIED = 3
 _MANY_BAD = 1e-3
 # Cells along each side of the image over which the stars that are kept are spread.
 _CELLS = 8
-# Residual over a star's energy (squared SNR) above which it is a cosmic ray, a trail, or the arm of a bloom
-# (set by hand; PSFs of real lenses leave up to 0.15).
-_MISFIT_LIMIT = 0.3
 # Fields of `StarList` that have a row a star, and those that detection gives.
 _COLUMNS = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
 _GRIDS = ("level_dn", "noise_dn", "above_cut", "unusable")  # of `Background`
@@ -357,7 +353,9 @@ def _fits_of(frame: _Frame, found: _Found, rows: Ints) -> tuple[StarFits, Bools]
     )
     counts = Counts(found.gain_e_per_dn, frame.saturation_dn)
     fits = fit_stars(image, pixels, offset, background, psf, counts)
-    star_like = fits.chi2 - fits.dof < np.maximum(_MISFIT_LIMIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    # a larger share of the energy (squared SNR) is that of a cosmic ray, a trail, or the arm of a bloom
+    largest = np.maximum(2.0 * PSF_MISFIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
+    star_like = fits.chi2 - fits.dof < largest
     least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
 
@@ -418,7 +416,7 @@ def _detections(frame: _Frame) -> _Found:
             image, background, candidates, psf_sigma_px=psf.sigma_px, threshold=threshold, reach_px=reach
         )
         shapes = _shapes(frame, found, psf)
-        if settings.psf_sigma_px is not None or shapes.stars < _LEAST_STARS:
+        if settings.psf_sigma_px is not None or shapes.stars < LEAST_STARS:
             break
         before, psf_stars = psf, shapes.stars
         psf = psf_of(shapes, before, find_smear=settings.smear_px is None)

@@ -13,28 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
+from boresight.star_id.beyond_chance import (
+    CLIP_SIGMA,
+    FEW_STARS,
+    LEAST_STARS,
+    MAD_SIGMA,
+    NEVER_SIGMA,
+    SELDOM_SIGMA,
+)
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
 from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = ["STARS_FOR_WIDTH", "WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
+__all__ = ["PSF_MISFIT", "STARS_FOR_WIDTH", "WidthFits", "fit_widths", "gain_from_widths", "psf_of"]
 
 
 # Brightest unsaturated stars that the width is measured of.
 STARS_FOR_WIDTH = 40
-# Radius of the window, widths of the PSF assumed so far (set by hand).
-_WINDOW_SIGMA = 4.0
 # Residual over a star's energy that a real PSF may leave on a Gaussian of free width (set by hand).
-_PSF_MISFIT = 0.15
-# Fewest stars that give the gain.
-_STARS_FOR_GAIN = 5
-# Largest change of the squared width in a round, as a share of it; the next round finds the rest.
-_LARGEST_STRETCH = 0.6
+PSF_MISFIT = 0.15
 # Squared deviation of a star's 1 / gain from the median over half its variance, above which it is left out:
 # 4.5 sigma, for a skewed distribution.
 _OUTLIER = 40.0
+# Largest change of the squared width in a round, as a share of it; the next round finds the rest.
+_LARGEST_STRETCH = 0.6
 
 
 @record(kw_only=True)
@@ -69,7 +72,7 @@ def fit_widths(
     saturation_dn: float,
 ) -> WidthFits:
     """Fits of stars near `pixels` + `start` (N, 2), from the width of `psf`, whose smear is kept."""
-    radius = max(3, int(np.ceil(_WINDOW_SIGMA * psf.sigma_px + 0.5 * np.hypot(*psf.smear_px))))
+    radius = max(3, int(np.ceil(SELDOM_SIGMA * psf.sigma_px + 0.5 * np.hypot(*psf.smear_px))))
     windows = star_windows(image, pixels, background, radius, saturation_dn)
     use = np.flatnonzero(~windows.saturated)
     windows, pixels = windows.take(use), pixels[use]
@@ -94,7 +97,7 @@ def fit_widths(
     misfit = (residual**2 * weight).sum(axis=1) - residual.shape[1]
     energy = ((flux[:, None] * images.value) ** 2 * weight).sum(axis=1)
     good = settled & (
-        misfit < np.maximum(_PSF_MISFIT * energy, NEVER_SIGMA * np.sqrt(2.0 * residual.shape[1]))
+        misfit < np.maximum(PSF_MISFIT * energy, NEVER_SIGMA * np.sqrt(2.0 * residual.shape[1]))
     )
     state = np.column_stack([state[:, :2], flux, state[:, 3]])
     return WidthFits(
@@ -126,7 +129,7 @@ def gain_from_widths(fits: WidthFits, correlation: float = 1.0) -> float:
     What the PSF leaves of all stars alike, at each distance from their middles, is no noise and subtracted.
     Residuals are those of single pixels, whose noise is that of the windows over `correlation`.
     """
-    if fits.stars < _STARS_FOR_GAIN:
+    if fits.stars < FEW_STARS:
         return np.inf
     unit, in_fits = fits.images.columns[fits.good], fits.windows.noise2[fits.good, None]
     scale = by_parameter(fits.state[fits.good], 5)
@@ -218,7 +221,7 @@ def _width_over_field(psf: Psf, xy: Floats, sigma: Floats, error: Floats) -> tup
         mean = (w * sigma).sum() / w.sum()
         spread = max(1.0, MAD_SIGMA * _median(np.abs(sigma - mean)[keep] / error[keep]))
         keep = np.abs(sigma - mean) < SELDOM_SIGMA * spread * error
-        if keep.sum() < 3:
+        if keep.sum() < LEAST_STARS:
             return middle, middle
     if keep.sum() < 12:
         return float(mean), float(mean)

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 
-__all__ = ["StarWindows", "star_windows", "windows_at"]
+__all__ = ["AT_ONCE", "NINE", "StarWindows", "star_windows", "windows_at"]
+
+# Windows worked on at a time, so that they stay in the processor's cache.
+AT_ONCE = 128
+# A pixel and the eight around it: twice, those up to 2 px away.
+NINE = np.ones((3, 3), np.uint8)
 
 
 @record(kw_only=True)

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.geometry.record import Floats, Ints
+from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.identification.tangent_plane import (
     Complex,
     PlaneDetections,
@@ -147,7 +148,7 @@ def robust_sigma(distance: Floats, pixel: float) -> float:
     if len(distance) == 0:
         return pixel
     median = float(np.sort(distance)[len(distance) // 2])
-    return min(max(median / 1.1774, 0.15 * pixel), 3.0 * pixel)
+    return min(max(median / math.sqrt(MEDIAN_CHI2), 0.15 * pixel), 3.0 * pixel)
 
 
 def refine(

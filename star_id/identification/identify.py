@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -33,11 +32,13 @@ from boresight.star_id.identification.hypothesis import (
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
 from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
-from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
     "DENSER",
+    "FEW_DETECTIONS",
+    "SOME_DETECTIONS",
     "USUAL",
     "WIDER",
     "AttitudePrior",
@@ -58,14 +59,20 @@ def stages_of(table: int, *ends: int, begin: int = 0) -> tuple[tuple[int, int, i
     return tuple((table, below, end) for below, end in pairwise((begin, *ends)))
 
 
-# Stages of identification in their order: those of fewer detections first (set by hand).
+# Brightest detections whose triangles, 20, are tried first; then those of as many as the index has stars in a
+# field, last all (set by hand).
+FEW_DETECTIONS = 6
+# The same of an unknown camera's further passes.
+SOME_DETECTIONS = 2 * FEW_DETECTIONS
+# Stages of identification in their order.
 _STAGES = (
-    *sorted((*stages_of(USUAL, 8, 14, MOST_DETECTIONS), *stages_of(WIDER, 10, 18)), key=itemgetter(-1)),
-    *stages_of(DENSER, 14, MOST_DETECTIONS),
+    *stages_of(USUAL, FEW_DETECTIONS),
+    *stages_of(WIDER, FEW_DETECTIONS),
+    *stages_of(USUAL, STARS_PER_FIELD, begin=FEW_DETECTIONS),
+    *stages_of(WIDER, STARS_PER_FIELD, begin=FEW_DETECTIONS),
+    *stages_of(USUAL, MOST_DETECTIONS, begin=STARS_PER_FIELD),
+    *stages_of(DENSER, STARS_PER_FIELD, MOST_DETECTIONS),
 )
-# Best proposals of the denser table that are tried in any case: where many stars are missing, so are the
-# neighbours that proposals are judged by (set by hand).
-_OF_MISSING = 8
 # Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
 _STARS_FOR_SHIFT = 30
 # Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
@@ -171,8 +178,8 @@ def identify_stars(
         size = min(brightest, n, settings.max_identification_stars)
         if size <= done or number not in tables:
             continue
-        at_least = _OF_MISSING if number == DENSER else 0
-        proposals = propose(image, tables[number], index.u_i, done, size, at_least=at_least)
+        # where many stars are missing, so are the neighbours that proposals are judged by
+        proposals = propose(image, tables[number], index.u_i, done, size, unlikely_too=number == DENSER)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             corners = image.points[triangle]

@@ -21,14 +21,13 @@ __all__ = ["log_likelihood_ratio"]
 
 # Shares e of false detections over which the likelihood of a hypothesis is averaged with equal weight:
 # nothing is known of them.
-_CLUTTER = np.array([0.1, 0.3, 0.6, 0.9])[:, None, None]
-# The same as odds, false over true.
-_ODDS = _CLUTTER / (1.0 - _CLUTTER)
-# Natural logarithms of e and of 1 - e.
-_LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER[:, :, 0]), np.log(1.0 - _CLUTTER[:, :, 0])
+_CLUTTER = np.array([0.1, 0.3, 0.6, 0.9])[:, None]
+# Natural logarithms of e and of 1 - e, and the odds, false over true.
+_LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER), np.log1p(-_CLUTTER)
+_ODDS = np.exp(_LOG_CLUTTER - _LOG_STARS)
 # Inverse squares of the factors of stated errors over which the likelihood is averaged with equal weight: a
 # lens may be known better or worse than stated.
-_INVERSE_VARIANCE = 16.0 ** np.linspace(1.0, -1.0, 5)[:, None]
+_INVERSE_VARIANCE = 4.0 ** -np.arange(-2.0, 3.0)[:, None]
 
 
 def log_likelihood_ratio(
@@ -50,7 +49,7 @@ def log_likelihood_ratio(
         weight, half_square = weight.take(counted), half_square.take(counted)
     density = weight * _INVERSE_VARIANCE * np.exp(-half_square * _INVERSE_VARIANCE)
     # log(e + (1 - e) density), with log(1 - e) taken out of the sum
-    of_pairs = np.log(_ODDS + density).sum(axis=2) + len(weight) * _LOG_STARS
+    of_pairs = np.log(_ODDS[:, None] + density).sum(axis=2) + len(weight) * _LOG_STARS
     total = of_pairs + n_clutter * _LOG_CLUTTER
     largest = float(total.max())
     return largest + math.log(np.exp(total - largest).sum() / total.size)

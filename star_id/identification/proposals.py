@@ -65,10 +65,10 @@ class Proposals:
 
 
 def propose(
-    image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int, size: int, *, at_least: int = 0
+    image: PlaneDetections, table: TriangleTable, u_i: Floats, done: int, size: int, *, unlikely_too: bool
 ) -> Proposals:
     """Proposals from triangles of the brightest `size` detections that are not all among the first `done`;
-    the best `at_least` of many, however unlikely.
+    the best of many, if `unlikely_too` those that are hardly better than chance.
 
     `u_i` (N, 3) are the directions of the index's stars.
     """
@@ -87,10 +87,7 @@ def propose(
                 for c in chunks
             ]
         )
-        likely = log_ratio > np.log(examined) - _MARGIN
-        if at_least:
-            likely |= log_ratio >= np.partition(log_ratio, -at_least)[-at_least]
-        worth = np.flatnonzero(likely)
+        worth = np.flatnonzero((log_ratio > np.log(examined) - _MARGIN) | unlikely_too)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
         detected, longest, rows = detected[best], longest[best], rows[best]
     _, R, log_scale = _posed(image, table, u_s, u_i, detected, longest, rows)

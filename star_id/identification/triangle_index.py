@@ -37,11 +37,6 @@ __all__ = [
 STARS_PER_FIELD = 14
 # Nearest index stars with which each forms triangles: they fill a circle 1.2 fields of view wide.
 _NEIGHBOURS = 16
-# Field of view of the second table of a calibrated camera over its own: fewer stars, sides up to 0.93 of
-# its field.
-_WIDER = 1.5
-# The same of the third table: twice as many stars, 1 / 0.7^2, should many be missing.
-_DENSER = 0.7
 # Distance of two stars, rad, up to which pairs are listed: eight widths of a star's image in the coarsest
 # camera.
 CLOSE_RAD = np.radians(0.5)
@@ -49,7 +44,8 @@ CLOSE_RAD = np.radians(0.5)
 LONGEST_SIDE = 0.62
 # Shortest side over the field of view: of shorter ones centroid errors change the shape (set by hand).
 SHORTEST_SIDE = 0.06
-# Ratio of the fields of view of successive tables of an index for uncalibrated cameras (set by hand).
+# Ratio of the fields of view of successive tables of an index: the next wider one has half as many stars and
+# sides up to 0.87 of the field, the next denser one twice as many, should many be missing (set by hand).
 _LEVEL_STEP = 1.4
 # Cells along each of the two ratios of sides by which triangles are looked up.
 _CELLS = 100
@@ -193,7 +189,7 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
         levels = max(1, int(np.ceil(np.log(high / low) / np.log(_LEVEL_STEP))))
         fovs = low * (high / low) ** ((np.arange(levels) + 0.5) / levels)
     else:
-        fovs = fov_rad * np.array([_DENSER, 1.0, _WIDER])
+        fovs = fov_rad * np.power(_LEVEL_STEP, np.arange(-1.0, 2.0))  # denser, own, wider
     close = np.sort(cKDTree(u_i).query_pairs(CLOSE_RAD, output_type="ndarray"), axis=1)
     close_rad = np.linalg.norm(u_i[close[:, 0]] - u_i[close[:, 1]], axis=1)
     to_brighter = np.full(len(u_i), np.inf)

@@ -15,11 +15,10 @@ from scipy.special import erf
 
 from boresight.geometry.record import Floats, Ints, array, record
 from boresight.star_id.beyond_chance import NOISIER, SELDOM_SIGMA
+from boresight.star_id.finding.windows import NINE
 
 __all__ = ["Columns", "candidates", "column_levels"]
 
-# Pixels around such a pixel to which the star extends.
-_AROUND = np.ones((5, 5), np.uint8)
 # Least noise of a column, DN: that of rounding to whole counts, 1 / sqrt(12).
 _LEAST_NOISE_DN = 0.3
 
@@ -40,7 +39,8 @@ def column_levels(block: NDArray[Any]) -> Columns:
     middle, low = few[len(few) // 2], few[int(0.1587 * len(few))]
     spread = np.maximum(middle - low, 1.0)
     away = block.astype(np.float32) - middle
-    inside = cv2.dilate((np.abs(away) > SELDOM_SIGMA * spread).astype(np.uint8), _AROUND) == 0
+    high = (np.abs(away) > SELDOM_SIGMA * spread).astype(np.uint8)
+    inside = cv2.dilate(high, NINE, iterations=2) == 0  # a star extends to 2 px around
     count = np.maximum(inside.sum(axis=0), 1)
     away *= inside
     mean = away.sum(axis=0, dtype=float) / count
@@ -72,6 +72,6 @@ def candidates(block: NDArray[Any], columns: Columns, image: NDArray[Any], thres
     high = snr > threshold
     if not high.any():
         return np.empty((0, 2), dtype=np.int64)
-    peak = high & (snr >= cv2.dilate(snr, np.ones((5, 5), np.uint8)))
+    peak = high & (snr >= cv2.dilate(snr, NINE, iterations=2))
     row, column = np.nonzero(peak)
     return np.column_stack([column, row]).astype(np.int64)

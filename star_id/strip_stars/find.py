@@ -18,6 +18,7 @@ from scipy.special import lambertw
 
 from boresight.geometry.line_camera import StripImage
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.finding.candidates import MAX_CANDIDATES
 from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH
 from boresight.star_id.finding.windows import StarWindows
@@ -260,7 +261,7 @@ def _bright(found: _Found, fits: TraceFits, inside: Bools, limits: tuple[float, 
     near = np.abs(fits.offset - found.start).max(axis=1) < 1.5
     for limit in limits:
         rows = np.flatnonzero(inside & whole & near & (fits.snr > limit))
-        if len(rows) >= 3:
+        if len(rows) >= LEAST_STARS:
             break
     return rows[np.argsort(-fits.snr[rows], kind="stable")][:most]
 

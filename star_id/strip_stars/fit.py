@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from boresight.geometry.record import Floats, array, record
+from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.centroid import covariance_inflation
 from boresight.star_id.finding.psf import PsfImages
-from boresight.star_id.finding.window_fit import by_parameter, newton_step, start_state
+from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images
 
 __all__ = ["LEAST_GAIN", "TraceFits", "fit_traces", "gain_from_windows", "width_of"]
 
-# Longest step along an axis, px: a longer one leaves the range in which the image is linear in it.
-_LARGEST_STEP_PX = 0.6
 # Step, in standard errors, at which a fit has converged.
 _CONVERGED = 0.05
 # Largest bias that is corrected, in standard errors: more is no bias of second order, the star is hardly
@@ -40,9 +39,6 @@ LEAST_GAIN = 0.1
 _GAINS = (LEAST_GAIN, 1e4)  # beyond, photons add nothing
 # Number of these, in factors of 1.2: a strip's stars tell the gain to 0.2 at best.
 _GAIN_STEPS = 61
-# Largest loss of log likelihood, times 2, that one star may have against its own best gain: 3 sigma
-# squared.
-_MOST_OF_A_STAR = 9.0
 
 
 @record(kw_only=True)
@@ -68,7 +64,7 @@ def fit_traces(
         in_sigmas = np.abs(step[:, :2] * np.sqrt(np.einsum("npp->np", normal)[:, :2]))
         if in_sigmas.max(initial=0.0) < _CONVERGED:
             break
-        step[:, :2] = np.clip(step[:, :2], -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
+        step[:, :2] = np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX)
         state = state + step
         images = trace_images(state[:, :2], motion, sigma_px, windows.radius)
     chi2 = np.einsum("nm,nm,nm->n", residual, residual, weight).astype(float)
@@ -140,7 +136,7 @@ def gain_from_windows(windows: StarWindows, offset: Floats, motion: Motion, sigm
     state = start_state(windows, offset, images)
     gains = np.geomspace(*_GAINS, _GAIN_STEPS)
     deviance = np.stack([_deviance(windows, images, state, gain) for gain in gains.tolist()])  # (G, N)
-    against = np.minimum(deviance - deviance.min(axis=0), _MOST_OF_A_STAR).sum(axis=1)
+    against = np.minimum(deviance - deviance.min(axis=0), CLIP_SIGMA**2).sum(axis=1)
     weight = np.exp(-0.5 * (against - against.min()))
     return float(weight.sum() / (weight / gains).sum())
 

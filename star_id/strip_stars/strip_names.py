@@ -25,16 +25,12 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import SELDOM_SIGMA
+from boresight.star_id.beyond_chance import LEAST_STARS, NEVER_SIGMA, SELDOM_SIGMA
 
 __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]
 
 # Distance of two look vectors on two CCDs, rad, below which they may be one star seen twice.
 _TWICE_RAD = 1e-4
-# Fewest stars that must agree on a rotation: two always do.
-_LEAST = 3
-# Chi-square of two degrees of freedom up to which a star agrees: one in 100 000 exceeds it, exp(-23 / 2).
-_GATE = 23.0
 
 
 @record(kw_only=True)
@@ -151,7 +147,7 @@ def vote_for_rotation(
             if count > score:
                 score, agreeing = count, agree
     chance = _log10_chance(len(few.u_c), len(delta), score, tests, field)
-    if score < _LEAST or chance > np.log10(max_chance):
+    if score < LEAST_STARS or chance > np.log10(max_chance):
         return NoRotation(score, chance, len(few.u_c))
     whiten = np.linalg.inv(np.linalg.cholesky(field.spread + field.slack_rad**2 / 4.0 * np.eye(2)))
     for _ in range(3):  # the square of the rotation, left out in each, is some pixels at first
@@ -185,7 +181,7 @@ def name_stars(
     moved = np.concatenate([seen.by_rotation @ theta_root, seen.by_attitude], axis=2)
     covariance = moved @ np.swapaxes(moved, 1, 2) + seen.variance[:, None, None] * np.eye(2)
     distance = np.einsum("nma,nab,nmb->nm", miss, np.linalg.inv(covariance), miss)
-    row, star = np.nonzero(ahead & (distance < _GATE))
+    row, star = np.nonzero(ahead & (distance < NEVER_SIGMA**2))
     density = len(seen.u_c) / field.strip_area
     pairs = _Pairs.of(miss[row, star], moved[row], seen.variance[row], _rivals(seen, row, star), density)
     sure = pairs.probability_wrong(np.zeros(len(row), dtype=bool)) < max_name_error
@@ -307,7 +303,7 @@ def _log10_chance(detections: int, pairs: int, agreeing: int, tests: int, field:
     By chance a detection agrees with a given star of its box with the probability of the tolerance's ellipse
     over the box. Two agree by construction; the rest are independent.
     """
-    if agreeing < _LEAST or detections < _LEAST:
+    if agreeing < LEAST_STARS or detections < LEAST_STARS:
         return 0.0
 
     x, y, _ = field.limit_rad
