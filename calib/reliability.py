@@ -591,8 +591,10 @@ def _finding(
     if excluded and len(f"{h.cause} {h.item} {text}{excluded}".split()) <= MOST_WORDS:
         text += excluded
     return Finding(
-        **{name: getattr(h, name) for name in (*STATED, "subjects")},
+        cause=h.cause,
+        item=h.item,
         text=f"{text}.",
+        **{name: getattr(h, name) for name in ("unit", "file", "field", "subjects")},
         value=value,
         sigma=sigma,
         refutes=worst > HARM_SIGMA and p_value <= PROBABILITY_REFUTED,

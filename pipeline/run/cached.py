@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
-import cv2
-
 from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
@@ -25,13 +23,12 @@ from boresight.pipeline.files.record_tables import record_from_table, table_from
 from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.program_key import program_digest
+from boresight.pipeline.run.unforeseen import UNFORESEEN, internal_error
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
 
-__all__ = ["UNFORESEEN", "Progress", "StageRunner", "Task", "Unit", "internal_error", "log_unit"]
+__all__ = ["Progress", "StageRunner", "Task", "Unit", "log_unit"]
 
 Progress = Callable[[str, int, int], None]  # name of the stage, tasks done, tasks in all
-# Errors of numerical code on data that it was not written for: they end one item, and not the run.
-UNFORESEEN = (ValueError, ArithmeticError, LookupError, cv2.error)
 
 
 class Task(Protocol):
@@ -114,11 +111,6 @@ class Cached:
         except UNFORESEEN as error:
             reason = internal_error(error, self.stage.__name__)
             return task.item.because(Reason.INTERNAL_ERROR, reason)
-
-
-def internal_error(error: Exception, where: str) -> str:
-    """The reason of an item whose computation raised `error`."""
-    return f"internal error in {where}: {type(error).__name__}: {str(error)[:300]}; please report"
 
 
 def _contents(task: Task) -> tuple[tuple[Path, Identity, str], ...]:
