@@ -65,7 +65,6 @@ WITHOUT = {
     "star_ledger": None,
     "_explanations": [],
     "input_findings": [],
-    "targets_out_of_view": [],
 }
 
 
