@@ -170,6 +170,7 @@ def test_the_operator_s_homothety_scales_z_of_the_piloting_frame(files):
 def test_lines_of_a_band_of_20_m_last_twice_as_long(files, tmp_path):
     folder = shutil.copytree(files, tmp_path / "b20")
     path = folder / "S2A_OPER_MTD_L1B_DS_TEST.xml"
+    assert path.read_text().count("<RESOLUTION>10<") == 1
     replaced(path, "<RESOLUTION>10<", "<RESOLUTION>20<")
     strip = read_sentinel2(path, folder, "B04")
     assert strip.row_period_s == pytest.approx(2.0 * 1.5658e-3, rel=1e-12)
