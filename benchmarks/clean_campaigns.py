@@ -43,10 +43,10 @@ from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.records.record import Floats
 from boresight.simulator.cameras import calibrated_line_camera
 from boresight.simulator.campaign import (
     CameraPair,

@@ -28,13 +28,13 @@ from boresight.calib.joint_solution import Problem, linearised
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
+from boresight.records.record import Floats, Ints
 
 SHIFTS_PX = (0.3, 0.4, 0.5, 0.7, 1.0, 2.0)
 MORE = 0.01  # share of good targets rejected beside false alarms

@@ -36,7 +36,7 @@ from boresight.gct_match.locate import locate  # noqa: E402
 from boresight.gct_match.records import TemplateMatch  # noqa: E402
 from boresight.gct_match.search.correlation import correlation_surface, peaks_of  # noqa: E402
 from boresight.gct_match.settings import MatchSettings  # noqa: E402
-from boresight.geometry.ledger import Entry  # noqa: E402
+from boresight.records.ledger import Entry  # noqa: E402
 
 Array = NDArray[np.float64]
 Outcome = tuple[Array | None, Array | None]  # place (2,) and covariance (2, 2), None where there is none

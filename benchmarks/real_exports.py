@@ -46,7 +46,7 @@ from boresight.geometry.geoid import egm96
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
-from boresight.pipeline.results.head_records import noise_of_heads
+from boresight.pipeline.head_noise.of_dump import noise_of_heads
 from boresight.pipeline.run.settings import Settings
 
 PIXEL_M = 10.0

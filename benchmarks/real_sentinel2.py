@@ -25,7 +25,6 @@ import numpy as np
 from record import SHARED, exit_status, head, judge_largest, not_run, verdict
 from scipy.stats import chi2
 
-from boresight.calib.noise_spectrum import NoiseFit, Signal, fit_noise
 from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.heads.alignment import heads_alone
 from boresight.features.operators.dimap_grid import dimap_grid_differences
@@ -43,7 +42,8 @@ from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_cameras, open_dump
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
 from boresight.pipeline.files.stated_noise import state_noise
-from boresight.pipeline.results.head_records import noise_of_heads
+from boresight.pipeline.head_noise.of_dump import noise_of_heads
+from boresight.pipeline.head_noise.spectrum import NoiseFit, Signal, fit_noise
 from boresight.pipeline.run.settings import Settings
 
 # IERS Bulletin A of 24 October 2019, which the operator's software used

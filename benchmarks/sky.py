@@ -37,7 +37,6 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import theta_between
-from boresight.geometry.ledger import Entry
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError
@@ -49,6 +48,7 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.head import sight_head
 from boresight.pipeline.stages.sky_side import find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import find_sky_stars, name_sky_stars
+from boresight.records.ledger import Entry
 from boresight.simulator.cameras import installation_of_scenario
 from boresight.simulator.mission_records import Mission
 from boresight.simulator.motion import flown_orbit

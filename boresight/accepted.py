@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files.object_store import is_address
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.report.notebook import notebook_progress
+from boresight.records.record import Floats
 
 if TYPE_CHECKING:
     from astropy.time import Time

@@ -14,8 +14,8 @@ from boresight.display import SuccessfulResult, axes_or_new
 from boresight.gct_match.locate import locate_template as match_arrays
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import Floats, record, scalar
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import Floats, record, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -40,7 +40,6 @@ from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.record import Floats, array, inner, record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import named_cameras, open_dumps
@@ -64,6 +63,7 @@ from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import Settings, read_settings
+from boresight.records.record import Floats, array, inner, record, scalar
 from boresight.version import __version__
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from boresight.calib.estimate import NotObservable
 from boresight.features.vectors import given_vectors, vector_result
 from boresight.features.vectors.target_places import orbit_of_states
 from boresight.features.vectors.vector_estimate import calibrate_vector_sets
-from boresight.geometry.record import Floats
 from boresight.missions import UNUSED, Calibration
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.results.folder import ScratchFolder
+from boresight.records.record import Floats
 
 __all__ = ["Sigmas", "Vectors", "calibrate_vectors"]
 

@@ -59,9 +59,9 @@ from boresight.calib.simultaneous_strips import passes_of
 from boresight.calib.strips import PreparedStrip, prepare_strips
 from boresight.calib.taken_up import taken_up
 from boresight.geometry.attitude_estimate import GROSS, with_attitudes
-from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import Floats, Ints
 
 __all__ = ["calibrate_strips", "strip_pairs"]
 

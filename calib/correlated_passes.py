@@ -16,8 +16,8 @@ from scipy.linalg import block_diag
 from boresight.calib.heads import HeadTie, of_heads
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import PreparedStrip
-from boresight.geometry.record import Floats, shape_of
 from boresight.geometry.sightings import ExposureAttitudes, GroundSightings
+from boresight.records.record import Floats, shape_of
 
 __all__ = ["correlated_passes"]
 

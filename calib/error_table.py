@@ -43,7 +43,7 @@ from boresight.calib.heads import of_heads
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
-from boresight.geometry.record import Bools, Ints, array, record, scalar
+from boresight.records.record import Bools, Ints, array, record, scalar
 
 if TYPE_CHECKING:
     from boresight.calib.strips import PreparedStrip

@@ -13,8 +13,8 @@ from boresight.calib.ground_references import ReferenceOffset
 from boresight.calib.heads import PeriodicError
 from boresight.calib.information import InformationPairs
 from boresight.geometry.installation import theta_between
-from boresight.geometry.ledger import Entry, Kind, Subject
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.records.ledger import Entry, Kind, Subject
+from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "CameraRotation",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.geometry.ledger import Subject
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.ledger import Subject
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["MOST_WORDS", "Finding"]
 

@@ -44,7 +44,7 @@ from boresight.calib.joint_solution import (
 )
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.record import Bools, Floats, Ints
+from boresight.records.record import Bools, Floats, Ints
 
 __all__ = [
     "detectable_bias",

@@ -21,13 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import linear_weights
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import (
     HeadAttitudes,
     StripSightings,
     exposure_without_stars,
     solved_attitudes,
 )
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "HeadTie",

@@ -19,9 +19,9 @@ from boresight.calib.star_camera_error import PARTS, StarEffects
 from boresight.calib.strips import PreparedStrip, matrix_of_each, turned
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import ARCSEC, DAY_S
-from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import GroundSightings
+from boresight.records.ledger import Kind, Subject
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
     "POSITION",

@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.record import array, record, scalar
+from boresight.records.record import array, record, scalar
 
 __all__ = [
     "InformationPairs",

@@ -21,7 +21,7 @@ from boresight.calib.heads import of_heads
 from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "Linearised",

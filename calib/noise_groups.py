@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Bools, Floats, Ints, Texts
+from boresight.records.ledger import Kind, Subject
+from boresight.records.record import Bools, Floats, Ints, Texts
 
 __all__ = ["LEAST_FACTOR", "NoiseGroup", "noisiest"]
 

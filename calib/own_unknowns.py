@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import qr
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["condensed"]
 

@@ -30,8 +30,8 @@ from boresight.geometry.attitude import (
 from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.attitude_smoother import HeadRows, SmoothedAttitude, most_likely_motion
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["PassAttitude", "attitude_of", "is_smoothed", "smoothed_motion"]
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["correlation_of_predictions", "earth_names", "is_earth", "predictions_of", "prior_of_predictions"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from boresight.calib.estimate import TargetResiduals
 from boresight.calib.strips import PreparedStrip
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.sightings import StripSightings
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 __all__ = ["rejected_observations"]
 

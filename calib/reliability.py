@@ -62,10 +62,10 @@ from boresight.calib.star_camera_error import star_effects, summed
 from boresight.calib.strips import prepare_strips
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Subject
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.ledger import Subject
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["PROBABILITY_FOUND", "Contradiction", "HypothesisTest", "Reliability", "blind_spots", "examine"]
 

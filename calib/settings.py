@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import check_numbers
+from boresight.records.record import check_numbers
 
 __all__ = ["CalibrationSettings"]
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import InterpolationNodes
-from boresight.geometry.record import Floats, array, record
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record
 
 __all__ = [
     "AT_REST",

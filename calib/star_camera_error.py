@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from boresight.geometry.attitude_estimate import cross_matrices, sums_over
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record
 from boresight.geometry.sightings import StripSightings, information_of_directions
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Bools, Floats, Ints, Texts, array, record
 
 __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 

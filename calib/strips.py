@@ -37,8 +37,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import AT_REST, SlowMotion, has_few_exposures, motion_of
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
 from boresight.geometry.attitude_noise import LastingError
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, GroundReferences, GroundSightings, StripSightings
+from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "LinearStrips",

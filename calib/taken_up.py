@@ -20,7 +20,7 @@ from boresight.calib.heads import alignment_names
 from boresight.calib.joint_solution import Problem, Step
 from boresight.calib.strips import PreparedStrip, matrix_of_each
 from boresight.geometry.attitude_estimate import cross_matrices
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["taken_up"]
 

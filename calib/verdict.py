@@ -26,9 +26,9 @@ from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
-from boresight.geometry.ledger import Kind, Reason, Subject
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.records.ledger import Kind, Reason, Subject
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess", "p_residuals"]
 

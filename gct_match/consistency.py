@@ -17,8 +17,8 @@ from boresight.gct_match.records import TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.installation import deviation_from_theta, theta_from_deviation
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats
 
 __all__ = ["consistent_matches"]
 

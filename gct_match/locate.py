@@ -31,8 +31,8 @@ from boresight.gct_match.search.correlation import (
     self_similarity,
 )
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import Floats
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import Floats
 
 __all__ = ["locate", "locate_template"]
 

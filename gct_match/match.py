@@ -31,9 +31,9 @@ from boresight.gct_match.search.vote import Vote
 from boresight.gct_match.settings import MatchSettings
 from boresight.gct_match.texture import expected_sigma_px
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats
+from boresight.records.ledger import Entry, Kind, Reason, State, Subject
+from boresight.records.record import Floats
 
 __all__ = ["keep_whole", "match_strip"]
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "Chip",

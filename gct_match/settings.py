@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.geometry.record import check_numbers, record, scalar
+from boresight.records.record import check_numbers, record, scalar
 
 __all__ = ["MatchSettings"]
 

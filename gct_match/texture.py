@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Bools
+from boresight.records.record import Bools
 
 __all__ = ["expected_sigma_px", "noise_of", "sigma_from_gradients", "smooth_gradients"]
 

@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
     "Attitude",

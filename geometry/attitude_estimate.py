@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import (
     ExposureAttitudes,
     StarSightings,
     StripSightings,
     information_of_directions,
 )
+from boresight.records.record import Bools, Floats, Ints
 
 __all__ = [
     "GROSS",

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["NO_NOISE", "AttitudeNoise", "LastingError"]
 

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroNoise, GyroRows
-from boresight.geometry.record import Bools, Floats, Ints, RowRecord, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = ["HeadRows", "SmoothedAttitude", "most_likely_motion", "smoothed_track"]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC, EARTH_ROTATION_RATE
 from boresight.geometry.epoch import tai_minus_utc_s
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "EarthOrientationError",

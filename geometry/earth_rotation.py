@@ -32,7 +32,7 @@ from boresight.geometry.earth_orientation import (
     expected_rotation_error_rad,
 )
 from boresight.geometry.epoch import J2000_JD, MJD_ZERO_JD, Epoch, tai_minus_utc_s
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "AttitudeFrame",

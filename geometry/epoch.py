@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from boresight.geometry.constants import DAY_S
-from boresight.geometry.record import Floats, Ints
+from boresight.records.record import Floats, Ints
 
 __all__ = [
     "GPS_MINUS_TAI_S",

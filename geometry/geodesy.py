@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from boresight.geometry.constants import Ellipsoid
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = [
     "columns_at_height",

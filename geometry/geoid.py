@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Geoid", "egm96"]
 

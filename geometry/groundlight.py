@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, verticals
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "Atmosphere",

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Ints, RowRecord, array, check_numbers, record, scalar
+from boresight.records.record import Floats, Ints, RowRecord, array, check_numbers, record, scalar
 
 __all__ = ["GyroNoise", "GyroRecord", "GyroRows", "longest_without_gap", "summed_up", "without_gap"]
 

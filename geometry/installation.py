@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["deviation_from_theta", "euler_zxy_from_theta", "theta_between", "theta_from_deviation"]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "Ccd",

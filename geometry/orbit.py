@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation

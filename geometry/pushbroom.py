@@ -36,10 +36,10 @@ from boresight.geometry.groundlight import (
 )
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import orbital_frame
-from boresight.geometry.record import Bools, Floats, Ints, record, scalar
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
+from boresight.records.record import Bools, Floats, Ints, record, scalar
 
 __all__ = ["Pushbroom", "RowClock", "outline_deg"]
 

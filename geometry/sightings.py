@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.gyro import GyroRows
-from boresight.geometry.record import Bools, Floats, Ints, RowRecord, Texts, array, record, scalar, together
+from boresight.records.record import Bools, Floats, Ints, RowRecord, Texts, array, record, scalar, together
 
 __all__ = [
     "ExposureAttitudes",

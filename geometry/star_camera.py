@@ -25,7 +25,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar, value_text
+from boresight.records.record import Bools, Floats, array, record, scalar, value_text
 
 __all__ = [
     "LEAST_FORWARD",

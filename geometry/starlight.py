@@ -23,7 +23,7 @@ from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic, unit_vectors
-from boresight.geometry.record import Bools, Floats, Ints, RowRecord, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = [
     "AberrationRemoved",

@@ -25,7 +25,6 @@ from pyproj import CRS, Transformer
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.terrain_rays import (
     HeightBounds,
     bilinear,
@@ -33,6 +32,7 @@ from boresight.geometry.terrain_rays import (
     crossings_by_steps,
     first_crossings,
 )
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
     "ConstantHeight",

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from boresight.geometry.record import Bools, Floats, Ints, record, scalar
+from boresight.records.record import Bools, Floats, Ints, record, scalar
 
 __all__ = [
     "Clearance",

@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from boresight.calib.verdict import Outcome
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.calibration.joint import NamedDump, calibrate_jointly
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -60,6 +58,8 @@ from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import record, scalar
 
 log = logging.getLogger("boresight.commands")
 

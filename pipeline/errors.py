@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from boresight.geometry.ledger import Entry
+from boresight.records.ledger import Entry
 
 __all__ = ["DataNotSufficientError", "RawDataError", "WorkerError", "printable"]
 

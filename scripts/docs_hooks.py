@@ -23,7 +23,7 @@ RECORDS = ROOT / "benchmarks" / "results"
 TABLE = "table.md"
 COLUMNS = ("rms_arcsec", "bound_arcsec", "paper_arcsec")  # of table4.csv, in the order of docs/accuracy.md
 NAME = re.compile(
-    r"`(boresight\.(?:geometry|star_id|gct_match|calib|simulator|pipeline|features)(?:\.\w+)+)`"
+    r"`(boresight\.(?:records|geometry|star_id|gct_match|calib|simulator|pipeline|features)(?:\.\w+)+)`"
 )
 EXAMPLES = {
     "star_tracker": "Find, identify, calibrate a lens",
@@ -44,8 +44,8 @@ DOOR = (
 )
 PLOT = re.compile(r"<!-- plot ([\w-]+): (.*?) -->")
 PACKAGES = {
-    "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude, and the records"
-    " that stages exchange. Imports nothing of ours.",
+    "records": "Frozen records with shape, unit and frame of each field, and the ledger of observations.",
+    "geometry": "Constants, time, frames, light, the Earth, cameras, orbit and attitude.",
     "star_id": "A star image becomes named stars with directions and covariances.",
     "gct_match": "Ground targets found in a strip and measured to a few hundredths of a pixel.",
     "calib": "Directions and covariances become the installation matrix, with a covariance that holds.",

@@ -16,7 +16,7 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("boresight", "geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
+ROOMS = tuple("boresight records geometry star_id gct_match calib simulator pipeline features".split())
 BY_CONVENTION = {"__init__.py", "api.py", "settings.py"}
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
+ROOMS = ("records", "geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
 COMMANDS = ("pipeline/console/",)  # their docstrings are help on the console
 ARRAYS = re.compile(r"NDArray|Floats|Ints|Bools|Texts|\bArray\b|\bImage\b")
 # (N, 3), (63, 2), (h, w), (lines, samples), "elementwise", "in the broadcast shape of the arguments".

@@ -23,7 +23,7 @@ import coverage
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features", "boresight")
+ROOMS = tuple("records geometry star_id gct_match calib simulator pipeline features boresight".split())
 
 
 class Trace:

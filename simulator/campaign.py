@@ -24,7 +24,6 @@ from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import (
     GroundSightings,
     StarSightings,
@@ -32,6 +31,7 @@ from boresight.geometry.sightings import (
     VectorSets,
     isotropic_covariance,
 )
+from boresight.records.record import array, record, scalar
 
 __all__ = [
     "CameraPair",

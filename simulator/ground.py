@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 from boresight.geometry.attitude import interpolation_weights
-from boresight.geometry.record import array, record, scalar
+from boresight.records.record import array, record, scalar
 from boresight.simulator.landscape import STRENGTH_UNIT, Landscape
 from boresight.simulator.lattice_noise import BAND, fractal, smooth_noise
 from boresight.simulator.scenario import GroundSettings

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import array, record, scalar
 from boresight.simulator.scenario import Scenario
 
 __all__ = [

@@ -19,7 +19,7 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH, J2_EARTH, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.orbit import Orbit, orbital_frame
-from boresight.geometry.record import array, record, scalar
+from boresight.records.record import array, record, scalar
 from boresight.simulator.mission_records import OrbitReport
 from boresight.simulator.scenario import ErrorSettings, OrbitSettings, PointingSettings, SkyScan
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import StarPlaces, apparent_star_directions
+from boresight.records.record import array, record, scalar
 from boresight.simulator.mission_records import TrueExposure
 from boresight.simulator.motion import ScanAttitude, TrueAttitude
 from boresight.simulator.scenario import SkySettings

@@ -20,8 +20,8 @@ from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
-from boresight.geometry.record import record, scalar
 from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_star_directions
+from boresight.records.record import record, scalar
 from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude
 from boresight.simulator.rendered_stars import joined_stars

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import LEAST_FORWARD, StarCamera
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.camera_fit import (
     DRIFT,
     IdentifiedStars,

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, Texts, array, record, scalar
 from boresight.geometry.starlight import StarPlaces
+from boresight.records.record import Bools, Floats, Texts, array, record, scalar
 
 __all__ = ["DISAGREEMENT_LIMIT_MAS", "EPOCH_JYEAR", "CatalogueStars", "hipparcos_stars"]
 

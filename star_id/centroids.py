@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["Centroids"]
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import Projection, StarCamera
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LOST_BY_CHANCE
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Floats, Ints, array, record
+from boresight.records.record import Floats, Ints, array, record
 
 __all__ = ["FieldMatch", "match_field"]
 

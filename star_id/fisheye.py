@@ -15,8 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import equivalent_fov
 from boresight.star_id.lens_model import TANGENT_RAD

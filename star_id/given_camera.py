@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 

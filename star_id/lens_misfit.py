@@ -29,8 +29,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera, term_orders
+from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     CameraFit,

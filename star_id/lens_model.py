@@ -27,8 +27,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.camera_fit import (
     PARAMETERS,

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import Air, apparent_star_directions, catalogue_directions, refract_by_air
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = [

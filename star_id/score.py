@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA
 from boresight.star_id.finding.psf import Psf, psf_images
 from boresight.star_id.finding.star_list import BRIGHT_SNR, StarList

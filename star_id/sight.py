@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, Ints
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Bools, Floats, Ints
 from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids

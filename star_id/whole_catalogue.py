@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
+from boresight.records.record import Floats
 from boresight.star_id.catalogue import EPOCH_JYEAR
 
 __all__ = ["all_hipparcos"]

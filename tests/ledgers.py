@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from boresight.geometry.ledger import Kind, Ledger, Reason
+from boresight.records.ledger import Kind, Ledger, Reason
 
 __all__ = ["ledger_of", "ledger_of_cells"]
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitudes
-from boresight.geometry.record import Bools, Floats
+from boresight.records.record import Bools, Floats
 
 USUAL = AttitudeSettings()
 

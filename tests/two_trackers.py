@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.head_tracks import HeadTrack
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.pipeline.head_noise.tracks import HeadTrack
 from boresight.simulator.head_attitudes import correlated_noise
 
 ARCSEC = np.pi / 648_000.0

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.exports.notes import one_line
 from boresight.features.exports.quaternions import continuous_quaternions
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats, record, scalar
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["AemHeader", "attitude_message", "comprehensive_message"]
 

@@ -32,7 +32,7 @@ from boresight.geometry.geodesy import ray_ellipsoid_intersection
 from boresight.geometry.groundlight import lines_of_sight_e
 from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["IsdNames", "IsdPiece", "line_scanner_isds", "parameter_covariance"]
 

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dimap_metadata import model_attitudes
 from boresight.pipeline.files.text_files import read_text
+from boresight.records.record import Floats
 
 __all__ = ["corrected_dimap"]
 

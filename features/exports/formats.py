@@ -43,7 +43,6 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import outline_deg
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
@@ -64,6 +63,7 @@ from boresight.pipeline.results.strip_model import (
     strip_model,
     whole_strip_model,
 )
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["FORMATS", "OF_STRIPS", "ExportRequest", "Remark", "export", "strips_left_out"]
 

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import read_text
+from boresight.records.record import Floats
 
 __all__ = ["corrected_gipp"]
 

@@ -18,7 +18,7 @@ from pyproj import CRS
 
 from boresight.features.exports.notes import Notes, one_line
 from boresight.geometry.geoid import Geoid
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["GroundPoints", "points_asp", "points_envi", "points_geojson", "points_qgis"]
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.geometry.record import record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.results.place_errors import PassErrors, covariance_of_places
 from boresight.pipeline.results.strip_model import (
     Calibrated,
     StripModel,
 )
+from boresight.records.record import record, scalar
 
 __all__ = ["GroundError", "ground_error"]
 

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from boresight.features.exports.ground_control_points import GroundPoints
 from boresight.features.exports.notes import Notes, one_line
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["kml_text"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.text_files import read_json, read_toml
@@ -13,6 +12,7 @@ from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.ownership import dump_folder_of, origin_of
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import read_sightings
+from boresight.records.record import record, scalar
 
 __all__ = ["Notes", "notes_of", "one_line"]
 

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["LineOfSightCorrection", "fit_correction", "operator_parameters"]
 

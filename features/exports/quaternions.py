@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["continuous_quaternions", "instants_to_interpolate"]
 

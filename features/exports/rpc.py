@@ -16,8 +16,8 @@ from boresight.features.exports.ground_error import GroundError
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Rpc", "RpcError", "fit_rpc", "rpc_heights", "rpc_metadata", "rpc_text"]
 

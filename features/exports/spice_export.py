@@ -21,7 +21,7 @@ from boresight.features.exports.quaternions import continuous_quaternions
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.epoch import Epoch, ephemeris_time, seconds_from_ephemeris_time
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import Floats, record, scalar
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["SpiceFrames", "attitude_kernel", "clock_kernel", "frame_kernel", "instrument_kernel", "on_ticks"]
 

@@ -23,8 +23,8 @@ from boresight.geometry.groundlight import OrbitLike
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import orbital_frame
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["ReadStrip", "SmoothAttitude", "VirtualStrip", "virtual_camera"]
 

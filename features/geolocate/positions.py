@@ -14,13 +14,13 @@ import numpy as np
 
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.record import Floats, Ints, array, record
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import PixelRow
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.results.place_errors import PassErrors, rest_of_common, variance_of_places
 from boresight.pipeline.results.strip_model import Calibrated, StripModel
+from boresight.records.record import Floats, Ints, array, record
 
 __all__ = ["GroundPlaces", "Pixels", "ground_places", "places_csv", "read_pixels"]
 

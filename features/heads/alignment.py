@@ -2,7 +2,7 @@
 
 Where both have an attitude at one instant, the rotation from one to the other is their alignment R_sh and the
 errors of both. Means over blocks longer than the errors' correlation time are fitted, by generalised least
-squares with the noise of `noise_spectrum`, with a constant rotation about the axes of the reference head's
+squares with the noise of `head_noise`, with a constant rotation about the axes of the reference head's
 frame s and, for each term asked for, a rotation in proportion to it: time, cosine and sine of the position in
 the orbit, temperature. An offset between the heads' clocks is one more unknown: it turns one against the
 other by rate times offset, which differs from a constant only as far as the satellite's rate changes.
@@ -17,14 +17,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.orbit import argument_of_latitude
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.results.head_records import HeadNoise, head_track, noise_of_tracks
+from boresight.pipeline.head_noise.of_dump import HeadNoise, head_track, noise_of_tracks
+from boresight.pipeline.head_noise.tracks import HeadTrack, carried_to, common_instants
 from boresight.pipeline.run.settings import Settings
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["AlignmentTerm", "HeadAlignment", "HeadsAlone", "align_heads", "heads_alone"]
 

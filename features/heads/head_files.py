@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import chdtrc
 
-from boresight.calib.noise_spectrum import allan_deviation
 from boresight.features.heads.alignment import HeadAlignment, HeadsAlone
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.pipeline.files.stated_noise import noise_keys
 from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
+from boresight.pipeline.head_noise.of_dump import HeadNoise
+from boresight.pipeline.head_noise.spectrum import allan_deviation
 from boresight.pipeline.report.panels import GREY, SERIES, panels
-from boresight.pipeline.results.head_records import HeadNoise
+from boresight.records.record import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

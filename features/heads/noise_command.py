@@ -12,7 +12,7 @@ from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.stated_noise import state_noise
-from boresight.pipeline.results.head_records import noise_of_heads
+from boresight.pipeline.head_noise.of_dump import noise_of_heads
 from boresight.pipeline.run.settings import read_settings
 
 __all__ = ["noise_command"]

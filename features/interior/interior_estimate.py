@@ -18,8 +18,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.features.interior.interior_parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["InteriorEstimate", "calibrate_interior", "map_difference_px"]
 

@@ -10,11 +10,11 @@ import numpy as np
 from boresight.features.interior.interior_estimate import InteriorEstimate
 from boresight.features.interior.interior_of_dumps import InteriorCalibration
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.files.whole_file import write_figure, write_json, write_whole
 from boresight.pipeline.report.panels import GREY, OURS, THIRD, legend_below, panels
+from boresight.records.record import Floats, Ints
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

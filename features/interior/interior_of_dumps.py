@@ -10,7 +10,6 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import InteriorEstimate, calibrate_interior
 from boresight.features.interior.interior_parameters import InteriorPriors
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import calibrate_jointly, dump_names, open_dumps
@@ -21,6 +20,7 @@ from boresight.pipeline.results.ownership import MARKER, dump_folder_of
 from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
+from boresight.records.record import array, record, scalar
 
 __all__ = ["InteriorCalibration", "calibrate_remote_camera"]
 

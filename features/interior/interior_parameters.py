@@ -29,7 +29,7 @@ from scipy.linalg import block_diag
 from boresight.calib.error_table import SharedError
 from boresight.calib.strips import PreparedStrip
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.geometry.record import Floats, Ints, array, check_numbers, record, scalar
+from boresight.records.record import Floats, Ints, array, check_numbers, record, scalar
 
 __all__ = ["Gauge", "InteriorModel", "InteriorPriors"]
 

@@ -33,7 +33,6 @@ from boresight.calib.verdict import Outcome
 from boresight.features.mission.mounting_course import MountingSeries, with_reference_moved
 from boresight.features.mission.saved_mounting import ORIGIN, SavedMounting, read_saved_mounting
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import remove_abandoned, write_whole
@@ -41,6 +40,7 @@ from boresight.pipeline.results.folder import results_in
 from boresight.pipeline.results.identity import result_id
 from boresight.pipeline.results.reading import pairs_in
 from boresight.pipeline.results.sightings_tables import pairs_table
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["ArchivedSeries", "add_mounting", "add_results", "series_of"]
 

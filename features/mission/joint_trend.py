@@ -32,11 +32,11 @@ from boresight.features.mission.mounting_course import (
 from boresight.features.mission.saved_mounting import SavedMounting, read_saved_mounting
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
 from boresight.pipeline.report.panels import INK, OURS, THIRD, legend_below, panels
+from boresight.records.record import record, scalar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -26,12 +26,12 @@ from boresight.display import Result, axes_or_new
 from boresight.features.mission.saved_mounting import ORIGIN, SavedMounting
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.report.page_template import template
 from boresight.pipeline.results.reading import read_mounting
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Comparison", "Differing", "compare_mountings"]
 

@@ -25,7 +25,7 @@ from scipy.special import chdtrc
 
 from boresight.features.mission.saved_mounting import utc_at
 from boresight.geometry.constants import ARCSEC, DAY_S
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = [
     "CourseFit",

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import InformationPairs
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import matrix_in, of_camera, read_installation, read_mounting
 from boresight.pipeline.run.digests import rounded_digest
+from boresight.records.record import Floats, Texts, array, record, scalar
 
 __all__ = ["ORIGIN", "SavedMounting", "instant_s", "read_saved_mounting", "utc_at"]
 

@@ -33,8 +33,8 @@ from boresight.features.mission.mounting_course import (
 from boresight.features.mission.saved_mounting import utc_at
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.results.requirement import Requirement
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["MountingPrediction", "Trend", "predict", "required_rad", "trend_of"]
 

@@ -17,9 +17,9 @@ from boresight.features.mission.mounting_course import MountingCourse
 from boresight.features.mission.saved_mounting import instant_s, utc_at
 from boresight.features.mission.trends import Trend, changes_of, step_words
 from boresight.geometry.constants import ARCSEC, DAY_S
-from boresight.geometry.record import Floats
 from boresight.pipeline import __version__
 from boresight.pipeline.report.page_template import template
+from boresight.records.record import Floats
 
 __all__ = ["trends_html"]
 

@@ -19,9 +19,9 @@ from boresight.calib.distortion import prior_information
 from boresight.calib.information import solve_total
 from boresight.display import Result, axes_or_new
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.results.reading import read_mounting, read_pairs
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["WhatIf", "strips_of_result", "what_if_of"]
 

@@ -19,11 +19,11 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent, limited_content
 from boresight.pipeline.files.text_files import GZIP, unpacked
 from boresight.pipeline.files.xml_files import xml_of_bytes
+from boresight.records.record import record, scalar
 
 __all__ = ["GippFile", "find_gipp_files", "gipp_root"]
 

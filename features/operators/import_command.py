@@ -35,7 +35,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.whole_file import is_vacant, write_text
-from boresight.pipeline.results.head_records import noise_of_heads
+from boresight.pipeline.head_noise.of_dump import noise_of_heads
 from boresight.pipeline.run.settings import Settings
 
 __all__ = ["import_dimap_command", "import_points_command", "import_sentinel2_command"]

@@ -14,11 +14,11 @@ from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.files.dump_schema import LOOK_TABLES, PointRow, head_of_dump
 from boresight.pipeline.files.orbit_file import orbit_message
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "ImportedGyro",

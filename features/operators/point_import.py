@@ -16,12 +16,12 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from boresight.geometry.constants import WGS84
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent, check_regular
 from boresight.pipeline.files.dump_schema import PointRow
 from boresight.pipeline.files.text_files import check_number, read_text
 from boresight.pipeline.files.text_tables import csv_line
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["MeasuredPoints", "PointErrors", "asp_images", "points_csv", "read_measured_points"]
 

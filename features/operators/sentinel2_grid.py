@@ -21,10 +21,10 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import Floats
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import read_table
+from boresight.records.record import Floats
 
 __all__ = [
     "GridRow",

@@ -20,7 +20,7 @@ from boresight.features.operators.sentinel2_grid import operator_orbit, refined_
 from boresight.features.operators.sentinel2_product import Sentinel2
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
 

@@ -30,9 +30,9 @@ from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["BANDS", "AttitudeRecord", "Refining", "Sentinel2", "read_sentinel2"]
 

@@ -20,7 +20,7 @@ from boresight.features.paper.paper_tables import (
     TABLE_5,
 )
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 from boresight.simulator.campaign import CameraPair
 
 __all__ = ["COMPARISONS", "errors_of_axes", "noise_law", "rms_of"]

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import InformationPairs, Solution, exact_sum, solve_total
 from boresight.geometry.attitude_estimate import sums_over, wahba_matrices
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.record import array, record, scalar
 from boresight.geometry.sightings import VectorSets
+from boresight.records.record import array, record, scalar
 
 __all__ = ["FrameCalibration", "PreparedFrames", "calibrate_frames", "frame_pairs", "prepare_frames"]
 

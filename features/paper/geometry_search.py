@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record
+from boresight.records.record import Floats, array, record
 from boresight.simulator.campaign import CameraPair
 
 __all__ = [

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["GroundErrors", "MotionPrior", "check_point_errors", "ground_errors", "smoothed_attitude"]
 

@@ -27,8 +27,8 @@ from boresight.features.paper.paper_tables import (
 )
 from boresight.features.paper.tables import EXPERIMENTS, record_head, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.whole_file import write_text
+from boresight.records.record import record, scalar
 
 __all__ = ["CAPTIONS", "run_all", "verdict_of"]
 

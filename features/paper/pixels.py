@@ -26,7 +26,6 @@ from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -38,6 +37,7 @@ from boresight.pipeline.results.validate import TruthErrors, validation_of
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
+from boresight.records.record import Floats, record, scalar
 from boresight.simulator.campaign import unit
 
 __all__ = ["PixelSettings", "grid_from_pixels", "table4_from_pixels"]

@@ -35,9 +35,9 @@ from boresight.features.paper.vector_experiments import (
     table5_readings,
 )
 from boresight.geometry.geodesy import unit_vectors
-from boresight.geometry.record import Floats
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
+from boresight.records.record import Floats
 from boresight.simulator.campaign import CameraPair
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.version import version_text

@@ -44,8 +44,8 @@ from boresight.features.paper.wang import attitudes_of, polynomial_residuals, wa
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings, VectorSets
+from boresight.records.record import Floats, record, scalar
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,

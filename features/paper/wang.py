@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import cross_matrices, with_attitudes
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["WangEstimate", "attitudes_of", "polynomial_residuals", "wang_calibrate"]
 

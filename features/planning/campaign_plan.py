@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from boresight.calib.forecast import Forecast
 from boresight.display import axes_or_new
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump_schema import OF_LOOK_DISTORTION
 from boresight.pipeline.files.text_files import toml_tables
-from boresight.pipeline.results.plan_forecast import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
+from boresight.pipeline.forecast.accuracy import Forecast
+from boresight.pipeline.forecast.campaigns import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.pipeline.run.settings import settings_from_values
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 

@@ -25,7 +25,6 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit, OrbitGapError
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import (
     GroundSightings,
     StripSightings,
@@ -35,6 +34,7 @@ from boresight.geometry.sightings import (
 )
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.simulator.motion import acceleration
 
 __all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]

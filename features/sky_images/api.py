@@ -40,10 +40,10 @@ from boresight.features.sky_images.planets import planets_in_view
 from boresight.features.sky_images.sip import TanSip, tan_sip
 from boresight.features.sky_images.sky_plot import draw_sky
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools, Floats, Ints, inner, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import grey_image, read_star_image
+from boresight.records.record import Bools, Floats, Ints, inner, record, scalar
 from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
 from boresight.star_id.field import FieldSolution, nominal_camera, solve_list
 from boresight.star_id.finding.star_list import StarList

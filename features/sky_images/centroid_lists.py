@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.accepted import floats_of, wrong
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import StarList
 

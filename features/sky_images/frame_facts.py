@@ -15,7 +15,6 @@ from boresight.features.sky_images.image_time import Whereabouts, time_of_image
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.orbit import Orbit, OrbitGapError
-from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import GroundSite
 from boresight.pipeline.errors import RawDataError
@@ -24,6 +23,7 @@ from boresight.pipeline.files.dump_schema import SkyImageRow
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import read_oem
 from boresight.pipeline.files.text_files import read_table
+from boresight.records.record import record, scalar
 from boresight.star_id.observer import Observer
 
 __all__ = ["SkyImage", "SkyImages", "observer_at", "observers_of", "open_sky_images"]

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image
 from boresight.features.sky_images.planets import Planet, planets_in_view
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.run.unforeseen import UNFORESEEN, internal_error
+from boresight.records.record import Floats
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, ra_dec_roll, solve_list
 from boresight.star_id.finding.star_list import StarList, list_stars

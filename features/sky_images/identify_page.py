@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from boresight.features.sky_images.identify_images import Line, bound_words, misshapen_in
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Bools
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.drawing import FILL, MUTED, Axis, Drawing, Figure, Pen, drawn
 from boresight.pipeline.report.page_template import template
 from boresight.pipeline.report.star_image import Detection, star_detection, star_picture
 from boresight.pipeline.report.star_preview import stretched_jpeg
+from boresight.records.record import Bools
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.finding.psf import images_at
 from boresight.star_id.finding.star_list import StarList

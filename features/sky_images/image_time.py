@@ -15,9 +15,9 @@ from typing import Any
 
 from PIL import Image
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.images.image_file import ImageFile, open_image
 from boresight.pipeline.files.images.star_images import opened_fits
+from boresight.records.record import record, scalar
 
 __all__ = ["NOWHERE", "Whereabouts", "time_of_image"]
 

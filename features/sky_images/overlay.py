@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from boresight.features.sky_images.planets import Planet
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.report.marks import mark_boxes, place_labels
 from boresight.pipeline.report.star_preview import sky_stretch
+from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.star_names import star_name

@@ -11,9 +11,9 @@ import numpy as np
 
 from boresight.geometry.constants import ARCSEC, DAY_S, SPEED_OF_LIGHT
 from boresight.geometry.groundlight import aberrate
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import refract_by_air
+from boresight.records.record import Floats, record, scalar
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.observer import Observer
 

@@ -37,8 +37,8 @@ from boresight.features.sky_images.tracking import (
     with_fix,
 )
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.field import ra_dec_roll
 from boresight.star_id.finding.star_list import StarList
 from boresight.star_id.identification.triangle_index import StarIndex

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["TanSip", "tan_sip"]
 

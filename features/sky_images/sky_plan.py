@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
     PARAMETERS,
     detector_grid,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,12 +21,12 @@ from boresight.features.sky_images.identify_images import (
     sky_index,
 )
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
-from boresight.geometry.record import record, scalar
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, panels
+from boresight.records.record import record, scalar
 from boresight.star_id.camera_calibration import (
     CameraCalibration,
     ResidualMap,

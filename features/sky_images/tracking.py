@@ -20,8 +20,8 @@ from scipy.ndimage import uniform_filter
 from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.psf import Psf

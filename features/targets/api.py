@@ -11,10 +11,10 @@ import pandas as pd
 from boresight.accepted import PathLike, Progress, counted, listed, no_progress, progress_of, source_of, wrong
 from boresight.display import Result, axes_or_new
 from boresight.features.targets.target_matches import matched_lines, matches_table
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.strip_tasks import strips_to_match
+from boresight.records.record import record, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,6 @@ import numpy as np
 from boresight.features.targets.target_matches import StripLine, matches_table
 from boresight.gct_match.records import TargetMatch
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.ledger import Entry
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.marks import SHAPES, strip_style
@@ -19,6 +18,7 @@ from boresight.pipeline.report.page_template import Number, template
 from boresight.pipeline.report.unmatched import pictures_at
 from boresight.pipeline.stages.match_pictures import MatchPictures
 from boresight.pipeline.stages.strip import StripTask, pictures_of_match, pushbroom_of
+from boresight.records.ledger import Entry
 
 __all__ = ["write_candidates_page"]
 

@@ -14,10 +14,8 @@ import numpy as np
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.ledger import Entry, Kind, Reason
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.pushbroom import outline_deg
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import wrong_convention
 from boresight.pipeline.errors import RawDataError
@@ -32,6 +30,8 @@ from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.head import Basis, HeadSightings
 from boresight.pipeline.stages.strip import StripTask, misses, pushbroom_of, unreadable_chips
 from boresight.pipeline.stages.strip_tasks import before_launch
+from boresight.records.ledger import Entry, Kind, Reason
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["DumpCheck", "TargetCheck", "check_dump", "check_lines", "grouped_faults"]
 

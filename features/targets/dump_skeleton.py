@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import is_vacant
+from boresight.records.record import record, scalar
 
 __all__ = ["Skeleton", "write_skeleton"]
 

@@ -23,7 +23,6 @@ from rasterio.warp import reproject
 from rasterio.windows import Window
 
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.terrain import Surface, TerrainGrid
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent
@@ -31,6 +30,7 @@ from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff
 from boresight.pipeline.files.object_store import StoredPath
 from boresight.pipeline.files.xml_files import read_xml
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "HeightModel",

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from boresight.features.targets.ortho_files import RasterFile, open_raster
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files.content import content_of
 from boresight.pipeline.files.object_store import OF_GDAL, StoredPath, dump_folder, is_address
+from boresight.records.record import record, scalar
 
 __all__ = ["StacQuery", "stac_images"]
 

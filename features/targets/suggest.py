@@ -15,7 +15,7 @@ from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.records import Image
 from boresight.gct_match.search.correlation import correlation_surface
 from boresight.gct_match.texture import noise_of, sigma_from_gradients, smooth_gradients
-from boresight.geometry.record import Bools, record, scalar
+from boresight.records.record import Bools, record, scalar
 
 __all__ = ["SuggestedTarget", "suggest_targets"]
 

@@ -29,8 +29,6 @@ from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Image, Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
-from boresight.geometry.ledger import Entry
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import GroundReferenceFile
@@ -42,6 +40,8 @@ from boresight.pipeline.stages.match_pictures import NO_PICTURES
 from boresight.pipeline.stages.observed_strips import matched_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import before_launch
+from boresight.records.ledger import Entry
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Candidate", "SuggestRequest", "Suggestion", "suggest_in", "suggestion_lines", "write_targets"]
 

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.joint_solution import Problem
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import linearise, prepare_strip
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["TargetChoice", "choose_targets"]
 

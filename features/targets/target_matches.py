@@ -13,11 +13,11 @@ import numpy as np
 import pandas as pd
 
 from boresight.gct_match.records import TargetMatch
-from boresight.geometry.ledger import Entry, State
-from boresight.geometry.record import Floats
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.stages.strip import StripTask, strip_matches
+from boresight.records.ledger import Entry, State
+from boresight.records.record import Floats
 
 __all__ = ["StripLine", "matched_lines", "matches_table", "write_matches"]
 

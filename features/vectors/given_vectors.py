@@ -19,8 +19,8 @@ from boresight.accepted import floats_of, listed, shown, wrong
 from boresight.features.vectors.target_places import SeenPlaces, seen_places
 from boresight.features.vectors.vector_estimate import VectorCalibration
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import VectorSets
+from boresight.records.record import Floats, Ints
 
 __all__ = ["check_directions", "information_of_start", "vector_sets"]
 

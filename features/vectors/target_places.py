@@ -16,10 +16,10 @@ from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_ve
 from boresight.geometry.geoid import egm96
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, Texts, array, record
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import read_oem
+from boresight.records.record import Floats, Texts, array, record
 
 __all__ = ["SeenPlaces", "orbit_of_states", "seen_places"]
 

@@ -20,9 +20,9 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import GroundSightings, StarSightings, StripSightings, VectorSets
 from boresight.geometry.star_camera import StarCamera
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["VectorCalibration", "calibrate_vector_sets", "strips_of_frames"]
 

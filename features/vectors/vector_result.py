@@ -15,8 +15,6 @@ from scipy.special import chdtrc
 from boresight.calib.estimate import NotObservable
 from boresight.features.vectors.vector_estimate import INDEPENDENT, VectorCalibration
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import ExposureAttitudes, VectorSets
 from boresight.pipeline.files.record_tables import columns_of
 from boresight.pipeline.files.table_files import arrow_array
@@ -24,6 +22,8 @@ from boresight.pipeline.files.whole_file import json_text
 from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
 from boresight.pipeline.results.writing import installation_facts, write_tables
 from boresight.pipeline.run.settings import Settings
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats, Ints
 
 __all__ = ["vector_facts", "vector_tables", "why_not", "write_vector_result"]
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["change", "composed", "gradient", "largest_px", "sample", "shifted", "warped"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = [
     "filtered",

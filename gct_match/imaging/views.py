@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Bools, array, record
+from boresight.records.record import Bools, array, record
 
 __all__ = [
     "View",

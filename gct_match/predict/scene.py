@@ -11,8 +11,8 @@ from boresight.gct_match.records import Chip, Target
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.line_camera import StripImage
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Scene", "scene_of"]
 

@@ -23,8 +23,8 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.terrain import Surface
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["Template", "chip_points", "chip_sides_px", "predict_template"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Trajectories", "displacements", "trajectories_of"]
 

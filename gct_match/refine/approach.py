@@ -13,7 +13,7 @@ import numpy as np
 from boresight.gct_match.imaging.resample import change, composed, gradient, largest_px
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.template_blocks import blocks_of
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["approach", "robust_weights"]
 

@@ -14,7 +14,7 @@ from boresight.gct_match.imaging.resample import composed, gradient, largest_px,
 from boresight.gct_match.imaging.views import View
 from boresight.gct_match.refine.least_squares import PositionFit, usable_pixels
 from boresight.gct_match.refine.template_blocks import blocks_of
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["REACH_PX", "fit_changed"]
 

@@ -28,7 +28,7 @@ from boresight.gct_match.refine.approach import approach, robust_weights
 from boresight.gct_match.refine.radiometry import TERMS, TONE_TERMS, fill_columns
 from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["UNCHANGED_PX", "PositionFit", "fit_position", "usable_pixels"]
 

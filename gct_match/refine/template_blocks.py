@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["Blocks", "blocks_of"]
 

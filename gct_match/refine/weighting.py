@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.spectra import frequency, padded_shape, ring_means, rings
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Weighting", "weighting"]
 

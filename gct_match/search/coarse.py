@@ -12,7 +12,7 @@ from boresight.gct_match.imaging.views import filled_with_mean
 from boresight.gct_match.records import Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.line_camera import StripImage
-from boresight.geometry.record import Bools, array, record, scalar
+from boresight.records.record import Bools, array, record, scalar
 
 __all__ = ["CoarseStrip", "means_of_usable", "read_coarse", "read_window"]
 

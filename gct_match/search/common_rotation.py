@@ -34,7 +34,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import StripImage
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints
+from boresight.records.record import Floats, Ints
 
 __all__ = ["Each", "search_common_rotation", "vote_tolerance_px"]
 

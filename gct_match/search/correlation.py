@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from boresight.gct_match.imaging.views import window
 from boresight.gct_match.records import Image
-from boresight.geometry.record import Bools, Floats, array, record
+from boresight.records.record import Bools, Floats, array, record
 
 __all__ = [
     "Peaks",

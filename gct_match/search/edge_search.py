@@ -23,7 +23,7 @@ from boresight.gct_match.search.edges import (
     halved,
     normalised_correlation,
 )
-from boresight.geometry.record import Ints, array, record
+from boresight.records.record import Ints, array, record
 
 __all__ = [
     "Positions",

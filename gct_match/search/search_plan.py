@@ -15,7 +15,7 @@ from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import chip_sides_px
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.line_camera import StripImage
-from boresight.geometry.record import Floats, Ints, record, scalar
+from boresight.records.record import Floats, Ints, record, scalar
 
 __all__ = ["Box", "SearchPlan", "Window", "extents", "plan_search", "pyramid_factor"]
 

@@ -13,7 +13,7 @@ from itertools import accumulate
 import numpy as np
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["Candidates", "Vote", "fit_common", "log_chance_of_ranks", "vote"]
 

@@ -12,7 +12,6 @@ from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
-from boresight.geometry.ledger import Entry, Kind, Ledger
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.rounds import Round
 from boresight.pipeline.diagnosis.input_findings import (
@@ -49,6 +48,7 @@ from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
 from boresight.pipeline.stages.strip import contradicting_targets
+from boresight.records.ledger import Entry, Kind, Ledger
 
 __all__ = ["Assessment", "assessed"]
 

@@ -15,9 +15,7 @@ from __future__ import annotations
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
-from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import inner, record, scalar
 from boresight.geometry.sightings import ExposureAttitudes, StarSightings, StripSightings
 from boresight.pipeline.calibration.assessment import Assessment, assessed
 from boresight.pipeline.calibration.rounds import Round, first_and_last_round, unused_so_far
@@ -34,6 +32,8 @@ from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.records.ledger import Entry
+from boresight.records.record import inner, record, scalar
 
 __all__ = ["DumpCalibration", "calibrate_dump"]
 

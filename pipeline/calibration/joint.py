@@ -25,9 +25,7 @@ from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.unused_rows import Rows, rows_of_cameras, rows_together
@@ -38,6 +36,8 @@ from boresight.pipeline.files.repeats import same_exposure
 from boresight.pipeline.files.star_side import Exposure, SolvedAttitudes, StarImages
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
+from boresight.records.ledger import Entry
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["JointCalibration", "NamedDump", "calibrate_jointly", "dump_names", "named_cameras", "open_dumps"]
 

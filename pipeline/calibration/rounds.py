@@ -17,8 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
 from boresight.pipeline.diagnosis.missing import cause_of_no_result, what_is_missing
@@ -39,6 +37,8 @@ from boresight.pipeline.stages.strip import (
     with_points,
 )
 from boresight.pipeline.stages.strip_tasks import strip_tasks
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "Round",

@@ -24,10 +24,10 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files.whole_file import json_text
+from boresight.records.record import record, scalar
 
 __all__ = ["DATA_DID_NOT_ALLOW", "DONE", "LIMIT_MISSED", "NOT_CHECKABLE", "REFUTED", "WITH_FINDINGS"]
 __all__ += [

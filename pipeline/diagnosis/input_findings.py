@@ -17,10 +17,8 @@ from boresight.geometry.earth_orientation import EarthOrientationTable, EarthOri
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.coordinate_slips import off_middle_m
 from boresight.pipeline.files.dump import Dump
@@ -29,6 +27,8 @@ from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.terrain_files import TerrainFiles
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, misses
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats, record, scalar
 
 __all__ = [
     "NOTHING",

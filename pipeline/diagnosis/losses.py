@@ -19,8 +19,6 @@ from scipy.spatial.transform import Rotation
 from scipy.special import bdtrc
 
 from boresight.calib.finding import Finding
-from boresight.geometry.ledger import Entry, Kind, Ledger, Reason, Subject
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import RawDataError
@@ -30,6 +28,8 @@ from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
+from boresight.records.ledger import Entry, Kind, Ledger, Reason, Subject
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [

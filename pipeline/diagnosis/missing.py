@@ -14,8 +14,6 @@ import numpy as np
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.finding import Finding
-from boresight.geometry.ledger import Entry, Kind, Reason
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import NOTHING, nearest_miss
 from boresight.pipeline.diagnosis.moved_inputs import examined, moved_inputs
@@ -37,6 +35,8 @@ from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strip_tasks
+from boresight.records.ledger import Entry, Kind, Reason
+from boresight.records.record import Floats
 
 __all__ = [
     "cause_of_no_result",

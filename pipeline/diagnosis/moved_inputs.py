@@ -23,7 +23,6 @@ from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.geometry.starlight import earth_velocity_i
 from boresight.pipeline.files.dump import Dump
@@ -31,6 +30,7 @@ from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import StripTask
+from boresight.records.record import Floats
 
 __all__ = ["examined", "moved_inputs"]
 

@@ -24,11 +24,11 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroRecord
-from boresight.geometry.ledger import Kind, Subject
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.pipeline.diagnosis.stretches import FACTORS, Stretch, stretches
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
+from boresight.records.ledger import Kind, Subject
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["against_own_motion"]
 

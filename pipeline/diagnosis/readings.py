@@ -20,8 +20,6 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.geometry.ledger import Entry, Kind, Ledger, Subject
-from boresight.geometry.record import Bools, Floats
 from boresight.pipeline.diagnosis.losses import (
     Crossings,
     as_bright_as_named,
@@ -40,6 +38,8 @@ from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_iden
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
+from boresight.records.ledger import Entry, Kind, Ledger, Subject
+from boresight.records.record import Bools, Floats
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [

@@ -23,7 +23,7 @@ from boresight.calib.slow_motion import motion_modes
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroRecord, without_gap
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["FACTORS", "Stretch", "stretches"]
 

@@ -14,9 +14,9 @@ from boresight.calib.finding import Finding
 from boresight.calib.reliability import Contradiction
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
-from boresight.geometry.ledger import Kind, Ledger, Subject
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
+from boresight.records.ledger import Kind, Ledger, Subject
 
 __all__ = ["MeasuredTargets", "single_targets"]
 

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 
 from boresight.calib.estimate import InstallationEstimate
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump
@@ -23,6 +21,8 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.head import around_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import record, scalar
 
 __all__ = [
     "Rows",

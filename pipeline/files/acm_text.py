@@ -21,10 +21,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_file import calendar_date, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "ANGLES",

@@ -20,7 +20,6 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import AttitudeFrame, EarthRotation, InertialFrame, rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.acm_text import (
     ANGLES,
@@ -35,6 +34,7 @@ from boresight.pipeline.files.acm_text import (
 from boresight.pipeline.files.orbit_file import SAME_FRAME, calendar_date, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 

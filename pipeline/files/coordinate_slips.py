@@ -14,10 +14,10 @@ import numpy as np
 from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
-from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.ground_points import ChipFile
 from boresight.pipeline.files.images.rasters import GridPlace, grid_place
+from boresight.records.record import Bools, Floats, record, scalar
 
 __all__ = ["contradiction", "likeliest", "slips"]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch, tai_minus_utc_s
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
+from boresight.records.record import Floats
 
 __all__ = [
     "check_exposure_dates",

@@ -38,10 +38,10 @@ from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
-from boresight.geometry.record import Floats, record, scalar
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["DimapStrip", "model_attitudes", "operator_model", "read_dimap"]
 

@@ -19,10 +19,8 @@ from boresight.gct_match.records import Target
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.groundlight import LightEffects
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, record, scalar, value_text
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files import dump_schema as schema
@@ -33,6 +31,8 @@ from boresight.pipeline.files.star_side import Exposure, Head, SolvedAttitudes, 
 from boresight.pipeline.files.star_tables import StarTable
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats, record, scalar, value_text
 
 __all__ = ["Dump", "dump_or_faults", "open_cameras", "open_dump"]
 

@@ -16,9 +16,7 @@ from boresight.gct_match.records import GroundReference
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import unit_vectors
-from boresight.geometry.ledger import Entry
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.content import check_bytes
@@ -53,6 +51,8 @@ from boresight.pipeline.files.terrain_files import (
     surface_of,
 )
 from boresight.pipeline.files.text_files import path_inside, read_toml
+from boresight.records.ledger import Entry
+from boresight.records.record import Floats
 
 __all__ = ["DumpParts"]
 

@@ -12,10 +12,10 @@ from boresight.gct_match.records import GroundReference, Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
     "NO_POINTS",

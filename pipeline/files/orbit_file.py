@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
     "SAME_FRAME",

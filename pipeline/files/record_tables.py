@@ -17,8 +17,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import pyarrow as pa
 
-from boresight.geometry.record import Bools, Floats, Ints, Texts, shape_of
 from boresight.pipeline.files.table_files import arrow_array, column, fixed_list, list_values
+from boresight.records.record import Bools, Floats, Ints, Texts, shape_of
 
 __all__ = ["columns_of", "plain", "record_from_columns", "record_from_table", "table_from_record"]
 

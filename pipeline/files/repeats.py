@@ -23,8 +23,6 @@ from scipy.special import chdtr
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Bools, Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.content import content_digest
@@ -33,6 +31,8 @@ from boresight.pipeline.files.images.image_file import check_length
 from boresight.pipeline.files.images.rasters import grid_place
 from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, Head, SolvedAttitudes, StarCentroids, StarImages
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Bools, Floats, record, scalar
 
 if TYPE_CHECKING:
     from boresight.pipeline.files.dump import Dump

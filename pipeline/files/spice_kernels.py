@@ -27,12 +27,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.epoch import Epoch, seconds_from_ephemeris_time
-from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows, check_rows
 from boresight.pipeline.files.content import check_extent, content_of, limited_content
 from boresight.pipeline.files.orbit_file import Ephemeris, check_components, check_states
 from boresight.pipeline.files.text_files import MAX_ROWS
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["CK", "NO_KERNELS", "SPK", "Kernels", "is_kernel", "read_ck", "read_spk"]
 

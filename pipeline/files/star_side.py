@@ -21,9 +21,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.gyro import GyroRecord, GyroRows
-from boresight.geometry.ledger import Entry, Kind, Subject
 from boresight.geometry.orbit import Orbit, OrbitGapError
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
 from boresight.geometry.starlight import AberrationRemoved, with_all_aberration
 from boresight.pipeline.errors import RawDataError
@@ -35,6 +33,8 @@ from boresight.pipeline.files.gyro_file import read_gyro
 from boresight.pipeline.files.spice_kernels import CK, NO_KERNELS, Kernels, is_kernel, read_ck
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table, read_toml
 from boresight.pipeline.files.usual_mistakes import AttitudeFault, find_attitude_fault, off_nadir
+from boresight.records.ledger import Entry, Kind, Subject
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.centroids import Centroids
 
 __all__ = [

@@ -15,11 +15,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import Identity, check_extent, identity_of, limited_content
 from boresight.pipeline.files.xml_files import read_xml
+from boresight.records.record import Floats
 from boresight.star_id.whole_catalogue import all_hipparcos
 
 __all__ = ["StarTable", "read_star_table", "survey_of"]

@@ -9,11 +9,11 @@ import tomlkit
 
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.text_files import read_text, read_toml
 from boresight.pipeline.files.whole_file import write_text
+from boresight.records.record import Floats
 
 __all__ = ["noise_keys", "state_noise"]
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.pushbroom import RowClock
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.dates import seconds_of
 from boresight.pipeline.files.images.tiff import StripFiles, check_strip_file
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import record, scalar
 
 __all__ = ["Strip", "check_what_strips_show", "read_strips"]
 

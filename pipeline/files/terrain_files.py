@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.geoid import egm96
-from boresight.geometry.record import Floats, array, record
 from boresight.geometry.terrain import Raster, Surface, TerrainGrid, TerrainTiles, joined
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.images.rasters import read_grid
+from boresight.records.record import Floats, array, record
 
 __all__ = ["NO_TERRAIN", "TargetHeights", "TerrainFiles", "surface_of"]
 

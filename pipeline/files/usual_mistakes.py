@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH, WGS84
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Bools, Floats, record, scalar
+from boresight.records.record import Bools, Floats, record, scalar
 
 __all__ = [
     "AttitudeFault",

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.whole_file import write_json
 from boresight.pipeline.report.ground_accuracy import accuracy_rows
@@ -15,6 +14,7 @@ from boresight.pipeline.report.ground_map import local_plane
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.results.folder import VALIDATION
 from boresight.pipeline.results.validate import TruthErrors
+from boresight.records.record import record, scalar
 
 __all__ = ["CheckPoint", "check_points_on_map", "write_validation"]
 

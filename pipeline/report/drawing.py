@@ -15,9 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.report.marks import SHAPES
 from boresight.pipeline.report.observations import SeenCard, data_uri
+from boresight.records.record import Floats, record, scalar
 
 __all__ = [
     "AXES",

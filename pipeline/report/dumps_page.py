@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
@@ -26,6 +25,7 @@ from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.requirement import saved_requirement
 from boresight.pipeline.results.sightings_tables import read_sightings
+from boresight.records.record import record, scalar
 
 __all__ = ["Bar", "SmallMap", "round_bar", "small_maps", "write_dumps_report"]
 

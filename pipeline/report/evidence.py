@@ -19,18 +19,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.budget import uncertainty_budget
 from boresight.calib.finding import Finding
 from boresight.calib.information import solve_total
-from boresight.calib.noise_spectrum import allan_deviation
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.ledger import State
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
@@ -43,6 +39,10 @@ from boresight.pipeline.files.star_side import StarImages
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.text_files import read_toml
 from boresight.pipeline.files.whole_file import make_own_folder, write_inside, write_json
+from boresight.pipeline.forecast.budget import uncertainty_budget
+from boresight.pipeline.forecast.campaigns import improvements
+from boresight.pipeline.head_noise.of_dump import attitude_signal
+from boresight.pipeline.head_noise.spectrum import allan_deviation
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
@@ -51,13 +51,13 @@ from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
-from boresight.pipeline.results.head_records import attitude_signal
-from boresight.pipeline.results.plan_forecast import improvements
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.exposure import exposure_image
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, trace_pictures
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, as_matched, strip_motion
+from boresight.records.ledger import State
+from boresight.records.record import Floats
 from boresight.star_id.strip_stars.find import StripStars
 from boresight.star_id.strip_stars.trace import Motion, trace_images, trace_radius
 

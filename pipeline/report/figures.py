@@ -10,8 +10,6 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import State
-from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.report.drawing import (
     AXES,
@@ -30,6 +28,8 @@ from boresight.pipeline.report.drawing import (
 from boresight.pipeline.report.observations import ExposureCard, SeenCard, TargetCard
 from boresight.pipeline.report.page_template import utc_text
 from boresight.pipeline.report.saved import Saved
+from boresight.records.ledger import State
+from boresight.records.record import Floats
 
 __all__ = [
     "allan_plot",

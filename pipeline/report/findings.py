@@ -14,12 +14,12 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.calib.finding import Finding
-from boresight.geometry.ledger import Kind, State, Subject
 from boresight.geometry.line_camera import end_looks
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.report.ground_map import MapScene, StripOnGround
+from boresight.records.ledger import Kind, State, Subject
 
 __all__ = ["findings"]
 

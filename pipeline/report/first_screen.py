@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import State
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.observations import TargetCard
 from boresight.pipeline.report.page_template import Number, number_from
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.results.summary import REASON_WORDS
+from boresight.records.ledger import State
+from boresight.records.record import record, scalar
 
 __all__ = ["FirstScreen", "Found", "Help", "Required", "first_screen", "required", "sigma_on_ground"]
 

@@ -13,8 +13,8 @@ import pyarrow as pa
 from scipy.optimize import brentq
 from scipy.special import ndtr, ndtri
 
-from boresight.geometry.record import Floats, Texts
 from boresight.pipeline.files.table_files import column
+from boresight.records.record import Floats, Texts
 
 __all__ = ["accuracy_by_strip", "accuracy_rows", "predicted_accuracy", "radius_90"]
 

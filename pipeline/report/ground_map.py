@@ -25,9 +25,7 @@ from boresight.gct_match.search.coarse import means_of_usable, read_coarse
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
-from boresight.geometry.ledger import Entry, Kind, State, Subject
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.geometry.terrain import ConstantHeight, Surface
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
@@ -39,6 +37,8 @@ from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.star_preview import jpeg_of
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
+from boresight.records.ledger import Entry, Kind, State, Subject
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = [
     "STATES",

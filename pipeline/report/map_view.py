@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from boresight.geometry.ledger import State
-from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.check_points import CheckPoint, check_points_on_map
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
+from boresight.records.ledger import State
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.geometry.record import Bools, Floats
+from boresight.records.record import Bools, Floats
 
 __all__ = ["COLOURS", "SHAPES", "line_boxes", "mark_boxes", "place_labels", "strip_style"]
 

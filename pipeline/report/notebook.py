@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from boresight.geometry.record import Bools, Floats
 from boresight.pipeline.run.stage_words import stage_words
+from boresight.records.record import Bools, Floats
 
 __all__ = ["calibration_html", "notebook_progress"]
 

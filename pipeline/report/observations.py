@@ -13,13 +13,13 @@ import pyarrow as pa
 from scipy.special import chdtrc
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Kind, State
-from boresight.geometry.record import Floats, record, scalar
 from boresight.pipeline.files.table_files import column
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.page_template import Number
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.results.summary import REASON_WORDS
+from boresight.records.ledger import Kind, State
+from boresight.records.record import Floats, record, scalar
 
 __all__ = [
     "KEYS",

@@ -12,7 +12,7 @@ import jinja2
 from markupsafe import Markup
 
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.record import record, scalar
+from boresight.records.record import record, scalar
 
 __all__ = ["UTC_FROM", "Number", "number_from", "template", "utc_text"]
 

@@ -8,7 +8,6 @@ from typing import Any, get_type_hints
 
 import pyarrow as pa
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
@@ -19,6 +18,7 @@ from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import read_installation
 from boresight.pipeline.results.sightings_tables import COLUMNS, read_sightings
 from boresight.pipeline.stages.match_pictures import MatchPictures
+from boresight.records.record import record, scalar
 
 __all__ = ["EVIDENCE", "Saved", "read_saved"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import pyarrow as pa
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.page_template import Number, number_from
+from boresight.records.record import record, scalar
 
 __all__ = ["SheetBasis", "angles", "basis_of", "matrix_numbers"]
 

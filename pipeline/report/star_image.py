@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.observations import data_uri
+from boresight.records.record import record, scalar
 
 __all__ = ["Detection", "star_detection", "star_picture"]
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.geometry.sightings import StarSightings
+from boresight.records.record import Floats, Ints, Texts, array, record, scalar
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 

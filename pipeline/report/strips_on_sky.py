@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
 from boresight.pipeline.files.table_files import list_values
 from boresight.pipeline.report.drawing import MUTED, Axis, Drawing, Figure, Panel, Pen, Spot, drawn
 from boresight.pipeline.report.marks import line_boxes, mark_boxes, place_labels
 from boresight.pipeline.report.observations import SeenCard
 from boresight.pipeline.report.saved import Saved
+from boresight.records.record import Floats
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.star_names import star_name
 

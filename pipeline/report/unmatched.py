@@ -10,9 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from boresight.gct_match.predict.template import chip_sides_px, predict_template
-from boresight.geometry.ledger import State
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
@@ -22,6 +20,8 @@ from boresight.pipeline.report.ground_map import MapScene
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.stages.match_pictures import MatchPictures, match_pictures
 from boresight.pipeline.stages.strip import StripTask, read_chip
+from boresight.records.ledger import State
+from boresight.records.record import Floats
 
 __all__ = ["pictures_at", "unmatched_pictures"]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.report.page_template import Number, number_from
 from boresight.pipeline.results.summary import kind_of, two_digits
+from boresight.records.record import record, scalar
 
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion, interpolation_weights
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["MeasuredStrip", "cross_angles"]
 

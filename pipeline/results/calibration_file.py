@@ -11,9 +11,9 @@ from typing import Any
 
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats
 from boresight.pipeline import __version__
 from boresight.pipeline.files.whole_file import json_text
+from boresight.records.record import Floats
 
 __all__ = ["calibration_text"]
 

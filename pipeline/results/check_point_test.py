@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from boresight.geometry.record import Floats, record, scalar
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["DIRECTIONS", "RmsTest", "probability_beyond", "rms_test"]
 

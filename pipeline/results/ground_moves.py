@@ -24,8 +24,8 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats, array, record
 from boresight.pipeline.results.reading import SavedResult
+from boresight.records.record import Floats, array, record
 
 __all__ = ["GroundMoves", "common_covariance", "ground_moves"]
 

@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.text_files import read_json, read_toml
 from boresight.pipeline.files.whole_file import write_json
+from boresight.records.record import record, scalar
 
 __all__ = ["ABOUT", "About", "Identity", "identity_of_result", "result_id", "saved_about", "write_about"]
 

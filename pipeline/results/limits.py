@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
+from boresight.records.record import record, scalar
 
 if TYPE_CHECKING:  # whoever states limits need not load the models of geo-positioning, 0.2 s
     from boresight.pipeline.results.validate import TruthErrors

@@ -25,7 +25,6 @@ from typing import Any
 if sys.platform != "win32":
     import fcntl
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -35,6 +34,7 @@ from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.run.digests import digest
 from boresight.pipeline.run.settings import Settings
+from boresight.records.record import record, scalar
 
 __all__ = ["Origin", "check_dump_of", "claimed", "dump_folder_of", "dump_identity", "origin_of"]
 

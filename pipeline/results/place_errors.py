@@ -21,11 +21,11 @@ from scipy.linalg import block_diag
 
 from boresight.geometry.attitude import AttitudeTrack, interpolation_weights, linear_weights
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats, array, record
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.reading import SavedResult
+from boresight.records.record import Floats, array, record
 
 __all__ = ["PassErrors", "PlaceErrors", "covariance_of_places", "rest_of_common", "variance_of_places"]
 

@@ -17,13 +17,13 @@ from boresight.calib.distortion import MODES
 from boresight.calib.error_table import BIASES, by_kind, coordinate_covariance, coordinate_names, prior_of
 from boresight.calib.information import InformationPairs
 from boresight.calib.predicted_earth import predictions_of
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 from boresight.pipeline.results.sightings_tables import read_sightings, sightings_schema
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = [
     "SavedResult",

@@ -10,9 +10,9 @@ import numpy as np
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_json
+from boresight.records.record import record, scalar
 
 __all__ = ["FILE", "Requirement", "is_met", "requirement_lines", "saved_requirement", "write_requirement"]
 

@@ -6,8 +6,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from boresight.geometry.ledger import Entry
-from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.pipeline.calibration.rounds import is_settled
 from boresight.pipeline.errors import RawDataError
@@ -25,6 +23,8 @@ from boresight.pipeline.run.unit_store import read_meta, read_unit
 from boresight.pipeline.stages.coverage import covers
 from boresight.pipeline.stages.exposure import star_tasks
 from boresight.pipeline.stages.strip import MatchedTargets
+from boresight.records.ledger import Entry
+from boresight.records.record import record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["kept_units", "run_status", "saved_omissions", "status_lines"]

@@ -14,7 +14,6 @@ from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Ints, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
@@ -25,6 +24,7 @@ from boresight.pipeline.results.ownership import MARKER, check_dump_of, dump_fol
 from boresight.pipeline.results.reading import SavedResult, read_for_dump
 from boresight.pipeline.run.settings import RunSettings, settings_from_values
 from boresight.pipeline.stages.coverage import rows_not_covered, rows_of_heads
+from boresight.records.record import Ints, record, scalar
 
 __all__ = [
     "Calibrated",

@@ -12,8 +12,6 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import euler_zxy_from_theta
-from boresight.geometry.ledger import Kind, Reason, either_of
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.calibration.joint import JointCalibration
@@ -25,6 +23,8 @@ from boresight.pipeline.results.writing import (
     joint_ground_m_per_rad,
     verdict_json,
 )
+from boresight.records.ledger import Kind, Reason, either_of
+from boresight.records.record import Floats
 
 __all__ = [
     "REASON_WORDS",

@@ -16,7 +16,6 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
@@ -32,6 +31,7 @@ from boresight.pipeline.results.strip_model import (
     run_settings_of,
     terrain_sigma_m,
 )
+from boresight.records.record import Floats, Ints, Texts, array, record, scalar
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 

@@ -25,7 +25,6 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.line_camera import LineSensor, edge_tangent
 from boresight.geometry.orbit import argument_of_latitude, beta_angle
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline import __version__
 from boresight.pipeline.calibration.calibrate import DumpCalibration
@@ -40,6 +39,7 @@ from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.sky_strip import SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask
+from boresight.records.record import Floats
 
 __all__ = [
     "blind_spots_json",

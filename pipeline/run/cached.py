@@ -15,8 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
-from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import printable
 from boresight.pipeline.files.content import Identity, remember_digest, with_identity
 from boresight.pipeline.files.record_tables import record_from_table, table_from_record
@@ -25,6 +23,8 @@ from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.unforeseen import UNFORESEEN, internal_error
 from boresight.pipeline.run.unit_store import UnitStore, read_meta
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import record, scalar
 
 __all__ = ["Progress", "StageRunner", "Task", "Unit", "log_unit"]
 

@@ -18,12 +18,12 @@ from typing import Any, TypeVar
 
 from distributed import Client, KilledWorker, get_worker, wait
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.files.content import content_digest
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.program_key import library_versions, program_digest
+from boresight.records.record import record, scalar
 
 __all__ = ["Fingerprint", "OnCluster", "fingerprint", "on_cluster"]
 

@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.run.digests import digest, files_in
 from boresight.pipeline.run.program_key import program_digest
 from boresight.pipeline.run.settings import Settings
+from boresight.records.record import record, scalar
 
 __all__ = ["RunInputs", "inputs_of"]
 

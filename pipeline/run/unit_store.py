@@ -16,10 +16,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
+from boresight.records.record import record, scalar
 
 __all__ = ["UnitStore", "read_meta", "read_unit"]
 

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import NominalMotion
 from boresight.geometry.attitude_smoother import HeadRows
-from boresight.geometry.ledger import Entry, Reason
-from boresight.geometry.record import Floats, Ints
 from boresight.pipeline.files.dates import span_text
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.strip_table import Strip
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import Floats, Ints
 
 if TYPE_CHECKING:
     from boresight.pipeline.stages.head import HeadSightings  # loads all that finds stars

@@ -15,9 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import OrbitGapError
-from boresight.geometry.record import record, scalar
 from boresight.geometry.sightings import StarSightings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -25,6 +23,8 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
 from boresight.pipeline.run.index_cache import cached_index
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import record, scalar
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified

@@ -19,9 +19,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.attitude_smoother import smoothed_track
-from boresight.geometry.ledger import Entry, Reason
 from boresight.geometry.orbit import Orbit, OrbitGapError
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.geometry.sightings import (
     ExposureAttitudes,
     StarSightings,
@@ -35,6 +33,8 @@ from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.coverage import rows_of_heads
 from boresight.pipeline.stages.exposure import sight_exposure, star_tasks
+from boresight.records.ledger import Entry, Reason
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["Basis", "HeadSightings", "around_strips", "before_calibration", "covered_instants", "sight_head"]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, record, scalar
+from boresight.records.record import Floats, record, scalar
 
 __all__ = ["NO_PICTURES", "MatchPictures", "match_pictures", "trace_pictures"]
 

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import NominalMotion
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import GroundSightings, HeadAttitudes, StripSightings
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, ground_sightings
+from boresight.records.record import Floats
 
 __all__ = ["matched_strips", "named_sightings", "strip_sightings"]
 

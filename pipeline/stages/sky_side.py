@@ -11,9 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.slow_motion import FEWEST_SHOW
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Entry
 from boresight.geometry.line_camera import LineCamera
-from boresight.geometry.record import Floats, Ints, array, record, scalar
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.run.cached import StageRunner
@@ -22,6 +20,8 @@ from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, s
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, find_sky_stars, name_sky_stars
 from boresight.pipeline.stages.strip import orbit_around
+from boresight.records.ledger import Entry
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = ["SkySide", "find_in_sky_strips", "name_in_sky_strips", "scatter_px"]

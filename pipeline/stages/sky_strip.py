@@ -19,16 +19,16 @@ from boresight.geometry.attitude import AttitudeTrack, ConstantRate, Interpolati
 from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import unit_vectors
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import LineSensor, end_looks
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import RowClock
-from boresight.geometry.record import Floats, Texts, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, isotropic_covariance
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Floats, Texts, array, record, scalar
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.fit import LEAST_GAIN
 from boresight.star_id.strip_stars.settings import StripStarSettings

@@ -30,11 +30,9 @@ from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
-from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.geometry.record import Floats, Ints, Texts, array, record, scalar, shape_of
 from boresight.geometry.sightings import GroundReferences, GroundSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
@@ -45,6 +43,8 @@ from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, surface_of
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
+from boresight.records.ledger import Entry, Kind, Reason, State, Subject
+from boresight.records.record import Floats, Ints, Texts, array, record, scalar, shape_of
 
 __all__ = [
     "MatchedTargets",

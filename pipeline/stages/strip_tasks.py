@@ -14,8 +14,6 @@ from boresight.gct_match.records import Target
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
-from boresight.geometry.record import Bools, Floats
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
@@ -31,6 +29,8 @@ from boresight.pipeline.stages.strip import (
     pushbroom_of,
     targets_near,
 )
+from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.record import Bools, Floats
 
 __all__ = [
     "before_launch",

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NOISIER
 from boresight.star_id.finding.cut_sky import UNCUT, clipped_variance, cut_moments, limit_after_cut
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats, Ints
+from boresight.records.record import Floats, Ints
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, extended
 from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA

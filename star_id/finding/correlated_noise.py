@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from boresight.geometry.record import Bools, Floats
+from boresight.records.record import Bools, Floats
 from boresight.star_id.beyond_chance import CLIP_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
 from boresight.star_id.finding.cut_sky import UNCUT

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 
 __all__ = [

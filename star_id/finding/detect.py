@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import erf
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
 from boresight.star_id.finding.windows import AT_ONCE, windows_at

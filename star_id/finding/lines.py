@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, Ints
+from boresight.records.record import Bools, Floats, Ints
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, NOISIER, SELDOM_SIGMA
 from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
 from boresight.star_id.finding.lines import PART_PX, without_lines

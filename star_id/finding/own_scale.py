@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import array, record, scalar
+from boresight.records.record import array, record, scalar
 from boresight.star_id.finding.background import NEAR_PX
 
 __all__ = ["OwnScale", "in_own_counts"]

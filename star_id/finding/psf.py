@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, Ints, record, scalar
+from boresight.records.record import Floats, Ints, record, scalar
 from boresight.star_id.finding.windows import AT_ONCE
 
 __all__ = ["FINE", "USUAL_SIGMA_PX", "Psf", "PsfImages", "images_at", "psf_images", "shape_images"]

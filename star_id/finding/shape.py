@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, spline_filter
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.cut_sky import after_cut
 from boresight.star_id.finding.psf import PsfImages

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.finding.background import Background
 
 __all__ = ["AT_ONCE", "NINE", "StarWindows", "star_windows", "windows_at"]

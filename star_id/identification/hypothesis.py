@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import wahba_matrices
-from boresight.geometry.record import Floats, Ints
+from boresight.records.record import Floats, Ints
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.identification.tangent_plane import (
     Complex,

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.hypothesis import (
     AcceptedPairs,
     AttitudeHypothesis,

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 __all__ = ["log_likelihood_ratio"]
 

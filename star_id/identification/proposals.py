@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, Ints
+from boresight.records.record import Bools, Floats, Ints
 from boresight.star_id.identification.tangent_plane import (
     FieldOfView,
     PlaneDetections,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.geometry.record import Bools, Floats, Ints, record, scalar
+from boresight.records.record import Bools, Floats, Ints, record, scalar
 from boresight.star_id.identification.triangle_index import concatenated_ranges
 
 __all__ = ["Complex", "FieldOfView", "PlaneDetections", "directions_of_tangents", "tangents_of_directions"]

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from boresight.geometry.record import Floats, Ints, array, record, scalar, shape_of
 from boresight.geometry.starlight import StarPlaces
+from boresight.records.record import Floats, Ints, array, record, scalar, shape_of
 from boresight.star_id.image_attitude import NEXT, PREV
 
 __all__ = [

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.geometry.record import Floats, Ints, array, record
+from boresight.records.record import Floats, Ints, array, record
 from boresight.star_id.beyond_chance import NOISIER, SELDOM_SIGMA
 from boresight.star_id.finding.windows import NINE
 

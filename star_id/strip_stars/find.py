@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
 from boresight.geometry.line_camera import StripImage
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.finding.candidates import MAX_CANDIDATES
 from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from boresight.geometry.record import Floats, array, record
+from boresight.records.record import Floats, array, record
 from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.centroid import covariance_inflation
 from boresight.star_id.finding.psf import PsfImages

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.geometry.record import record, scalar
+from boresight.records.record import record, scalar
 
 __all__ = ["StripStarSettings"]
 

@@ -24,7 +24,7 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, NEVER_SIGMA, SELDOM_SIGMA
 
 __all__ = ["Directions", "NamedRows", "NoRotation", "StripField", "name_stars", "vote_for_rotation"]

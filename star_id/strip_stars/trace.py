@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh_tridiagonal
 from scipy.special import ndtr
 
-from boresight.geometry.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA, NEVER_SIGMA
 from boresight.star_id.finding.psf import PsfImages
 

@@ -13,7 +13,7 @@ from boresight.calib.information import solve_total
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.ledger import Kind, Reason
+from boresight.records.ledger import Kind, Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

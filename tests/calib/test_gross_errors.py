@@ -21,7 +21,7 @@ from boresight.calib.joint_solution import (
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Kind, Reason
+from boresight.records.ledger import Kind, Reason
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

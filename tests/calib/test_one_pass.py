@@ -25,8 +25,8 @@ from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats, Ints
 from boresight.geometry.sightings import GroundReferences, HeadAttitudes, StripSightings, VectorSets
+from boresight.records.record import Floats, Ints
 from boresight.simulator.campaign import (
     CameraPair,
     StripPlan,

@@ -16,8 +16,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import linearise, prepare_strips
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats
 
 TURNED = deviation_from_theta(np.array([40.0, -25.0, 300.0]) * ARCSEC) * R_A
 

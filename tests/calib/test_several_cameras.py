@@ -16,8 +16,8 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Outcome, Verdict, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.ledger import Subject
 from boresight.geometry.sightings import StripSightings
+from boresight.records.ledger import Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_other_camera, draw_strips
 
 NADIR = CameraPair(Rotation.from_euler("xyz", [40, -65, 110], degrees=True))

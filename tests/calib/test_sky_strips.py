@@ -15,8 +15,8 @@ from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.geometry.sightings import isotropic_covariance
+from boresight.records.ledger import Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_sky_strips, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

@@ -13,8 +13,8 @@ from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 from boresight.simulator.head_attitudes import HeadPlan, with_heads
 

@@ -13,8 +13,8 @@ from boresight.calib.error_table import CommonBias
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Check, CheckKind, VerdictSettings, assess
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.sightings import StripSightings
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)

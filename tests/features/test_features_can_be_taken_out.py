@@ -14,7 +14,7 @@ import pytest
 from fixture_strips import begun
 from outside import ROOT
 
-ROOMS = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
+ROOMS = ("records", "geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
 FEATURES = sorted(path.parent.name for path in (ROOT / "features").glob("*/__init__.py"))
 
 

@@ -38,13 +38,13 @@ from boresight.features.mission import joint_trend
 from boresight.features.targets.target_matches import StripLine, matches_table
 from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.results.sightings_tables import sightings_schema
 from boresight.pipeline.results.writing import installation_facts, write_installation
 from boresight.pipeline.run.settings import settings_from_tables
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 R_CS = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 THETA = np.array([[3e-5, -8e-5, 1.7e-4], [9e-5, 2e-5, -6e-5]])  # of two results, rad

@@ -10,7 +10,7 @@ from test_locate import MARGIN, SETTINGS, looked_for
 from boresight.gct_match.imaging.views import band_passed, view_of
 from boresight.gct_match.records import TemplateMatch
 from boresight.gct_match.search.correlation import probability_wrong
-from boresight.geometry.ledger import Entry
+from boresight.records.ledger import Entry
 
 SIDE = 128
 

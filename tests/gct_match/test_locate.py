@@ -14,7 +14,7 @@ from boresight.gct_match.records import TemplateMatch, not_matched
 from boresight.gct_match.search import correlation as module
 from boresight.gct_match.search.correlation import self_similarity
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.ledger import Entry, Reason
+from boresight.records.ledger import Entry, Reason
 
 MARGIN = 16
 SETTINGS = MatchSettings()

@@ -24,7 +24,7 @@ from boresight.gct_match.search.coarse import read_coarse
 from boresight.gct_match.search.search_plan import _GRID, SearchPlan, _on_grid, extents, plan_search
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.ledger import Reason
+from boresight.records.ledger import Reason
 
 SIGMA = np.full(3, 0.003)  # rad: what a mission says of a matrix that is wrong by (28)
 SURE = np.full(3, 1e-5)  # rad: of one that is nearly right

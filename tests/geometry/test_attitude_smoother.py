@@ -17,7 +17,7 @@ from boresight.geometry.attitude_smoother import (
     smoothed_track,
 )
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.record import Floats
+from boresight.records.record import Floats
 
 MIDDLE = Rotation.from_euler("xyz", [30, -20, 60], degrees=True)
 Q = np.array([1e-9, 1e-10, 3e-9])  # rad²/s³ about the axes of o

@@ -6,7 +6,6 @@ import io
 from pathlib import Path
 from typing import BinaryIO
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import (
     check_bytes,
@@ -16,6 +15,7 @@ from boresight.pipeline.files.content import (
     open_regular,
     small_content,
 )
+from boresight.records.record import record, scalar
 
 __all__ = ["PNG_MAGIC", "ImageFile", "check_length", "check_star_pixels", "open_image"]
 

@@ -14,11 +14,11 @@ from rasterio.errors import RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from boresight.geometry.record import Bools, Floats, array, record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["GridPlace", "grid_place", "read_grid"]
 

@@ -24,11 +24,11 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
-from boresight.geometry.record import record, scalar
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import ImageFile, check_length, check_star_pixels, open_image
 from boresight.pipeline.files.object_store import StoredPath
+from boresight.records.record import record, scalar
 
 __all__ = [
     "TILES",

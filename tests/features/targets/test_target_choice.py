@@ -10,7 +10,7 @@ from boresight.calib.calibration import strip_pairs
 from boresight.calib.information import solve_total
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.targets.target_choice import choose_targets
-from boresight.pipeline.results.plan_forecast import settings_of_plan
+from boresight.pipeline.forecast.campaigns import settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 R_CS = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)

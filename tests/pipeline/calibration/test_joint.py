@@ -27,7 +27,6 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import (
@@ -47,6 +46,7 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 from boresight.simulator.head_attitudes import with_gyro
 

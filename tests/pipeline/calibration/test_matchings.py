@@ -9,7 +9,6 @@ import pytest
 from fixture_strips import FIXTURE
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration import rounds
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.rounds import is_settled, match_again, match_first, match_strips
@@ -19,6 +18,7 @@ from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.pipeline.stages.strip_tasks import strips_to_match
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 
 @pytest.fixture(scope="module")

@@ -20,12 +20,12 @@ from typer.testing import CliRunner
 
 from boresight.calib.verdict import Outcome
 from boresight.features.table import features
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.console.feature import Job
 from boresight.pipeline.console.messages import COLOURS, Answer, coloured, fitted, with_messages
 from boresight.pipeline.console.program import SPINE
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.run.cached import StageRunner, log_unit
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 runner = CliRunner()
 COMMANDS = [[str(c.name or c.callback.__name__)] for c in app.registered_commands if c.callback] + [

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from ledgers import ledger_of
 
-from boresight.geometry.ledger import Kind, Reason
 from boresight.pipeline.diagnosis import losses
+from boresight.records.ledger import Kind, Reason
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from ledgers import ledger_of
 
-from boresight.geometry.ledger import Kind, Reason, Subject
 from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_groups
+from boresight.records.ledger import Kind, Reason, Subject
 
 
 def looked(name, rng, lost, n=20):

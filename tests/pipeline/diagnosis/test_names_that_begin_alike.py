@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from ledgers import ledger_of
 
-from boresight.geometry.ledger import Kind, Ledger, Reason, Subject
 from boresight.pipeline.diagnosis.losses import OF_STARS, displaced_ccds, lost_ccds, lost_groups
+from boresight.records.ledger import Kind, Ledger, Reason, Subject
 
 ROOT = Path(__file__).parents[3]
 IDS = (

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise, GyroRecord
-from boresight.geometry.ledger import Kind, Subject
 from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
 from boresight.pipeline.diagnosis.own_motion import against_own_motion
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
+from boresight.records.ledger import Kind, Subject
 
 N, STEP_S = 26, 2.4
 TIMES_S = 311.0 + STEP_S * np.arange(N)

@@ -9,7 +9,6 @@ import pytest
 from edits import rows_of, write_rows
 
 from boresight.calib.finding import MOST_WORDS
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.input_findings import outside_chips
 from boresight.pipeline.diagnosis.unused_rows import (
@@ -21,6 +20,7 @@ from boresight.pipeline.diagnosis.unused_rows import (
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.writing import verdict_json
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 
 def with_targets(dump: Path, root: Path, more: dict[str, tuple[int, str, str]]) -> Dump:

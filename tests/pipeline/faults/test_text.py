@@ -20,7 +20,7 @@ from boresight.pipeline.run.settings import read_settings
 from boresight.simulator.scenario import ScenarioError
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("geometry", "star_id", "gct_match", "calib", "simulator", "pipeline")
+PACKAGES = ("records", "geometry", "star_id", "gct_match", "calib", "simulator", "pipeline")
 READ_TOML = {
     "settings": read_settings,
     "plan": read_plan,

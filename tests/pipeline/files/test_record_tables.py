@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from boresight.geometry.record import Bools, Floats, Ints, Texts, array, record, scalar, shape_of
 from boresight.geometry.sightings import GroundSightings, StarSightings
 from boresight.pipeline.files.record_tables import (
     columns_of,
@@ -23,6 +22,7 @@ from boresight.pipeline.files.record_tables import (
 )
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, column
 from boresight.pipeline.results.sightings_tables import COLUMNS
+from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar, shape_of
 
 
 class Colour(StrEnum):

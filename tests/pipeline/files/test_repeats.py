@@ -14,13 +14,13 @@ from handmade import write_handmade_dump, write_strip
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.ledger import Reason
 from boresight.pipeline.diagnosis.input_findings import contradicting_rows
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.attitude_files import AttitudeRows
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.repeats import common_errors, heads_once, targets_once
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.records.ledger import Reason
 
 Row = dict[str, str]
 

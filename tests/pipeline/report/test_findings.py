@@ -13,7 +13,6 @@ from boresight.calib.finding import MOST_WORDS
 from boresight.gct_match.locate import locate_template
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
-from boresight.geometry.ledger import Entry, Kind, Reason, State, Subject
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.input_findings import heights
 from boresight.pipeline.diagnosis.losses import lost_strip, lost_targets
@@ -25,6 +24,7 @@ from boresight.pipeline.report.findings import (
 )
 from boresight.pipeline.report.unmatched import pictures_at
 from boresight.pipeline.stages.strip import _not_matched, compass, displaced_m, pushbroom_of
+from boresight.records.ledger import Entry, Kind, Reason, State, Subject
 
 NAMES = [f"t{n}" for n in range(12)]
 

@@ -13,8 +13,8 @@ from boresight.geometry.attitude_estimate import fit_exposures
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.sightings import GroundReferences
+from boresight.pipeline.forecast.campaigns import improvements
 from boresight.pipeline.report.ground_accuracy import predicted_accuracy, radius_90
-from boresight.pipeline.results.plan_forecast import improvements
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 

@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.ledger import Entry, Kind, Reason, Subject
 from boresight.pipeline.results.summary import (
     _seen,
     blind_lines,
@@ -17,6 +16,7 @@ from boresight.pipeline.results.summary import (
     unit_effect,
     verdict_lines,
 )
+from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
 

@@ -10,7 +10,6 @@ import pytest
 from command_line import ran
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.budget import uncertainty_budget
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.predicted_earth import correlation_of_predictions, is_earth
@@ -21,16 +20,17 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
-from boresight.geometry.record import Floats
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.files import dump_parts
 from boresight.pipeline.files.orbit_and_earth import bundled_table
+from boresight.pipeline.forecast.budget import uncertainty_budget
 from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
 from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of
+from boresight.records.record import Floats
 
 UT1_S = 2e-3  # a change of UT1: 0.9 m on the equator
 POLE_RAD = 1e-6

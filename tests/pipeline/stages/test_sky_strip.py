@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.ledger import Reason
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds, named_alone, star_ledger
 from boresight.pipeline.diagnosis.readings import exchanged_in_sky, reversed_strips, strips_without_stars
@@ -29,6 +28,7 @@ from boresight.pipeline.report.evidence import star_pictures
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.sky_side import scatter_px
 from boresight.pipeline.stages.sky_strip import NamedStars, find_sky_stars
+from boresight.records.ledger import Reason
 
 SKY = Path(__file__).parents[3] / "fixtures" / "sky"
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.budget import uncertainty_budget
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
+from boresight.pipeline.forecast.budget import uncertainty_budget
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [-70, 25, 140], degrees=True)

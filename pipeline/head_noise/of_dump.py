@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.head_tracks import HeadTrack, carried_to, common_instants
-from boresight.calib.noise_spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
+from boresight.pipeline.head_noise.spectrum import NoiseFit, Signal, difference_signal, fit_noise, pieces_of
+from boresight.pipeline.head_noise.tracks import HeadTrack, carried_to, common_instants
 from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.head import covered_instants, sight_head
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["HeadNoise", "attitude_signal", "head_track", "noise_of_heads", "noise_of_tracks"]
 

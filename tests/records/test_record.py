@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.record import Floats, RowRecord, array, inner, record, scalar, shape_of
+from boresight.records.record import Floats, RowRecord, array, inner, record, scalar, shape_of
 
 
 @record

@@ -14,10 +14,10 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from boresight.geometry.record import RowRecord, array, record, scalar
+from boresight.records.record import RowRecord, array, record, scalar
 
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
-    from boresight.geometry.record import Bools, Floats, Ints, Texts
+    from boresight.records.record import Bools, Floats, Ints, Texts
 
 __all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "either_of"]
 

@@ -16,15 +16,15 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.forecast import forecast_from_strips
 from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroNoise
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.pipeline.forecast.accuracy import forecast_from_strips
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["ErrorShare", "uncertainty_budget"]
 

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
 
-from boresight.calib.head_tracks import SMOOTHING_S, HeadTrack, carried_to, common_instants
-from boresight.calib.noise_spectrum import (
+from boresight.pipeline.head_noise.spectrum import (
     Signal,
     _unlike,
     _variance_of_means,
@@ -19,6 +18,7 @@ from boresight.calib.noise_spectrum import (
     fit_noise,
     pieces_of,
 )
+from boresight.pipeline.head_noise.tracks import SMOOTHING_S, HeadTrack, carried_to, common_instants
 from boresight.simulator.head_attitudes import correlated_noise
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boresight.calib.calibration import calibrate_strips
-from boresight.calib.forecast import Forecast
 from boresight.features.paper.vector_experiments import TABLE_1
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.results.plan_forecast import forecast_of_plan, settings_of_plan
+from boresight.pipeline.forecast.accuracy import Forecast
+from boresight.pipeline.forecast.campaigns import forecast_of_plan, settings_of_plan
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))

@@ -26,7 +26,7 @@ from scipy.optimize import minimize, nnls
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = [
     "AxisSpectrum",

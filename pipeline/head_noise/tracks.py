@@ -6,8 +6,8 @@ import numpy as np
 import scipy
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.noise_spectrum import pieces_of
-from boresight.geometry.record import Floats, Ints, array, record, scalar
+from boresight.pipeline.head_noise.spectrum import pieces_of
+from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["HeadTrack", "carried_to", "common_instants"]
 

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import strip_pairs
-from boresight.calib.forecast import Forecast, forecast_from_strips
 from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import GroundSightings, StripSightings
+from boresight.pipeline.forecast.accuracy import Forecast, forecast_from_strips
+from boresight.records.record import Floats, array, record, scalar
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
 from boresight.simulator.head_attitudes import with_gyro
 

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.calibration import strip_pairs
 from boresight.calib.information import Solution, solve_total
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.record import Floats, array, record, scalar
 from boresight.geometry.sightings import StripSightings
+from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Forecast", "forecast_from_strips"]
 
