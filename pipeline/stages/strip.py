@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -44,7 +44,7 @@ from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, 
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject
-from boresight.records.record import Floats, Ints, Texts, array, record, scalar, shape_of
+from boresight.records.record import Floats, Ints, RowRecord, Texts, array, record, scalar
 
 __all__ = [
     "MatchedTargets",
@@ -110,7 +110,7 @@ class StripTask:
 
 
 @record(kw_only=True)
-class MatchedTargets:
+class MatchedTargets(RowRecord):
     """Targets matched in one strip. Row n of every array is the same match."""
 
     strip_id: str = scalar("id of the strip in the dump")
@@ -232,10 +232,7 @@ def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
     """The matched targets of a strip, and the points measured in it by others."""
     names = np.array([target.target_id for target in points.targets], dtype=str)
     measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
-    columns = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
-    columns.remove("pictures")
-    rows = {name: np.concatenate([getattr(matched, name), getattr(measured, name)]) for name in columns}
-    return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
+    return MatchedTargets.together([matched, measured])
 
 
 def _matched(
