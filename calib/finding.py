@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -40,6 +40,6 @@ class Finding:
     explains: tuple[Subject, ...] = scalar("observations that it explains", default=())
 
     @classmethod
-    def about(cls, cause: str, it: Subject, text: str, file: str, field: str = "", **more: Any) -> Finding:
+    def about(cls, cause: str, it: Subject, text: str, file: str = "", field: str = "", **more: Any) -> Self:
         """About one subject, with its words."""
         return cls(cause=cause, item=it.words, subjects=(it,), text=text, file=file, field=field, **more)

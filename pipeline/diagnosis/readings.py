@@ -433,20 +433,12 @@ def strips_without_stars(
             continue
         alone = names(dump, side.only([n])) >= FEWEST
         if not alone and (order := _order(dump, side.only([n]))):
-            text = f"none of its {expected} brightest stars found, but {order.changed} they are"
-            yield order.finding(text)
+            yield order.finding(f"none of its {expected} brightest stars found, but {order.changed} they are")
             continue
-        text = f"none of its {expected} brightest stars is where the other strips place it"
-        if alone:
-            text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
-        field = "file, utc_first_row"
-        yield Finding(
-            cause="images, clock or attitudes",
-            item=strip.subject.words,
-            subjects=(strip.subject,),
-            text=f"{text}: check {field} in strips.csv{attitudes if alone else ''}.",
-            file="strips.csv",
-            field=field,
-            refutes=alone,
-            rivals=(f"attitudes, {head.subject.words}",) if alone and solved else (),
-        )
+        which = "its stars agree by themselves, but none of" if alone else "none of its"
+        what = f"{which} {expected}{'' if alone else ' brightest stars'} is where the other strips place it"
+        file, field = "strips.csv", "file, utc_first_row"
+        text = f"{what}: check {field} in {file}{attitudes if alone else ''}."
+        rivals = (f"attitudes, {head.subject.words}",) if alone and solved else ()
+        cause = "images, clock or attitudes"
+        yield Finding.about(cause, strip.subject, text, file, field, refutes=alone, rivals=rivals)
