@@ -185,7 +185,7 @@ def _one_round(
     unnamed = [omission for one in named for omission in one.omissions]
     if isinstance(estimate, NotObservable):
         known_so_far = [*unused_so_far(basis, sky), *uncovered, *unnamed]
-        text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known_so_far)
+        text = what_is_missing(estimate, basis, tasks, matched, known_so_far)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
         shifted = next(shifted_chips(dump, unmatched), None)
         if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):

@@ -42,7 +42,6 @@ __all__ = [
     "nearest_miss",
     "outside_chips",
     "shifted_chips",
-    "targets_out_of_view",
 ]
 
 FEWEST = 3  # targets that make a pattern
@@ -64,7 +63,7 @@ def input_findings(
     every = {target.target_id: target for task in tasks for target in task.targets}
     without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
-        *targets_out_of_view(dump, tasks, matched),
+        *_out_of_view(dump, tasks, matched),
         *contradicting_rows(omissions),
         *_of_nothing(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
@@ -161,9 +160,7 @@ def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
         yield Finding.about("coordinates or chip", target, text, file, field, explains=lost)
 
 
-def targets_out_of_view(
-    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
-) -> list[Finding]:
+def _out_of_view(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> list[Finding]:
     """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
     seen = any(
         len(one.target_id) or any(entry.subject.kind is Kind.TARGET for entry in one.omissions)

@@ -30,7 +30,7 @@ from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scat
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
 from boresight.records.ledger import Entry, Kind, Ledger, Reason, Subject
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -181,35 +181,35 @@ class Split:
                 yield Group(Finding(cause=cause, item=item, text=text, **told), inside, here & ~inside)
 
 
+def _halves(cause: str, whole: str, advice: str, of: Kind, value: Callable[[Ledger], Floats]) -> Split:
+    """Halves of which either may be lost by one cause."""
+    items = f"first half of {whole}", f"second half of {whole}"
+    return Split((cause, cause), items, (advice, advice), of, value)
+
+
 SPLITS = (
-    Split(
-        causes=("lost part of a CCD",) * 2,
-        items=("first half of {whole}", "second half of {whole}"),
-        advice=("check its images for dead pixels",) * 2,
-        of=Kind.CCD,
-        value=lambda ledger: ledger.part,
-    ),
-    Split(
-        causes=("lost part of the field",) * 2,
-        items=("first half of the field", "second half of the field"),
-        advice=("check images and look directions of its CCDs",) * 2,
-        of=Kind.DUMP,
-        value=_across_field,
+    _halves("lost part of a CCD", "{whole}", "check its images for dead pixels", Kind.CCD, lambda a: a.part),
+    _halves(
+        "lost part of the field",
+        "the field",
+        "check images and look directions of its CCDs",
+        Kind.DUMP,
+        _across_field,
     ),
     Split(
         causes=("lost bright stars", "lost faint stars"),
         items=("{whole}, brighter than V {edge:.1f}", "{whole}, fainter than V {edge:.1f}"),
         advice=("check its images for saturation", "check gain, exposure and background of its images"),
         of=Kind.STRIP,
-        value=lambda ledger: ledger.magnitude,
+        value=lambda a: a.magnitude,
         at_median=True,
     ),
-    Split(
-        causes=("lost part of a strip",) * 2,
-        items=("first half of the lines of {whole}", "second half of the lines of {whole}"),
-        advice=("check its images for missing lines, and row_period_s",) * 2,
-        of=Kind.STRIP,
-        value=lambda ledger: ledger.along,
+    _halves(
+        "lost part of a strip",
+        "the lines of {whole}",
+        "check its images for missing lines, and row_period_s",
+        Kind.STRIP,
+        lambda a: a.along,
     ),
 )
 
@@ -420,7 +420,7 @@ EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not 
 
 
 @record
-class Crossings:
+class Crossings(RowRecord):
     """Catalogue stars that cross detectors of a strip. Row n of every array is the same crossing."""
 
     star: Ints = array("N", "row of the catalogue")
@@ -464,8 +464,9 @@ def _reach(task: SkyTask) -> float:
     return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
 
 
-def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> SurveyedStars:
-    """Stars of a catalogue as bright as those that were named in any strip: none, if none was."""
+def as_bright_as_named(dump: Dump, named: Sequence[NamedStars]) -> SurveyedStars:
+    """Stars of the catalogue as bright as those that were named in any strip: none, if none was."""
+    survey = survey_of(dump.star_catalogue)
     magnitudes = np.concatenate([one.places.places.v_mag for one in named] or [np.zeros(0)])
     faintest = np.quantile(magnitudes, FAINTEST) if len(magnitudes) else -np.inf
     return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
@@ -499,7 +500,7 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
     strips = tuple(task.strip.strip_id for task in side.tasks)
     if not any(len(stars.rows) for stars in named):
         return Ledger.of(Kind.STAR, strips)
-    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    bright = as_bright_as_named(dump, named)
     every = [crossings(task, bright, R_cs) for task in side.tasks]
     found, part, along = [], [], []
     for task, stars, expected in zip(side.tasks, named, every):
@@ -539,8 +540,7 @@ def displaced_stars(
     missing = ledger.strip[~ledger.found]
     if len(missing) < FEWEST_DISPLACED:
         return []
-    survey = survey_of(dump.star_catalogue)
-    bright, every = as_bright_as_named(survey, named), []
+    bright, every = as_bright_as_named(dump, named), []
     for n, (task, one) in enumerate(zip(side.tasks, named)):
         if not len(one.rows) or np.sum(missing == n) < FEWEST_DISPLACED:
             continue

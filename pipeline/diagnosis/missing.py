@@ -50,20 +50,19 @@ FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch m
 
 def what_is_missing(
     outcome: NotObservable,
-    dump: Dump,
-    settings: Settings,
-    reference: HeadSightings,
+    basis: Basis,
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
     omissions: Sequence[Entry],
 ) -> str:
     """One sentence for the user, the cause first."""
+    dump, reference = basis.dump, basis.heads[0]
     n_stars = len(reference.stars)  # identified exposures
     n_targets = sum(len(one.target_id) for one in matched)
     counts = f"{n_stars} exposures identified, {n_targets} targets matched in {len(matched)} strips"
     failed = [entry for entry in omissions if entry.subject.kind is Kind.EXPOSURE]
     if failed and n_stars == 0:
-        return f"{_no_exposure(dump, settings, failed)}; {counts}"
+        return f"{_no_exposure(dump, basis.settings, failed)}; {counts}"
     if n_stars and not reference.attitudes.usable.any():
         return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]

@@ -32,14 +32,13 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
-from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_identified
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.records.ledger import Entry, Kind, Ledger, Subject
-from boresight.records.record import Bools, Floats
+from boresight.records.record import Floats
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -326,16 +325,14 @@ def exchanged_in_sky(
     """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
     if not len(ledger.ccd):
         return
-    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    bright = as_bright_as_named(dump, named)
     for task, of_strip in zip(side.tasks, named):
         for a, b, n in _empty_pairs(task.strip, ledger):
             expected = crossings(task, bright, R_cs)
-            in_both = np.isin(expected.ccd, (a, b))
+            expected = expected.take(np.isin(expected.ccd, (a, b)))
 
-            def found(
-                stars: StripStars, task: SkyTask = task, expected: Crossings = expected, both: Bools = in_both
-            ) -> int:
-                return int(stars_found(dump, task, stars, expected)[both].sum())
+            def found(stars: StripStars, task: SkyTask = task, expected: Crossings = expected) -> int:
+                return int(stars_found(dump, task, stars, expected).sum())
 
             reading = _exchanged_ccds(task.strip, a, b, partial(_of_other_ccd, a, b))
             yield from _exchanged(of_strip.found, reading, found, n, "bright stars")

@@ -16,7 +16,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
-from boresight.records.ledger import Kind, Ledger, Subject
+from boresight.records.ledger import Kind, Ledger, Subject, listed
 
 __all__ = ["MeasuredTargets", "single_targets"]
 
@@ -24,7 +24,6 @@ FEWEST = 3  # targets that make a pattern
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
 # Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
 GROUP_PENALTY = 3.0
-SHOWN = 4  # names in a sentence
 
 
 @dataclass(frozen=True)
@@ -186,8 +185,8 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
         file = "remote_camera.toml"
     elif strip_id:
         cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
-        shown = ", ".join([target.id for target in those][:SHOWN]) + " and more" * (n > SHOWN)
-        text = f"{shown} contradict the rest, and no common cause explains them: "
+        text = f"{listed([target.id for target in those])} contradict the rest, and no common cause explains "
+        text += "them: "
         text += f"check {file}{'' if of_points else ' and the chips'}."
     else:
         cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""
