@@ -449,10 +449,8 @@ def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
     """
     for check in sorted((one for one in checks if one.names), key=lambda one: one.p_value)[:1]:
         head, where = Subject(Kind.HEAD, head=check.names[0][0]), ("dump.toml", "star_cameras")
-        text = (
-            f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its file, "
-        )
-        text += "rotation label, clock, aberration and noise in dump.toml, and its mounting."
+        text = f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
+        text += "file, rotation label, clock, aberration and noise in dump.toml, and its mounting."
         yield Finding.about("attitudes of a head", head, text, *where, refutes=True, p_value=check.p_value)
 
 

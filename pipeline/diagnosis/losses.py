@@ -355,10 +355,10 @@ def displaced_ccds(ccds: Sequence[int], ledger: Ledger, what: str, *, refutes: b
 
 def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) -> Finding:
     """A strip of which nothing was matched, not even alone."""
-    cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
-    if not all_flat:
-        cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored "
-        text += "or exchanged images, and utc_first_row"
+    cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored or "
+    text += "exchanged images, and utc_first_row"
+    if all_flat:
+        cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
     text = f"none of its {len(targets)} targets found; {text}."
     return Finding.about(cause, strip, text, "strips.csv", explains=tuple(targets))
 
@@ -392,18 +392,17 @@ def with_left_out(
 
 
 def searched_alone(
-    tasks: Sequence[StripTask], ccds: Sequence[int], sigma_rad: np.ndarray
+    tasks: Sequence[StripTask], ccds: Sequence[int], sigma_rad: Floats
 ) -> list[MatchedTargets]:
     """Targets of the CCDs `ccds` in each of the first strips, searched in that CCD alone and as widely as
     `sigma_rad` (3,), the 1-sigma of the matrix, axes of c.
     """
     found: list[MatchedTargets] = []
-    sigma = np.asarray(sigma_rad, dtype=float)
     for ccd in ccds[:MOST_SEARCHES]:
         having = [task for task in tasks if ccd in task.strip.images.ccds]
         for task in having[: max(1, MOST_SEARCHES // len(ccds))]:
             strip = replace(task.strip, images=task.strip.images.of([ccd]))
-            wide = replace(task, strip=strip, sigma_installation_rad=sigma, is_known=False)
+            wide = replace(task, strip=strip, sigma_installation_rad=sigma_rad, is_known=False)
             one = match_strip_targets(wide)
             if not isinstance(one, Entry) and len(one.target_id) >= FEWEST:
                 found.append(one)
@@ -502,18 +501,17 @@ def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Ro
         return Ledger.of(Kind.STAR, strips)
     bright = as_bright_as_named(dump, named)
     every = [crossings(task, bright, R_cs) for task in side.tasks]
-    found, part, along = [], [], []
-    for task, stars, expected in zip(side.tasks, named, every):
-        found.append(stars_found(dump, task, stars.found, expected))
-        last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
-        part.append(expected.xy_px[:, 0] / last[expected.ccd])
-        along.append(expected.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0))
-    star, ccd = (np.concatenate([getattr(one, name) for one in every]) for name in ("star", "ccd"))
-    number = np.repeat(np.arange(len(every)), [len(one.ccd) for one in every])
-    ids = [f"{bright.name} {n}" for n in bright.places.hip[star].tolist()]
+    of_strips = zip(side.tasks, named, every)
+    found = [stars_found(dump, task, stars.found, expected) for task, stars, expected in of_strips]
+    number = np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every])
+    seen, camera = Crossings.together(every), side.tasks[0].camera
+    last = np.array([camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)])
+    lines = np.array([max(task.strip.lines - 1.0, 1.0) for task in side.tasks])
+    part, along = seen.xy_px[:, 0] / last[seen.ccd], seen.xy_px[:, 1] / lines[number]
+    ids = [f"{bright.name} {n}" for n in bright.places.hip[seen.star].tolist()]
     reason = np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number)
-    places = np.concatenate(part), np.concatenate(along), bright.places.v_mag[star]
-    return Ledger.of(Kind.STAR, strips, (number, ccd, ids, *places, reason))
+    columns = number, seen.ccd, ids, part, along, bright.places.v_mag[seen.star], reason
+    return Ledger.of(Kind.STAR, strips, columns)
 
 
 def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger) -> list[NamedStars]:

@@ -111,14 +111,11 @@ def best_reading(
 def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     """Every other reading of the tables of a dump alone, the commonest mistakes first."""
     for head in dump.heads:
-        source, words, subjects = head.source, head.subject.words, (head.subject,)
-        for cause, changed, field, R_meant in MOUNTINGS:
-            file = f"the installation file of {head.name}"
-            apply = partial(_with_head, head.name, partial(_mounted, R_meant))
-            yield Reading(cause, words, subjects, file, field, changed, apply)
-        for cause, changed, file, field, R_meant in ATTITUDES if isinstance(source, SolvedAttitudes) else ():
-            apply = partial(_with_head, head.name, partial(_turned, R_meant))
-            yield Reading(cause, words, subjects, file.format(source), field, changed, apply)
+        words, subjects = head.subject.words, (head.subject,)
+        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:2]
+        for cause, changed, file, field, changed_head, R_meant in rows:
+            apply = partial(_with_head, head.name, partial(changed_head, R_meant))
+            yield Reading(cause, words, subjects, file.format(head), field, changed, apply)
     for a, b in pairwise([head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]):
         words, both = f"heads {a.name} and {b.name}", (a.subject, b.subject)
         field, apply = "star_cameras.attitudes", partial(_heads_exchanged, a.name, b.name)
@@ -228,18 +225,17 @@ def _inverse_scalar_first(stated: Rotation) -> Rotation:
     return _scalar_first(stated.inv()).inv()
 
 
-# Of a head's installation file: cause, words, field, and the rotation that was meant.
-MOUNTINGS: tuple[tuple[str, str, str, Turn], ...] = (
-    ("sense of the installation matrix", "inverted,", "quaternion_cs", Rotation.inv),
-    ("order of the quaternion's components", "with the scalar first", "quaternion_cs", _scalar_first),
-)
-# Of a head's attitudes: cause, words, file, field, and the rotations that were meant.
+# Of a head, first its installation file, then attitudes that it has solved: cause, words, file, field, what
+# is changed, and the rotation that was meant.
+MOUNTING = "the installation file of {0.name}", "quaternion_cs", _mounted
 SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
-ORDER = "order of the quaternions' components", "with the scalar first", "{0.file}", "qx, qy, qz, qw"
-ATTITUDES: tuple[tuple[str, str, str, str, Turn], ...] = (
-    (*SENSE, "dump.toml", "star_cameras.rotation", Rotation.inv),
-    (*ORDER, _inverse_scalar_first),
-    (*ORDER, _scalar_first),
+ORDER = "order of the quaternions' components", "with the scalar first", "{0.source.file}", "qx, qy, qz, qw"
+OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
+    ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
+    ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
+    (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
+    (*ORDER, _turned, _inverse_scalar_first),
+    (*ORDER, _turned, _scalar_first),
 )
 # Of measured points: cause, words, field, and the points that were meant.
 POINTS: tuple[tuple[str, str, str, Points], ...] = (

@@ -122,7 +122,7 @@ class MatchedTargets(RowRecord):
     probability_wrong: Floats = array("N", "probability that the position is a false match")
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
-    omissions: tuple[Entry, ...] = scalar("chips that could not be read, targets that were rejected")
+    omissions: tuple[Entry, ...] = scalar("unreadable chips, targets that were rejected", default=())
     farthest_px: float = scalar("largest distance on an axis from a prediction; 0: no template", default=0.0)
 
     def told(self) -> list[str]:
@@ -206,7 +206,6 @@ def measured_points(
         probability_wrong=unknown if probability_wrong is None else probability_wrong,
         predicted_px=np.full((n, 2), np.nan),
         pictures=(NO_PICTURES,) * n,
-        omissions=(),
     )
 
 
