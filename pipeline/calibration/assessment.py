@@ -48,7 +48,7 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
+from boresight.pipeline.stages.observed_strips import sighted_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import MatchedTargets, contradicting_targets
 from boresight.records.ledger import Entry, Kind, Ledger
@@ -131,15 +131,16 @@ def _sighted(
         return np.array(rows, dtype=np.int64)
 
     alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
-    matched = [*map(contradicting_targets, last.matched), *first.matched, *alone]
-    named = [
+    measured: list[MatchedTargets | NamedStars] = [
+        *map(contradicting_targets, last.matched),
+        *first.matched,
+        *alone,
         *first.named,
         *named_alone(dump, last.sky, last.named, stars),
         *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     ]
-    of_ground = matched_strips(last.tasks, [one.take(new(one)) for one in matched], heads)
-    of_sky = named_sightings(last.sky.tasks, [one.take(new(one)) for one in named], heads)
-    return with_left_out(last.strips, [*of_ground, *of_sky])
+    left_out = [one.take(new(one)) for one in measured]
+    return with_left_out(last.strips, sighted_strips([*last.tasks, *last.sky.tasks], left_out, heads))
 
 
 def _explanations(

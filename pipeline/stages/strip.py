@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -276,9 +276,6 @@ def strip_matches(
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
     readable, omitted = _readable(task.chips, read)
 
-    def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-        return parts.map(function, items, lambda n, outcome: None)
-
     try:
         scene = scene_of(
             task.strip.images,
@@ -290,7 +287,7 @@ def strip_matches(
             task.settings,
             task.is_known,
         )
-        result = match_strip(scene, each=map_parts, keep=keep)
+        result = match_strip(scene, each=partial(parts.map, done=lambda n, outcome: None), keep=keep)
     except RawDataError as error:
         omitted.append(Entry(task.strip.subject, Reason.UNREADABLE, str(error), error.file))
         return None, omitted
