@@ -28,7 +28,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
 from boresight.records.ledger import Entry, Kind, Reason, Subject
-from boresight.records.record import Floats, Ints, Texts, array, record, scalar
+from boresight.records.record import Floats, Ints, Texts, array, inner, record, scalar
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.fit import LEAST_GAIN
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -78,15 +78,8 @@ class SkyTask:
     carrier: str = scalar("head whose attitudes these are")
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
 
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return Entry(self.strip.subject)
-
-    @property
-    def epoch(self) -> Epoch:
-        """Zero of all instants."""
-        return self.orbit.epoch
+    item = inner[Entry]("strip.item", "what is processed, without a reason")
+    epoch = inner[Epoch]("orbit.epoch", "zero of all instants")
 
     @property
     def nominal(self) -> ConstantRate:

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, 
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject
-from boresight.records.record import Floats, Ints, RowRecord, Texts, array, record, scalar
+from boresight.records.record import Floats, Ints, RowRecord, Texts, array, inner, record, scalar
 
 __all__ = [
     "MatchedTargets",
@@ -98,10 +97,7 @@ class StripTask:
     points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)
     carrier: str = scalar("head whose attitudes these are; empty: the reference head", default="")
 
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return Entry(self.strip.subject)
+    item = inner[Entry]("strip.item", "what is processed, without a reason")
 
     @property
     def places(self) -> dict[str, Target]:
@@ -170,11 +166,9 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
         return replace(match, template=NOTHING, found=NOTHING, residual=NOTHING, surface=NOTHING)
 
     result, omitted = strip_matches(task, parts, keep) if task.targets else (None, [])
-    if result is None:
-        return _matched(task.strip.strip_id, (), omitted)
-    in_view = (refusal for refusal in result.refused if refusal.state is not State.OUT_OF_VIEW)
-    unmatched = [_not_matched(task, refusal) for refusal in in_view]
-    return _matched(task.strip.strip_id, result.matches, [*omitted, *unmatched], pictures)
+    matches, refused = (result.matches, result.refused) if result else ((), ())
+    omitted += [_not_matched(task, one) for one in refused if one.state is not State.OUT_OF_VIEW]
+    return _matched(task.strip.strip_id, matches, omitted, pictures)
 
 
 def pictures_of_match(match: TargetMatch) -> MatchPictures:
@@ -224,7 +218,7 @@ def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
 
 def no_matches(strip: Entry) -> MatchedTargets:
     """The outcome for a strip that cannot be used."""
-    return _matched(strip.subject.strip, (), [strip])
+    return _matched(strip.subject.strip, (), [strip], {})
 
 
 def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
@@ -238,7 +232,7 @@ def _matched(
     strip_id: str,
     matches: Sequence[TargetMatch],
     omissions: Sequence[Entry],
-    pictures: Mapping[tuple[str, int], MatchPictures] = MappingProxyType({}),
+    pictures: Mapping[tuple[str, int], MatchPictures],
 ) -> MatchedTargets:
     matches, n = sorted(matches, key=lambda m: (m.target_id, m.ccd)), len(matches)
     return MatchedTargets(
