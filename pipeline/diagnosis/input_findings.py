@@ -192,9 +192,10 @@ def nearest_miss(
     found: list[tuple[float, float, float, str, str]] = []
     for task in tasks:
         outside, speed_m_s = misses(task, targets)
-        names = [target.target_id for target in targets]
-        rows = zip(*outside.T.tolist(), (outside[:, 1] / speed_m_s).tolist(), names)
-        found += [(*row, task.strip.strip_id) for row in rows]
+        n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
+        across_m, along_m = outside[n].tolist()
+        names = targets[n].target_id, task.strip.strip_id
+        found.append((across_m, along_m, along_m / speed_m_s, *names))
     return min(found, key=lambda miss: float(np.nan_to_num(np.hypot(*miss[:2]), nan=np.inf)))
 
 
