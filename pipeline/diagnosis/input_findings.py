@@ -274,8 +274,10 @@ def heights(
     known = np.isfinite(above_m)
     if known.sum() < FEWEST:
         return
-    middle = float(np.median(above_m[known]))
-    scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
+    on_model = known & (np.abs(above_m) < SINGLE_HEIGHT_M)
+    right = above_m[on_model if 2 * on_model.sum() >= known.sum() else known]  # half of them may be off
+    middle = float(np.median(right))
+    scatter = 1.4826 * float(np.median(np.abs(right - middle)))
     if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
         n, size = int(known.sum()), f"{middle:+.1f} m (median)"
         text = f"{n} targets differ from the terrain model by {size}: check height_m."
