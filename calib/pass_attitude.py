@@ -7,7 +7,7 @@ the interpolation misses. Of heads that solve attitudes, of several, and with a 
 smoothed (`geometry.attitude_smoother`). There the unknowns are the independent parts of what is left unknown,
 and the constant errors of the heads; the rows tell something of these and of the alignments. Where no strip
 has rows enough to show the motion, it is the stated one between the smoothed attitudes of the rows. An error
-comes back with a period is a constant of the pass to the rows, to a target what it is at its instant.
+that comes back with a period is a constant of the pass to the rows, to a target what it is at its time.
 """
 
 from __future__ import annotations
