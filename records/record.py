@@ -129,12 +129,76 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
         )
         if checked:
             cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
-        shown = cls.__repr__ is object.__repr__ or dataclasses.is_dataclass(cls)  # else a base has its own
-        made = dataclasses.dataclass(frozen=True, slots=True, eq=by_value, repr=shown, kw_only=kw_only)(cls)
-        made.__doc__ = _documented(made)
+        # What `dataclasses` would compile for each class (two thirds of the time to import this package)
+        # is shared by all records, or compiled when it is needed: so not `frozen=True`.
+        made: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=True, kw_only=kw_only)(cls)
+        made.__doc__, made.__init__, made.__setstate__ = _documented(made), _Constructor(made), _restore
+        made.__setattr__ = made.__delattr__ = _refuse_change
+        if made.__repr__ is object.__repr__:  # else it has its own
+            made.__repr__ = _text
+        if by_value:
+            made.__eq__, made.__hash__ = _equal, _hash
         return made
 
     return decorate if cls is None else decorate(cls)
+
+
+class _Constructor:
+    """`__init__` of a record as `dataclasses` write it, compiled when the first one is made."""
+
+    def __init__(self, cls: Any) -> None:
+        self.cls = cls
+
+    def __get__(self, held: object, owner: object = None) -> Any:
+        cls, fields = self.cls, dataclasses.fields(self.cls)
+        names: dict[str, Any] = {"_set": object.__setattr__, "_missing": dataclasses.MISSING}
+        body, taken = [], {False: ["self"], True: ["*"]}  # parameters by place, and by name alone
+        for field in fields:
+            name, value, default = field.name, field.name, ""
+            if field.default is not dataclasses.MISSING:
+                names[f"{name}_default"], default = field.default, f"{name}_default"
+                value = name if field.init else default
+            elif field.default_factory is not dataclasses.MISSING:
+                names[f"{name}_made"], default = field.default_factory, "_missing"
+                value = f"{name}_made()" + f" if {name} is _missing else {name}" * field.init
+            if field.init:
+                taken[bool(field.kw_only)].append(f"{name}={default}" if default else name)
+            if field.init or default:
+                body.append(f"_set(self, {name!r}, {value})")
+        body += ["self.__post_init__()"] * hasattr(cls, "__post_init__")
+        listed = ", ".join(taken[False] + taken[True] * (len(taken[True]) > 1))
+        exec(f"def __init__({listed}): {'; '.join(body) or 'pass'}", names)
+        written = names["__init__"]
+        written.__annotations__ = {f.name: f.type for f in fields if f.init} | {"return": None}
+        written.__qualname__, written.__module__ = f"{cls.__qualname__}.__init__", cls.__module__
+        cls.__init__ = written
+        return written if held is None else written.__get__(held)
+
+
+def _refuse_change(self: object, name: str, value: object = None) -> None:
+    raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
+
+
+def _restore(self: object, state: tuple[None, dict[str, Any]]) -> None:
+    for name, value in state[1].items():
+        object.__setattr__(self, name, value)
+
+
+def _text(self: Any) -> str:
+    values = [f"{f.name}={getattr(self, f.name)!r}" for f in dataclasses.fields(self) if f.repr]
+    return f"{type(self).__qualname__}({', '.join(values)})"
+
+
+def _values(self: Any) -> tuple[Any, ...]:
+    return tuple([getattr(self, name) for name in self.__match_args__])
+
+
+def _equal(self: object, other: object) -> bool:
+    return _values(self) == _values(other) if type(other) is type(self) else NotImplemented
+
+
+def _hash(self: object) -> int:
+    return hash(_values(self))
 
 
 class RowRecord:

@@ -10,8 +10,6 @@ a dump states no guidance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -105,7 +103,7 @@ class SkyTask:
         return RowClock(self.strip.t_first_row_s, period).instant(line) + delay
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NamedStars:
     """What became of one strip of the sky."""
 
