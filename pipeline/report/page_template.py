@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import html
 import math
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 from unicodedata import category
 
@@ -12,6 +14,8 @@ import jinja2
 from markupsafe import Markup
 
 from boresight.geometry.epoch import Epoch
+from boresight.pipeline import __version__
+from boresight.pipeline.run.index_cache import cache_folder
 from boresight.records.record import record, scalar
 
 __all__ = ["UTC_FROM", "Number", "number_from", "template", "utc_text"]
@@ -72,11 +76,27 @@ def _environment() -> jinja2.Environment:
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
         optimized=False,  # most expressions are evaluated once
+        bytecode_cache=_Compiled(str(cache_folder() / f"templates-{__version__}-{jinja2.__version__}")),
         finalize=_visible,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+class _Compiled(jinja2.FileSystemBytecodeCache):
+    """Compiled templates in the user's cache folder, where it can be read and written."""
+
+    def load_bytecode(self, bucket: Any) -> None:
+        """Take what was compiled from the same text."""
+        with suppress(OSError):
+            super().load_bytecode(bucket)
+
+    def dump_bytecode(self, bucket: Any) -> None:
+        """Keep what was compiled."""
+        with suppress(OSError):
+            Path(self.directory).mkdir(parents=True, exist_ok=True)
+            super().dump_bytecode(bucket)
 
 
 def _visible(value: Any) -> Any:
