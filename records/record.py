@@ -120,7 +120,7 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
     `__post_init__` of the class runs after that check. Records of more than five fields take `kw_only=True`.
     """
 
-    def decorate(cls: type[Record]) -> type[Record]:
+    def decorate(cls: Any) -> Any:
         own = cls.__dict__.get("__post_init__")
         declared = [(name, f) for name, f in cls.__dict__.items() if isinstance(f, dataclasses.Field)]
         optional = {name for name, _ in declared if str(cls.__annotations__[name]).endswith("| None")}
@@ -128,16 +128,15 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
             (name, f.metadata["shape"], name in optional) for name, f in declared if "shape" in f.metadata
         )
         if checked:
-            cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
+            cls.__post_init__ = _post_init(cls.__name__, checked, own)
         # What `dataclasses` would compile for each class (two thirds of the time to import this package)
         # is shared by all records, or compiled when it is needed: so not `frozen=True`.
-        made: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=True, kw_only=kw_only)(cls)
+        compared = {"eq": by_value, "unsafe_hash": by_value}
+        made = dataclasses.dataclass(init=False, repr=False, slots=True, kw_only=kw_only, **compared)(cls)
         made.__doc__, made.__init__, made.__setstate__ = _documented(made), _Constructor(made), _restore
         made.__setattr__ = made.__delattr__ = _refuse_change
         if made.__repr__ is object.__repr__:  # else it has its own
             made.__repr__ = _text
-        if by_value:
-            made.__eq__, made.__hash__ = _equal, _hash
         return made
 
     return decorate if cls is None else decorate(cls)
@@ -187,18 +186,6 @@ def _restore(self: object, state: tuple[None, dict[str, Any]]) -> None:
 def _text(self: Any) -> str:
     values = [f"{f.name}={getattr(self, f.name)!r}" for f in dataclasses.fields(self) if f.repr]
     return f"{type(self).__qualname__}({', '.join(values)})"
-
-
-def _values(self: Any) -> tuple[Any, ...]:
-    return tuple([getattr(self, name) for name in self.__match_args__])
-
-
-def _equal(self: object, other: object) -> bool:
-    return _values(self) == _values(other) if type(other) is type(self) else NotImplemented
-
-
-def _hash(self: object) -> int:
-    return hash(_values(self))
 
 
 class RowRecord:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import html
 import math
+import os
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 from unicodedata import category
 
@@ -72,31 +72,19 @@ def template(name: str) -> jinja2.Template:
 
 @functools.cache  # with the templates that it has compiled
 def _environment() -> jinja2.Environment:
+    kept = cache_folder() / f"templates-{__version__}-{jinja2.__version__}"
+    with suppress(OSError):
+        kept.mkdir(parents=True, exist_ok=True)
     return jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
         optimized=False,  # most expressions are evaluated once
-        bytecode_cache=_Compiled(str(cache_folder() / f"templates-{__version__}-{jinja2.__version__}")),
+        bytecode_cache=jinja2.FileSystemBytecodeCache(str(kept)) if os.access(kept, os.W_OK) else None,
         finalize=_visible,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-
-
-class _Compiled(jinja2.FileSystemBytecodeCache):
-    """Compiled templates in the user's cache folder, where it can be read and written."""
-
-    def load_bytecode(self, bucket: Any) -> None:
-        """Take what was compiled from the same text."""
-        with suppress(OSError):
-            super().load_bytecode(bucket)
-
-    def dump_bytecode(self, bucket: Any) -> None:
-        """Keep what was compiled."""
-        with suppress(OSError):
-            Path(self.directory).mkdir(parents=True, exist_ok=True)
-            super().dump_bytecode(bucket)
 
 
 def _visible(value: Any) -> Any:
