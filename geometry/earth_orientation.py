@@ -163,8 +163,8 @@ def _lines(text: bytes) -> NDArray[np.bytes_]:
 
 
 def _numbers(field: NDArray[np.bytes_]) -> Floats:
-    """(N,) decimal numbers (N, W) with their points one below the other, each a whole number over a power of ten,
-    rounded once as a number that is read from text is.
+    """(N,) decimal numbers (N, W) with their points one below the other, each a whole number over a power of
+    ten: rounded once, as one that is read from text.
     """
     code, point = np.ascontiguousarray(field).view(np.uint8), int(np.flatnonzero(field[0] == b".")[0])
     places = np.insert(10.0 ** np.arange(field.shape[1] - 1)[::-1], point, 0.0)

@@ -132,7 +132,9 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
         # What `dataclasses` would compile for each class (two thirds of the time to import this package)
         # is shared by all records, or compiled when it is needed: so not `frozen=True`.
         compared = {"eq": by_value, "unsafe_hash": by_value}
-        made = dataclasses.dataclass(init=False, repr=False, slots=True, kw_only=kw_only, **compared)(cls)
+        made: Any = dataclasses.dataclass(init=False, repr=False, slots=True, kw_only=kw_only, **compared)(
+            cls
+        )
         made.__doc__, made.__init__, made.__setstate__ = _documented(made), _Constructor(made), _restore
         made.__setattr__ = made.__delattr__ = _refuse_change
         if made.__repr__ is object.__repr__:  # else it has its own

@@ -7,7 +7,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -90,16 +90,17 @@ def write_evidence(
     folder, executor = result / "evidence", executor or InOrder()
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
-    parts = [
+    parts: list[Callable[[], Any]] = [
         partial(_exposure, dump, calibration, settings),
         partial(_accuracy, dump, calibration, ground),
         partial(findings, dump, calibration, scenes, ground),
         partial(unmatched_pictures, scenes, ground, dump),
     ]
     here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
-    lists = [parts + quicklooks_of(scenes)] if here == executor else [parts, quicklooks_of(scenes)]
-    made = [one.map(call, items, lambda n, part: None) for one, items in zip((here, executor), lists)]
-    exposure, accuracy, found, unmatched, *quicklooks = chain(*made)
+    quicklooks = quicklooks_of(scenes)
+    lists = [(here, parts + quicklooks)] if here == executor else [(here, parts), (executor, quicklooks)]
+    made = chain.from_iterable(one.map(call, items, lambda n, part: None) for one, items in lists)
+    exposure, accuracy, found, unmatched, *pictures = made
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
@@ -109,7 +110,7 @@ def write_evidence(
         "ground": ground,
         "unmatched": unmatched,
         **_attitude_noise(dump, settings),
-        "map": scene_pictures(scenes, dump, quicklooks),
+        "map": scene_pictures(scenes, dump, pictures),
     }
     for name, table in tables.items():
         write_inside(

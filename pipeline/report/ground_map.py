@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from itertools import islice
+from typing import Any
 
 import cv2
 import numpy as np
@@ -322,7 +323,7 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
     return np.interp(t_s, source.rows.t_s, source.rows.temperature_c, left=np.nan, right=np.nan)
 
 
-def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], NDArray[np.float32]]]:
+def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
     """What makes the picture of each CCD's image, in the order of scenes, strips and CCDs."""
     return [
         partial(_quicklook, replace(scene, strips=()), one, ccd)
