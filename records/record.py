@@ -19,6 +19,7 @@ import inspect
 import numbers
 import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast, dataclass_transform, overload
 
@@ -130,12 +131,13 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
         if checked:
             cls.__post_init__ = _post_init(cls.__name__, checked, own)
         # What `dataclasses` would compile for each class (two thirds of the time to import this package)
-        # is shared by all records, or compiled when it is needed: so not `frozen=True`.
+        # all records share: so not `frozen=True`.
         compared = {"eq": by_value, "unsafe_hash": by_value}
         made: Any = dataclasses.dataclass(init=False, repr=False, slots=True, kw_only=kw_only, **compared)(
             cls
         )
-        made.__doc__, made.__init__, made.__setstate__ = _documented(made), _Constructor(made), _restore
+        made.__doc__, made.__signature__ = _documented(made), _Signature()
+        made.__init__, made.__setstate__ = _assign, _restore
         made.__setattr__ = made.__delattr__ = _refuse_change
         if made.__repr__ is object.__repr__:  # else it has its own
             made.__repr__ = _text
@@ -144,36 +146,45 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
     return decorate if cls is None else decorate(cls)
 
 
-class _Constructor:
-    """`__init__` of a record as `dataclasses` write it, compiled when the first one is made."""
+def _assign(self: Any, /, *given: Any, **named: Any) -> None:
+    """`__init__` of all records."""
+    places, taken, needed, defaults, makers, after = _fields_of(type(self))
+    values = dict(zip(places, given)) | named
+    if len(values) != len(given) + len(named) or not needed <= values.keys() <= taken:
+        _like(type(self))(*given, **named)  # raises what Python says of such a call
+    if makers:
+        values |= {name: make() for name, make in makers.items() if name not in values}
+    for name, value in (defaults | values).items():
+        object.__setattr__(self, name, value)
+    if after is not None:
+        after(self)
 
-    def __init__(self, cls: Any) -> None:
-        self.cls = cls
 
-    def __get__(self, held: object, owner: object = None) -> Any:
-        cls, fields = self.cls, dataclasses.fields(self.cls)
-        names: dict[str, Any] = {"_set": object.__setattr__, "_missing": dataclasses.MISSING}
-        body, taken = [], {False: ["self"], True: ["*"]}  # parameters by place, and by name alone
-        for field in fields:
-            name, value, default = field.name, field.name, ""
-            if field.default is not dataclasses.MISSING:
-                names[f"{name}_default"], default = field.default, f"{name}_default"
-                value = name if field.init else default
-            elif field.default_factory is not dataclasses.MISSING:
-                names[f"{name}_made"], default = field.default_factory, "_missing"
-                value = f"{name}_made()" + f" if {name} is _missing else {name}" * field.init
-            if field.init:
-                taken[bool(field.kw_only)].append(f"{name}={default}" if default else name)
-            if field.init or default:
-                body.append(f"_set(self, {name!r}, {value})")
-        body += ["self.__post_init__()"] * hasattr(cls, "__post_init__")
-        listed = ", ".join(taken[False] + taken[True] * (len(taken[True]) > 1))
-        exec(f"def __init__({listed}): {'; '.join(body) or 'pass'}", names)
-        written = names["__init__"]
-        written.__annotations__ = {f.name: f.type for f in fields if f.init} | {"return": None}
-        written.__qualname__, written.__module__ = f"{cls.__qualname__}.__init__", cls.__module__
-        cls.__init__ = written
-        return written if held is None else written.__get__(held)
+@cache
+def _fields_of(cls: Any) -> tuple[Any, ...]:
+    """Fields by place, those that a call may name and those that it must, defaults; what runs afterwards."""
+    every = dataclasses.fields(cls)
+    defaults = {field.name: field.default for field in every if field.default is not dataclasses.MISSING}
+    makers = {f.name: f.default_factory for f in every if f.default_factory is not dataclasses.MISSING}
+    taken = {field.name for field in every if field.init}
+    needed = taken - defaults.keys() - makers.keys()
+    return cls.__match_args__, taken, needed, defaults, makers, getattr(cls, "__post_init__", None)
+
+
+@cache
+def _like(cls: Any) -> Any:
+    """A class with the same fields whose `__init__` is compiled by `dataclasses`."""
+    declared: dict[str, Any] = {field.name: field for field in dataclasses.fields(cls)}
+    about = {"__annotations__": {name: f.type for name, f in declared.items()}, "__module__": cls.__module__}
+    names = {"__qualname__": cls.__qualname__, "__doc__": cls.__doc__}
+    return dataclasses.dataclass(type(cls.__name__, (), declared | about | names))
+
+
+class _Signature:
+    """Of a record, for `inspect` and `help`."""
+
+    def __get__(self, held: object, owner: type) -> inspect.Signature:
+        return inspect.signature(_like(owner))
 
 
 def _refuse_change(self: object, name: str, value: object = None) -> None:

@@ -324,7 +324,7 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
 
 
 def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
-    """What makes the picture of each CCD's image, in the order of scenes, strips and CCDs."""
+    """What makes the picture (rows, columns) of each CCD's image, in order of scenes, strips and CCDs."""
     return [
         partial(_quicklook, replace(scene, strips=()), one, ccd)
         for scene in scenes
@@ -336,7 +336,9 @@ def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
 def scene_pictures(
     scenes: Sequence[MapScene], dump: Dump, quicklooks: Iterable[NDArray[np.float32]]
 ) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip, joined
+    from those of its CCDs, each (rows, columns).
+    """
     seen = iter(quicklooks)
     rows: list[dict[str, object]] = []
     surface = surface_of(dump.terrain)
