@@ -336,8 +336,8 @@ def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
 def scene_pictures(
     scenes: Sequence[MapScene], dump: Dump, quicklooks: Iterable[NDArray[np.float32]]
 ) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip, joined
-    from those of its CCDs, each (rows, columns).
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip,
+    joined from those of its CCDs, each (rows, columns).
     """
     seen = iter(quicklooks)
     rows: list[dict[str, object]] = []
