@@ -148,10 +148,11 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
 
 def _assign(self: Any, /, *given: Any, **named: Any) -> None:
     """`__init__` of all records."""
-    places, taken, needed, defaults, makers, after = _fields_of(type(self))
+    cls: Any = type(self)
+    places, taken, needed, defaults, makers, after = _fields_of(cls)
     values = dict(zip(places, given)) | named
     if len(values) != len(given) + len(named) or not needed <= values.keys() <= taken:
-        _like(type(self))(*given, **named)  # raises what Python says of such a call
+        _like(cls)(*given, **named)  # raises what Python says of such a call
     if makers:
         values |= {name: make() for name, make in makers.items() if name not in values}
     for name, value in (defaults | values).items():
