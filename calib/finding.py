@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, Self
+
 import numpy as np
 
 from boresight.records.ledger import Subject
@@ -36,3 +38,8 @@ class Finding:
     )
     subjects: tuple[Subject, ...] = scalar("what it concerns; empty: the whole dump", default=())
     explains: tuple[Subject, ...] = scalar("observations that it explains", default=())
+
+    @classmethod
+    def about(cls, cause: str, it: Subject, text: str, file: str = "", field: str = "", **more: Any) -> Self:
+        """About one subject, with its words."""
+        return cls(cause=cause, item=it.words, subjects=(it,), text=text, file=file, field=field, **more)

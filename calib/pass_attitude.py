@@ -5,8 +5,9 @@ Of a single head whose attitudes come from stars, the attitude relative to the n
 between the exposures, by Lagrange polynomials; their errors phi_k stay unknowns, and so does the motion that
 the interpolation misses. Of heads that solve attitudes, of several, and with a gyro, the rows of all are
 smoothed (`geometry.attitude_smoother`). There the unknowns are the independent parts of what is left unknown,
-and the constant errors of the heads; the rows tell something of these and of the alignments. An error that
-comes back with a period is a constant of the pass to the rows, and to a target what it is at its instant.
+and the constant errors of the heads; the rows tell something of these and of the alignments. Where no strip
+has rows enough to show the motion, it is the stated one between the smoothed attitudes of the rows. An error
+that comes back with a period is a constant of the pass to the rows, to a target what it is at its time.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.heads import HeadTie, lasting_of_head, unknowns_of_head
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.slow_motion import SlowMotion, missed_covariance
+from boresight.calib.slow_motion import FEWEST_SHOW, SlowMotion, missed_covariance, stated_motion
 from boresight.geometry.attitude import (
     Interpolation,
     InterpolationNodes,
@@ -62,12 +63,20 @@ def is_smoothed(strip: StripSightings) -> bool:
     return strip.interpolation == "lagrange" and (bool(strip.others) or strip.gyro is not None or solved)
 
 
-def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Floats:
-    """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed."""
-    stated = 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
+def smoothed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> SlowMotion | Floats:
+    """Density (3,) of the random walk of the rates of strips whose attitudes are smoothed; the stated model
+    where neither a gyro nor three rows of a head show it.
+    """
     every = [([*_rows_of(strip, settings).values()], strip.gyro) for strip in strips]
     rows = [one for one in every if len(one[0][0].t_s)]
-    return most_likely_motion(*zip(*rows), stated=stated) if rows else np.full(3, stated)
+    few = [gyro is None and max(len(head.t_s) for head in heads) < FEWEST_SHOW for heads, gyro in rows]
+    if all(few) and settings.sigma_motion_rad > 0.0:
+        return stated_motion(settings)
+    return most_likely_motion(*zip(*rows), stated=_stated_walk(settings)) if rows else np.ones(3)
+
+
+def _stated_walk(settings: CalibrationSettings) -> float:
+    return 3.0 * settings.sigma_motion_rad**2 / settings.motion_time_s**3
 
 
 def attitude_of(
@@ -76,9 +85,10 @@ def attitude_of(
     """The attitude at the targets of a strip with fitted attitudes; `motion` is what the satellite does
     between the exposures: a model, or the density (3,) of the random walk of its rates.
     """
-    if isinstance(motion, SlowMotion):
-        return _interpolated(strip, settings, motion)
-    return _smoothed(strip, settings, motion)
+    if is_smoothed(strip):
+        return _smoothed(strip, settings, motion)
+    assert isinstance(motion, SlowMotion)
+    return _interpolated(strip, settings, motion)
 
 
 def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion) -> PassAttitude:
@@ -99,8 +109,7 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
     own_s = nodes.covariance(own_s)
     covariance[each, :, each, :] += own_s + settings.sigma_vibration_exposure_rad**2 * np.eye(3)
     root = np.linalg.cholesky(covariance.reshape(3 * K, 3 * K)).reshape(K, 3, 3 * K)
-    between = _by_motion(motion, nodes.t_s, t_s, weights, inside)
-    moved = (np.eye(3)[:, None, :] * between[:, None, :, None]).reshape(len(t_s), 3, -1)
+    moved = _by_motion(motion, nodes.t_s, t_s, weights, inside)
     return PassAttitude(
         inside=inside,
         R_si=R_si_targets,
@@ -117,7 +126,9 @@ def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: 
     )
 
 
-def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -> PassAttitude:
+def _smoothed(
+    strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion | Floats
+) -> PassAttitude:
     rows, t_s = _rows_of(strip, settings), strip.ground.t_s
     times, J = rows[strip.carrier].t_s, len(t_s)
     inside = _covered(times, t_s)
@@ -128,9 +139,16 @@ def _smoothed(strip: StripSightings, settings: CalibrationSettings, q: Floats) -
     parts = [head.noise.within(*_ends(times), name) for name, head in rows.items()]
     if inside.any():
         within = [replace(head, noise=rest) for head, (rest, *_) in zip(rows.values(), parts)]
-        found = SmoothedAttitude.of(within, q, strip.gyro)
+        walk = np.full(3, _stated_walk(settings)) if isinstance(motion, SlowMotion) else motion
+        found = SmoothedAttitude.of(within, walk, strip.gyro)
         R_si[inside] = (found.R_so(t_s[inside]) * strip.R_oi_targets[inside]).as_matrix()
-        part = found.root_s(t_s[inside])
+        if isinstance(motion, SlowMotion) and len(times) > 1:
+            weights = _weights(times, t_s, inside, strip.interpolation)
+            moved = _by_motion(motion, times, t_s, weights, inside)
+            of_rows = np.tensordot(weights, found.root_s(times), axes=1)
+            part = np.concatenate([of_rows, moved], axis=2)[inside]
+        else:
+            part = found.root_s(t_s[inside])
         root = np.zeros((J, 3, -(-part.shape[2] // IN_STEPS_OF) * IN_STEPS_OF))
         root[inside, :, : part.shape[2]] = part
         by_constants[inside] = found.by_constants(t_s[inside])
@@ -227,11 +245,11 @@ def _rotation_rate(times: Floats, R_si: Rotation) -> Floats:
 
 
 def _by_motion(motion: SlowMotion, nodes: Floats, t_s: Floats, weights: Floats, inside: Bools) -> Floats:
-    """Square root (J, M) of the covariance, about each axis, of the motion that the interpolation misses."""
+    """Square root (J, 3, 3 M) of the covariance of the motion that the interpolation misses."""
     root = np.zeros((len(t_s), 0))
     if len(motion.time_s) and len(nodes) > 1 and inside.any():
         values, vectors = np.linalg.eigh(missed_covariance(motion, t_s[inside], nodes, weights[inside]))
         large = values > NEGLIGIBLE_MOTION_RAD**2
         root = np.zeros((len(t_s), int(large.sum())))
         root[inside] = vectors[:, large] * np.sqrt(values[large])
-    return root
+    return np.einsum("ab,jm->jamb", np.eye(3), root).reshape(len(t_s), 3, -1)

@@ -35,6 +35,7 @@ __all__ = [
     "motion_is_shown",
     "motion_modes",
     "motion_of",
+    "stated_motion",
 ]
 
 MANY = 8  # exposures of a strip that follow the motion; scatter of so many is to be reported, not explained
@@ -91,8 +92,7 @@ def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -
     log_a, log_t = np.log(AMPLITUDES), np.log(TIMES)
     times_s = settings.motion_time_s * TIMES
     if not motion_is_shown(strips):
-        weight = np.exp(-0.5 * (log_t / SPREAD[1]) ** 2)
-        return SlowMotion(time_s=times_s, variance=settings.sigma_motion_rad**2 * weight / weight.sum())
+        return stated_motion(settings)
     grid = np.meshgrid(np.log(NOISES), log_a, log_t, indexing="ij")
     sizes = (SPREAD[2], SPREAD[0], SPREAD[1])
     log_posterior = np.sum([-0.5 * (part / size) ** 2 for part, size in zip(grid, sizes)], axis=0)
@@ -102,6 +102,15 @@ def motion_of(strips: Sequence[StripSightings], settings: CalibrationSettings) -
         log_posterior += _log_likelihood(strips[n], amplitudes, times_s)
     weight = np.exp(log_posterior - log_posterior.max()).sum(axis=0)
     return SlowMotion(time_s=times_s, variance=amplitudes**2 @ weight / weight.sum())
+
+
+def stated_motion(settings: CalibrationSettings) -> SlowMotion:
+    """The motion as stated, where nothing shows it."""
+    if settings.sigma_motion_rad == 0.0:
+        return AT_REST
+    weight = np.exp(-0.5 * (np.log(TIMES) / SPREAD[1]) ** 2)
+    variance = settings.sigma_motion_rad**2 * weight / weight.sum()
+    return SlowMotion(time_s=settings.motion_time_s * TIMES, variance=variance)
 
 
 def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:

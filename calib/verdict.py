@@ -448,17 +448,10 @@ def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
     it turns whole strips, which any hypothesis about them then explains in part.
     """
     for check in sorted((one for one in checks if one.names), key=lambda one: one.p_value)[:1]:
-        yield Finding(
-            cause="attitudes of a head",
-            item=f"head {check.names[0][0]}",
-            subjects=(Subject(Kind.HEAD, head=check.names[0][0]),),
-            text=f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
-            "file, rotation label, clock, aberration and noise in dump.toml, and its mounting.",
-            file="dump.toml",
-            field="star_cameras",
-            refutes=True,
-            p_value=check.p_value,
-        )
+        head, where = Subject(Kind.HEAD, head=check.names[0][0]), ("dump.toml", "star_cameras")
+        text = f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
+        text += "file, rotation label, clock, aberration and noise in dump.toml, and its mounting."
+        yield Finding.about("attitudes of a head", head, text, *where, refutes=True, p_value=check.p_value)
 
 
 def _orbit_bias(estimate: InstallationEstimate, checks: _Checks) -> list[Check]:
@@ -485,13 +478,12 @@ def _orbit_finding(
     rows = [n for n, name in enumerate(bias.names) if name != "clock"]
     n = max(rows, key=lambda n: abs(bias.value[n]) / bias.sigma[n])
     value, sigma = float(bias.value[n]), float(bias.sigma[n])
+    other = "".join(f"; or {one.field} in {one.file}" for one in others[:1])
     yield Finding(
         cause="orbit, or datum of the targets",
         item="all ground strips",
         text=f"{value:+.3g} ± {sigma:.2g} m {bias.names[n]}, against the sky: check the orbit; "
-        f"latitude, longitude, height_kind in {target_files}"
-        + "".join(f"; or {one.field} in {one.file}" for one in others[:1])
-        + ".",
+        f"latitude, longitude, height_kind in {target_files}{other}.",
         value=value,
         sigma=sigma,
         unit="m",

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, NominalMotion
 from boresight.geometry.attitude_noise import AttitudeNoise
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise, GyroRows
 from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 
@@ -38,9 +39,10 @@ MERGED = 0.3  # of the usual step: rows nearer together share a node
 ALONE_S = 0.5  # step where every head has one row
 DIFFUSE_RAD = 1.0  # 1-sigma of constants of which nothing is known
 DIFFUSE = 1e3  # the same of rotation and rate before the first row, in units of a row's error and steps
-# Knots for each step of the nodes, between which errors of the attitude are linear: to 1 % of them where they
-# go to and fro in four steps.
+# Knots of each step of the nodes, between which errors of the attitude are linear: at least so many, to 1 %
+# of errors that go to and fro in four steps, and as many as leave less than `STRAIGHT_RAD` of the motion.
 KNOTS = 4
+STRAIGHT_RAD = 0.05 * ARCSEC  # half of the vibration of the paper's Table 1
 NEGLIGIBLE = 1e-4  # of the largest variance of a rotation: less is left out of a root
 WINDOWS = 2.0 ** np.arange(-2.0, 6.0)  # steps over which a motion would let rows be averaged, that are tried
 NEAR = 2.0 ** np.arange(-3.0, 3.1, 0.5)  # of the best for all axes, for each axis by itself
@@ -350,19 +352,24 @@ class SmoothedAttitude:
 
     def root_s(self, t_s: Floats) -> Floats:
         """Rotation (J, 3, n) about the axes of s, at instants (J,), by n independent errors of unit variance:
-        a root of the joint covariance, the constants given. Instants that are more than `KNOTS` for each step
-        of the nodes are linear between such knots.
+        a root of the joint covariance, the constants given. More instants than knots are linear between them.
         """
         k, share = self._steps_of(t_s)
         steps, own = np.unique(k, return_inverse=True)
-        if len(t_s) <= KNOTS * len(steps):
+        dt = np.diff(self.t_s)[steps]
+        straight_s = np.cbrt(
+            48.0 * STRAIGHT_RAD**2 / self.q.max()
+        )  # pinned at both ends, q s³ / 48 in the middle
+        parts = np.maximum(np.ceil(dt / straight_s).astype(np.int64), KNOTS)
+        if len(t_s) <= parts.sum():
             return self._root_at(t_s)
-        places, dt = np.arange(KNOTS + 1) / KNOTS, np.diff(self.t_s)[steps, None]
-        knots, at = np.unique(self.t_s[steps, None] + places * dt, return_inverse=True)
-        before = np.minimum((share * KNOTS).astype(np.int64), KNOTS - 1)
-        ahead, at = share * KNOTS - before, at.reshape(len(steps), KNOTS + 1)
+        begin, step = np.cumsum(parts + 1) - parts - 1, np.repeat(np.arange(len(steps)), parts + 1)
+        places = (np.arange(len(step)) - begin[step]) / parts[step]
+        knots, at = np.unique(self.t_s[steps][step] + places * dt[step], return_inverse=True)
+        before = np.minimum((share * parts[own]).astype(np.int64), parts[own] - 1)
+        ahead, left = share * parts[own] - before, begin[own] + before
         weights = np.column_stack([1.0 - ahead, ahead]).ravel()
-        columns = np.column_stack([at[own, before], at[own, before + 1]]).ravel()
+        columns = np.column_stack([at[left], at[left + 1]]).ravel()
         between = csr_array((weights, columns, 2 * np.arange(len(t_s) + 1)), shape=(len(t_s), len(knots)))
         return np.asarray((between @ self._root_at(knots).reshape(len(knots), -1)).reshape(len(t_s), 3, -1))
 

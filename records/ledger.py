@@ -19,7 +19,7 @@ from boresight.records.record import RowRecord, array, record, scalar
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
     from boresight.records.record import Bools, Floats, Ints, Texts
 
-__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "either_of"]
+__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "counted", "either_of", "listed"]
 
 
 class Kind(StrEnum):
@@ -306,6 +306,16 @@ class Entry:
         return f"{self.state}: {self.text}" if self.text else f"{self.state}"
 
 
+def counted(n: int, thing: str) -> str:
+    """How many things: "1 target", "2 targets"."""
+    return f"{n} {thing}{'s' if n > 1 else ''}"
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """Names in a sentence: "T1, T2 and 5 more"."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def either_of(subjects: Sequence[Subject]) -> str:
     """Names of subjects of which one is meant: "s01/T07 or s02/T07"."""
     return " or ".join(subject.name for subject in subjects)
@@ -328,13 +338,14 @@ class Ledger(RowRecord):
     reason: Ints = array("N", "number of the reason in `Reason`; 0: found")
 
     @classmethod
-    def without_rows(cls, kind: Kind, strips: tuple[str, ...]) -> Ledger:
-        """Of strips that must show nothing."""
+    def of(cls, kind: Kind, strips: Sequence[str], columns: Sequence[Any] = ((),) * 7) -> Ledger:
+        """Of columns in the order above; of strips that must show nothing without any."""
         import numpy as np
 
-        columns: dict[str, Any] = dict.fromkeys(("strip", "ccd", "reason"), np.zeros(0, dtype=np.int64))
-        columns |= dict.fromkeys(("part", "along", "magnitude"), np.zeros(0))
-        return cls(kind=kind, strips=strips, id=np.zeros(0, dtype=str), **columns)
+        types = {"strip": int, "ccd": int, "id": str, "part": float, "along": float, "magnitude": float}
+        named = zip((types | {"reason": int}).items(), columns, strict=True)
+        rows: dict[str, Any] = {name: np.asarray(column, dtype=of) for (name, of), column in named}
+        return cls(kind=kind, strips=tuple(strips), **rows)
 
     @property
     def found(self) -> Bools:

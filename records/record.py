@@ -212,7 +212,7 @@ class RowRecord:
     def take(self, rows: Any) -> Self:
         """The rows with indices (M,), in that order, or of a mask (N,)."""
         held = {name: getattr(self, name) for name in _row_fields(self)}
-        chosen = {n: v.take(rows) if isinstance(v, RowRecord) else v[rows] for n, v in held.items()}
+        chosen = {name: _taken(value, rows) for name, value in held.items()}
         return cast(Self, dataclasses.replace(cast(Any, self), **chosen))
 
     @classmethod
@@ -228,9 +228,19 @@ def together(parts: Sequence[Record]) -> Record:
     return cast(Record, dataclasses.replace(cast(Any, parts[0]), **joined))
 
 
+def _taken(value: Any, rows: Any) -> Any:
+    if isinstance(value, tuple):
+        import numpy as np
+
+        return tuple(value[n] for n in np.arange(len(value))[rows].tolist())
+    return value.take(rows) if isinstance(value, RowRecord) else value[rows]
+
+
 def concatenated(values: Sequence[T]) -> T:
-    """Arrays, rotations or records of rows, one after another; of one itself."""
+    """Arrays, rotations, tuples or records of rows, one after another; of one itself."""
     first: Any = values[0]
+    if isinstance(first, tuple):
+        return cast(T, sum(cast(Any, values), ()))
     if isinstance(first, RowRecord):
         return cast(T, first.together(cast(Any, values)))
     if hasattr(first, "dtype"):

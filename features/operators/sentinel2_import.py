@@ -32,7 +32,8 @@ SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six yea
 ERRORS = {  # what the datastrip does not state; the user may state better
     "clock_s": 1e-6,  # QUALITY_INDEX of the time correlation is 0.1 µs, GPS_TIME has microseconds
     "vibration_arcsec": 0.05,
-    "look_distortion_px": 0.1,
+    # bands are specified to register within 0.3 px, 3-sigma (User Handbook): 0.1 px of two, of each
+    "look_distortion_px": 0.07,
     "look_distortion_length_px": 500.0,
 }
 

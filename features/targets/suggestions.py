@@ -37,7 +37,7 @@ from boresight.pipeline.files.images.tiff import write_tiff
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.run.settings import Settings, calibration_settings
 from boresight.pipeline.stages.match_pictures import NO_PICTURES
-from boresight.pipeline.stages.observed_strips import matched_strips
+from boresight.pipeline.stages.observed_strips import sighted_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import before_launch
 from boresight.records.ledger import Entry
@@ -394,7 +394,7 @@ def _chosen(
     chips = tuple(ChipFile(one.target_id, "", Path()) for one in named)
     shown = [_in_view(task, named) for task in tasks]
     matched = [in_view for in_view, _ in shown]
-    strips = matched_strips([replace(task, targets=targets, chips=chips) for task in tasks], matched, heads)
+    strips = sighted_strips([replace(task, targets=targets, chips=chips) for task in tasks], matched, heads)
     kept = [probability for in_view, probability in shown if len(in_view.target_id)]
     error_model = calibration_settings(settings, dump.errors, dump.line_camera)
     in_view = {name for one in matched for name in one.target_id.tolist()}

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
 from boresight.calib.hypotheses import MovedInput
@@ -46,9 +48,11 @@ from boresight.pipeline.diagnosis.readings import (
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
-from boresight.pipeline.stages.strip import contradicting_targets
+from boresight.pipeline.stages.observed_strips import sighted_strips
+from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
+from boresight.pipeline.stages.strip import MatchedTargets, contradicting_targets
 from boresight.records.ledger import Entry, Kind, Ledger
+from boresight.records.record import Ints
 
 __all__ = ["Assessment", "assessed"]
 
@@ -113,15 +117,30 @@ def _sighted(
     The ledgers hold the `targets` and the bright `stars` that they must show.
     """
     dump, heads = basis.dump, basis.heads
+    known = {
+        (strip.strip_id, name, ccd)
+        for strip in last.strips
+        for name, ccd in zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist())
+    }
+
+    def new(one: MatchedTargets | NamedStars) -> Ints:
+        measured = as_matched(one) if isinstance(one, NamedStars) else one
+        keys = [(one.strip_id, *key) for key in zip(measured.target_id.tolist(), measured.ccd.tolist())]
+        rows = [n for n, key in enumerate(keys) if key not in known]
+        known.update(keys)
+        return np.array(rows, dtype=np.int64)
+
     alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
-    matched = [*map(contradicting_targets, last.matched), *first.matched, *alone]
-    named = [
+    measured: list[MatchedTargets | NamedStars] = [
+        *map(contradicting_targets, last.matched),
+        *first.matched,
+        *alone,
         *first.named,
         *named_alone(dump, last.sky, last.named, stars),
         *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     ]
-    more = matched_strips(last.tasks, matched, heads), named_sightings(last.sky.tasks, named, heads)
-    return with_left_out(last.strips, [*more[0], *more[1]])
+    left_out = [one.take(new(one)) for one in measured]
+    return with_left_out(last.strips, sighted_strips([*last.tasks, *last.sky.tasks], left_out, heads))
 
 
 def _explanations(

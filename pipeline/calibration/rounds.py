@@ -25,7 +25,7 @@ from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coverage import stated_mountings
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.observed_strips import matched_strips, named_sightings
+from boresight.pipeline.stages.observed_strips import sighted_strips
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips
 from boresight.pipeline.stages.sky_strip import NamedStars, as_matched
 from boresight.pipeline.stages.strip import (
@@ -165,7 +165,7 @@ def _one_round(
     dump, heads, settings = basis.dump, basis.heads, basis.settings
 
     def start_from(task: StripTask, matched: MatchedTargets) -> Start | None:
-        strips = matched_strips([task], [matched], heads)
+        strips = sighted_strips([task], [matched], heads)
         alone = calibrate_strips(strips, dump.R_cs0, basis.errors) if strips else None
         if not isinstance(alone, InstallationEstimate):
             return None
@@ -179,13 +179,13 @@ def _one_round(
         matched = match_again(tasks, before.matched, settled_px, basis.runner, f"matching-{number}")
     sky = sky.aligned(heads, mountings)
     named = name_in_sky_strips(dump, sky, *start, known=before is not None)
-    strips = [*matched_strips(tasks, matched, heads), *named_sightings(sky.tasks, named, heads)]
+    strips = sighted_strips([*tasks, *sky.tasks], [*matched, *named], heads)
     estimate = calibrate_strips(strips, dump.R_cs0, basis.errors)
     unmatched = [omission for one in matched for omission in one.omissions]
     unnamed = [omission for one in named for omission in one.omissions]
     if isinstance(estimate, NotObservable):
         known_so_far = [*unused_so_far(basis, sky), *uncovered, *unnamed]
-        text = what_is_missing(estimate, dump, settings, heads[0], tasks, matched, known_so_far)
+        text = what_is_missing(estimate, basis, tasks, matched, known_so_far)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
         shifted = next(shifted_chips(dump, unmatched), None)
         if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):

@@ -27,7 +27,7 @@ from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.terrain_files import TerrainFiles
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, misses
-from boresight.records.ledger import Entry, Kind, Reason, Subject
+from boresight.records.ledger import Entry, Kind, Reason, Subject, counted, listed
 from boresight.records.record import Floats, record, scalar
 
 __all__ = [
@@ -42,7 +42,6 @@ __all__ = [
     "nearest_miss",
     "outside_chips",
     "shifted_chips",
-    "targets_out_of_view",
 ]
 
 FEWEST = 3  # targets that make a pattern
@@ -50,7 +49,6 @@ SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
 ALIKE = 0.1  # of their distance, by which targets may be apart that lie off their chips alike
 MOST_CHIPS = 256  # that are opened for it
-SHOWN = 4  # most names in the sentence of a finding; "and N more" follows
 # Reasons of targets whose place is wrong.
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
@@ -65,7 +63,7 @@ def input_findings(
     every = {target.target_id: target for task in tasks for target in task.targets}
     without = {entry.subject.id for entry in omissions if entry.reason in WRONG}
     return [
-        *targets_out_of_view(dump, tasks, matched),
+        *_out_of_view(dump, tasks, matched),
         *contradicting_rows(omissions),
         *_of_nothing(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
@@ -97,15 +95,13 @@ def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:
     for kind, table in TABLES.items():
         for reason, text in CONTRADICTIONS.items():
             those = [entry.subject for entry in entries if entry.reason is reason]
-            subjects = tuple(subject for subject in those if subject.kind == kind)
-            if subjects:
-                names = [subject.name for subject in subjects]
-                more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            if subjects := tuple(subject for subject in those if subject.kind == kind):
+                names = listed([subject.name for subject in subjects])
                 yield Finding(
                     cause=reason.value,
-                    item=f"{len(names)} {kind}{'s' if len(names) > 1 else ''}",
+                    item=counted(len(subjects), kind),
                     subjects=subjects,
-                    text=f"{', '.join(names[:SHOWN])}{more}: {text} {table}.",
+                    text=f"{names}: {text} {table}.",
                     file=table,
                 )
 
@@ -128,13 +124,8 @@ def _of_nothing(entries: Sequence[Entry]) -> Iterator[Finding]:
     """Strips and CCDs that give nothing, each with its reason."""
     for entry in entries:
         if entry.subject.kind in (Kind.STRIP, Kind.CCD) and entry.reason in NOTHING:
-            yield Finding(
-                cause=f"images, {entry.reason.value}",
-                item=entry.subject.words,
-                subjects=(entry.subject,),
-                text=f"it gives nothing: {entry.text}.",
-                file=entry.file or "strips.csv",
-            )
+            cause, text = f"images, {entry.reason.value}", f"it gives nothing: {entry.text}."
+            yield Finding.about(cause, entry.subject, text, entry.file or "strips.csv")
 
 
 def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
@@ -150,34 +141,26 @@ def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
     if common and alike.get(""):  # off by what is common, though no slip of digits puts them right
         common[""] = alike[""]
     for slip, names in common.items():
-        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         far = "lie far outside their chips" if len(names) > 1 else "lies far outside its chip"
         fits = f"lie in their chips with {slip}" if slip else far
         yield Finding(
             cause="coordinates",
-            item=f"{len(names)} target{'s' if len(names) > 1 else ''}",
+            item=counted(len(names), "target"),
             subjects=tuple(Subject(Kind.TARGET, id=name) for name in names),
-            text=f"{', '.join(names[:SHOWN])}{more} {fits}: correct lat_deg, lon_deg in targets.csv.",
+            text=f"{listed(names)} {fits}: correct lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg",
             explains=tuple(entry.subject for name in names for entry in of_target[name]),
         )
     told = {name for names in common.values() for name in names}
     for name, those in ((name, those) for name, those in of_target.items() if name not in told):
-        yield Finding(
-            cause="coordinates or chip",
-            item=f"target {name}",
-            subjects=(Subject(Kind.TARGET, id=name),),
-            text=f"{those[0].text}.",
-            file="points.csv" if those[0].reason is Reason.HIDDEN else "targets.csv",
-            field="lat_deg, lon_deg",
-            explains=tuple(entry.subject for entry in those if entry.subject.strip),
-        )
+        file = "points.csv" if those[0].reason is Reason.HIDDEN else "targets.csv"
+        target, lost = Subject(Kind.TARGET, id=name), tuple(one.subject for one in those if one.subject.strip)
+        text, field = f"{those[0].text}.", "lat_deg, lon_deg"
+        yield Finding.about("coordinates or chip", target, text, file, field, explains=lost)
 
 
-def targets_out_of_view(
-    dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]
-) -> list[Finding]:
+def _out_of_view(dump: Dump, tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> list[Finding]:
     """That no target of a dump comes into view of any of its strips of the ground; empty where one does."""
     seen = any(
         len(one.target_id) or any(entry.subject.kind is Kind.TARGET for entry in one.omissions)
@@ -185,10 +168,9 @@ def targets_out_of_view(
     )
     if seen or not tasks or not dump.targets:
         return []
-    misses_m = [np.hypot(*nearest_miss(task, dump.targets)[:2]) for task in tasks]
-    nearest = f"the nearest lies {np.nanmin(misses_m) / 1e3:.0f} km from a strip"
-    if not np.isfinite(misses_m).any():
-        nearest = "the camera looks past the Earth"
+    far_m = float(np.hypot(*nearest_miss(tasks, dump.targets)[:2]))
+    nearest = f"the nearest lies {far_m / 1e3:.0f} km from a strip"
+    nearest = nearest if np.isfinite(far_m) else "the camera looks past the Earth"
     return [
         Finding(
             cause="orbit, times or coordinates",
@@ -201,12 +183,20 @@ def targets_out_of_view(
     ]
 
 
-def nearest_miss(task: StripTask, targets: Sequence[Target]) -> tuple[float, float, float, str]:
-    """Of the nearest target what `misses` says (m), the second as time, too (s), and its id."""
-    outside, speed_m_s = misses(task, targets)
-    n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
-    across_m, along_m = outside[n].tolist()
-    return across_m, along_m, along_m / speed_m_s, targets[n].target_id
+def nearest_miss(
+    tasks: Sequence[StripTask], targets: Sequence[Target]
+) -> tuple[float, float, float, str, str]:
+    """Of the target nearest to any strip what `misses` says (m), the second as time, too (s), its id and the
+    strip's; NaN where all strips look past the Earth.
+    """
+    found: list[tuple[float, float, float, str, str]] = []
+    for task in tasks:
+        outside, speed_m_s = misses(task, targets)
+        n = int(np.argmin(np.nan_to_num(np.hypot(*outside.T), nan=np.inf)))
+        across_m, along_m = outside[n].tolist()
+        names = targets[n].target_id, task.strip.strip_id
+        found.append((across_m, along_m, along_m / speed_m_s, *names))
+    return min(found, key=lambda miss: float(np.nan_to_num(np.hypot(*miss[:2]), nan=np.inf)))
 
 
 def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
@@ -236,30 +226,15 @@ def _smeared(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
     """
     camera = dump.line_camera
     label_matters = isinstance(camera, LineCamera) and camera.time_of_row != "middle"
-    for entry in entries:
-        if entry.reason is Reason.OTHER_SMEAR:
-            yield Finding(
-                cause="TDI stages",
-                item=entry.subject.words,
-                subjects=(entry.subject,),
-                text=f"{entry.text}.",
-                file="remote_camera.toml",
-                field="tdi_stages, time_of_row",
-                refutes=label_matters,
-            )
+    file, field = "remote_camera.toml", "tdi_stages, time_of_row"
+    for one in (entry for entry in entries if entry.reason is Reason.OTHER_SMEAR):
+        yield Finding.about("TDI stages", one.subject, f"{one.text}.", file, field, refutes=label_matters)
 
 
 def _assumed_noise(head: Head) -> Finding:
-    return Finding(
-        cause="noise of a star camera",
-        item=head.subject.words,
-        subjects=(head.subject,),
-        text="white noise is assumed: errors that last longer are not in sigma; state them in dump.toml, "
-        "or estimate them by `boresight noise --write`.",
-        file="dump.toml",
-        field="star_cameras.noise",
-        is_fault=False,
-    )
+    text = "white noise is assumed: errors that last longer are not in sigma; state them in dump.toml, "
+    text, field = f"{text}or estimate them by `boresight noise --write`.", "star_cameras.noise"
+    return Finding.about("noise of a star camera", head.subject, text, "dump.toml", field, is_fault=False)
 
 
 def assumed_motion(strips: Sequence[StripSightings], settings: CalibrationSettings) -> Iterator[Finding]:
@@ -299,8 +274,10 @@ def heights(
     known = np.isfinite(above_m)
     if known.sum() < FEWEST:
         return
-    middle = float(np.median(above_m[known]))
-    scatter = 1.4826 * float(np.median(np.abs(above_m[known] - middle)))
+    on_model = known & (np.abs(above_m) < SINGLE_HEIGHT_M)
+    right = above_m[on_model if 2 * on_model.sum() >= known.sum() else known]  # half of them may be off
+    middle = float(np.median(right))
+    scatter = 1.4826 * float(np.median(np.abs(right - middle)))
     if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
         n, size = int(known.sum()), f"{middle:+.1f} m (median)"
         text = f"{n} targets differ from the terrain model by {size}: check height_m."

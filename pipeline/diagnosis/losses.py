@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import comb
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,7 +30,7 @@ from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scat
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
 from boresight.records.ledger import Entry, Kind, Ledger, Reason, Subject
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -87,32 +88,22 @@ class Group:
 
 def ground_ledger(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], R_cs: Rotation) -> Ledger:
     """Targets in view of strips of the ground, matched or not, the latter where `R_cs` expects them."""
-    rows: list[tuple[int, int, str, float, float, int]] = []
+    rows: list[tuple[Any, ...]] = []
     for n, (task, strip) in enumerate(zip(tasks, matched)):
         ends = [(task.camera.n_px(ccd) - 1.0, task.strip.lines - 1.0) for ccd in range(task.camera.n_ccds)]
         missing = [entry for entry in strip.omissions if entry.subject.ccd >= 0]
         places = task.places
         model = pushbroom_of(replace(task, R_cs=R_cs)) if missing else None
         for name, ccd, xy_px in zip(strip.target_id.tolist(), strip.ccd.tolist(), strip.xy_px.tolist()):
-            rows.append((n, ccd, name, xy_px[0] / ends[ccd][0], xy_px[1] / ends[ccd][1], 0))
+            rows.append((n, ccd, name, xy_px[0] / ends[ccd][0], xy_px[1] / ends[ccd][1], np.nan, 0))
         for entry in missing:
             ccd, name = entry.subject.ccd, entry.subject.id
             place: Floats = np.full(2, np.nan)
             if model is not None and name in places:
                 place = np.concatenate(model.pixels_from_ground(ccd, places[name].p_e[None])) / ends[ccd]
-            rows.append((n, ccd, name, float(place[0]), float(place[1]), entry.reason.number))
-    numbers, ccds, names, part, along, reasons = zip(*rows) if rows else ((),) * 6
-    return Ledger(
-        kind=Kind.TARGET,
-        strips=tuple(strip.strip_id for strip in matched),
-        strip=np.array(numbers, dtype=np.int64),
-        ccd=np.array(ccds, dtype=np.int64),
-        id=np.array(names, dtype=str),
-        part=np.array(part, dtype=float),
-        along=np.array(along, dtype=float),
-        magnitude=np.full(len(rows), np.nan),
-        reason=np.array(reasons, dtype=np.int64),
-    )
+            rows.append((n, ccd, name, float(place[0]), float(place[1]), np.nan, entry.reason.number))
+    strips = [strip.strip_id for strip in matched]
+    return Ledger.of(Kind.TARGET, strips, tuple(zip(*rows))) if rows else Ledger.of(Kind.TARGET, strips)
 
 
 def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
@@ -130,10 +121,9 @@ def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
             return
         group = groups[best]
         kept, rest = found[group.inside & left], found[group.beside & left]
-        counts = (
-            f"{kept.sum()} of {len(kept)} {limits.what} found, of the other half {rest.sum()} of {len(rest)}"
-        )
-        yield replace(group.loss, text=f"{counts}: {group.loss.text}.", p_value=tested[best])
+        counts = f"{kept.sum()} of {len(kept)} {limits.what} found"
+        text = f"{counts}, of the other half {rest.sum()} of {len(rest)}: {group.loss.text}."
+        yield replace(group.loss, text=text, p_value=tested[best])
         left = left & ~group.inside  # what it explains is not told again
 
 
@@ -149,27 +139,14 @@ def _p_value(ledger: Ledger, group: Group, left: Bools, limits: LossLimits) -> f
     return float(bdtrc(n - kept - 1, n, limits.share))
 
 
-Wholes = Iterator[tuple[tuple[Subject, ...], Bools]]
-
-
-def _ccds(ledger: Ledger) -> Wholes:
-    for number in np.unique(ledger.ccd).tolist():
-        yield (Subject(Kind.CCD, ccd=number),), ledger.ccd == number
-
-
-def _field(ledger: Ledger) -> Wholes:
-    if len(np.unique(ledger.ccd)) > 1:
-        yield (), np.ones(len(ledger.ccd), dtype=bool)
-
-
-def _strips(ledger: Ledger) -> Wholes:
-    for number, name in enumerate(ledger.strips):
-        yield (Subject(Kind.STRIP, strip=name),), ledger.strip == number
-
-
-def _strips_of_stars(ledger: Ledger) -> Wholes:
-    is_star = np.isfinite(ledger.magnitude)
-    yield from ((strip, here & is_star) for strip, here in _strips(ledger) if (here & is_star).any())
+def _wholes(kind: Kind, ledger: Ledger) -> list[tuple[tuple[Subject, ...], Bools]]:
+    """What halves are of, and its rows: CCDs, strips, or the field of several CCDs."""
+    ccds = np.unique(ledger.ccd).tolist()
+    if kind is Kind.CCD:
+        return [((Subject(Kind.CCD, ccd=ccd),), ledger.ccd == ccd) for ccd in ccds]
+    if kind is Kind.STRIP:
+        return [((Subject(kind, strip=s),), ledger.strip == n) for n, s in enumerate(ledger.strips)]
+    return [((), np.ones(len(ledger.ccd), dtype=bool))] if len(ccds) > 1 else []
 
 
 def _across_field(ledger: Ledger) -> Floats:
@@ -184,58 +161,55 @@ class Split:
     causes: tuple[str, str]  # what is lost, of the lower and of the upper half
     items: tuple[str, str]  # the halves in words: "{whole}", and "{edge}" between them
     advice: tuple[str, str]  # what to look at
-    wholes: Callable[[Ledger], Wholes]  # what is cut
+    of: Kind  # what is cut: each CCD, each strip, or the field of the camera
     value: Callable[[Ledger], Floats]  # (N,) by which it is cut
-    edge: float | None = 0.5  # below it lies the lower half; None: at the median
+    at_median: bool = False  # of what has a value; else at 0.5
 
     def groups(self, ledger: Ledger) -> Iterator[Group]:
         """Both halves of each whole."""
         value = self.value(ledger)
-        for subjects, here in self.wholes(ledger):
-            edge = float(np.median(value[here])) if self.edge is None else self.edge
-            low = here & (value < edge if self.edge is not None else value <= edge)
+        for subjects, here in _wholes(self.of, ledger):
+            here = here & np.isfinite(value) if self.at_median else here
+            if self.at_median and not here.any():
+                continue
+            edge = float(np.median(value[here])) if self.at_median else 0.5
+            low = here & (value <= edge if self.at_median else value < edge)
             whole = subjects[0].words if subjects else ""
-            for n, inside in enumerate((low, here & ~low)):
-                loss = Finding(
-                    cause=self.causes[n],
-                    item=self.items[n].format(whole=whole, edge=edge),
-                    subjects=subjects,
-                    text=self.advice[n],
-                    file="strips.csv",
-                    field="file",
-                )
-                yield Group(loss, inside, here & ~inside)
+            for cause, item, text, inside in zip(self.causes, self.items, self.advice, (low, here & ~low)):
+                item = item.format(whole=whole, edge=edge)
+                told: dict[str, Any] = {"subjects": subjects, "file": "strips.csv", "field": "file"}
+                yield Group(Finding(cause=cause, item=item, text=text, **told), inside, here & ~inside)
+
+
+def _halves(cause: str, whole: str, advice: str, of: Kind, value: Callable[[Ledger], Floats]) -> Split:
+    """Halves of which either may be lost by one cause."""
+    items = f"first half of {whole}", f"second half of {whole}"
+    return Split((cause, cause), items, (advice, advice), of, value)
 
 
 SPLITS = (
-    Split(
-        causes=("lost part of a CCD",) * 2,
-        items=("first half of {whole}", "second half of {whole}"),
-        advice=("check its images for dead pixels",) * 2,
-        wholes=_ccds,
-        value=lambda ledger: ledger.part,
-    ),
-    Split(
-        causes=("lost part of the field",) * 2,
-        items=("first half of the field", "second half of the field"),
-        advice=("check images and look directions of its CCDs",) * 2,
-        wholes=_field,
-        value=_across_field,
+    _halves("lost part of a CCD", "{whole}", "check its images for dead pixels", Kind.CCD, lambda a: a.part),
+    _halves(
+        "lost part of the field",
+        "the field",
+        "check images and look directions of its CCDs",
+        Kind.DUMP,
+        _across_field,
     ),
     Split(
         causes=("lost bright stars", "lost faint stars"),
         items=("{whole}, brighter than V {edge:.1f}", "{whole}, fainter than V {edge:.1f}"),
         advice=("check its images for saturation", "check gain, exposure and background of its images"),
-        wholes=_strips_of_stars,
-        value=lambda ledger: ledger.magnitude,
-        edge=None,
+        of=Kind.STRIP,
+        value=lambda a: a.magnitude,
+        at_median=True,
     ),
-    Split(
-        causes=("lost part of a strip",) * 2,
-        items=("first half of the lines of {whole}", "second half of the lines of {whole}"),
-        advice=("check its images for missing lines, and row_period_s",) * 2,
-        wholes=_strips,
-        value=lambda ledger: ledger.along,
+    _halves(
+        "lost part of a strip",
+        "the lines of {whole}",
+        "check its images for missing lines, and row_period_s",
+        Kind.STRIP,
+        lambda a: a.along,
     ),
 )
 
@@ -273,10 +247,9 @@ def lost_targets(
     not matched.
     """
     left = ledger.take(~ledger.within(explained))
-    dead = _flat_ccds(images, left.take(left.is_of(Reason.ONE_GREY_VALUE)).cells())
-    for ccd, strips in dead.items():
-        cells = [Subject(Kind.CCD, strip=strip, ccd=ccd) for strip in strips]
-        yield _dead_ccd(ccd, strips, left.subjects(~left.found & left.within(cells)))
+    dead = _dead_ccds(images, left.take(left.is_of(Reason.ONE_GREY_VALUE)).cells(), FLAT_COUNTS)
+    for one in dead.values():
+        yield replace(one, explains=left.subjects(~left.found & left.within(one.subjects)))
     counts, lost = _by_ccd(left), lost_ccds(left)
     silent = [ccd for ccd, (kept, n) in counts.items() if not kept and n >= FEWEST and ccd not in dead]
     no_majority = bool(set(lost) & set(silent)) and _may_be_right(silent, counts, dead)
@@ -286,14 +259,9 @@ def lost_targets(
     yield from _lost_strips(images, ledger, entries, explained)
     for entry in entries:
         if entry.reason is Reason.CHIP_TOO_SMALL:
-            target = replace(entry.subject, ccd=-1)
-            yield Finding(
-                cause="pixel size of the chip",
-                item=target.words,
-                subjects=(target,),
-                text=f"{entry.text}.",
-                file="targets.csv",
-                explains=(entry.subject,),
+            target, of = replace(entry.subject, ccd=-1), (entry.subject,)
+            yield Finding.about(
+                "pixel size of the chip", target, f"{entry.text}.", "targets.csv", explains=of
             )
 
 
@@ -323,15 +291,25 @@ def _lost_strips(
         yield lost_strip(subject, targets, all_flat=all(flat))
 
 
-def _flat_ccds(
-    images: Mapping[str, StripFiles], cells: Iterable[tuple[str, int]], most: float = FLAT_COUNTS
-) -> dict[int, list[str]]:
-    """Those strips, by CCD, of some cells (strip, CCD) in which the image has no content."""
+def _dead_ccds(
+    images: Mapping[str, StripFiles], cells: Iterable[tuple[str, int]], most: float
+) -> dict[int, Finding]:
+    """CCDs of some cells (strip, CCD) whose images have no content, by number: see `is_flat`."""
     flat: dict[int, list[str]] = {}
     for strip_id, ccd in cells:
         if ccd in images[strip_id].ccds and is_flat(images[strip_id], ccd, most):
             flat.setdefault(ccd, []).append(strip_id)
-    return flat
+    return {
+        ccd: Finding(
+            cause="dead detector or empty file",
+            item=f"CCD {ccd} in strip{'s' if len(strips) > 1 else ''} {', '.join(strips)}",
+            subjects=tuple(Subject(Kind.CCD, strip=strip, ccd=ccd) for strip in strips),
+            text="its images hold a single grey value: check its files in strips.csv.",
+            file="strips.csv",
+            field="file",
+        )
+        for ccd, strips in flat.items()
+    }
 
 
 def lost_stars(
@@ -341,9 +319,8 @@ def lost_stars(
     left = ledger.take(~ledger.within(explained))
     every = [(strip_id, ccd) for strip_id in left.strips for ccd in images[strip_id].ccds]
     seen = {cell for cell, (found, _) in left.cells().items() if found}
-    dark = _flat_ccds(images, [cell for cell in every if cell not in seen], FLAT_SKY_COUNTS)
-    for ccd, strips in dark.items():
-        yield _dead_ccd(ccd, strips)
+    dark = _dead_ccds(images, [cell for cell in every if cell not in seen], FLAT_SKY_COUNTS)
+    yield from dark.values()
     displaced = [ccd for ccd in lost_ccds(left, OF_STARS) if ccd not in dark]
     if displaced:
         no_majority = _may_be_right(displaced, _by_ccd(left), dark)
@@ -376,32 +353,14 @@ def displaced_ccds(ccds: Sequence[int], ledger: Ledger, what: str, *, refutes: b
     )
 
 
-def _dead_ccd(ccd: int, strips: Sequence[str], targets: tuple[Subject, ...] = ()) -> Finding:
-    return Finding(
-        cause="dead detector or empty file",
-        item=f"CCD {ccd} in strip{'s' if len(strips) > 1 else ''} {', '.join(strips)}",
-        subjects=tuple(Subject(Kind.CCD, strip=strip, ccd=ccd) for strip in strips),
-        text="its images hold a single grey value: check its files in strips.csv.",
-        file="strips.csv",
-        field="file",
-        explains=targets,
-    )
-
-
 def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) -> Finding:
     """A strip of which nothing was matched, not even alone."""
-    cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
-    if not all_flat:
-        cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored "
-        text += "or exchanged images, and utc_first_row"
-    return Finding(
-        cause=cause,
-        item=strip.words,
-        subjects=(strip,),
-        text=f"none of its {len(targets)} targets found; {text}.",
-        file="strips.csv",
-        explains=tuple(targets),
-    )
+    cause, text = "images, cloud or clock", "not even alone do they agree: check for cloud, mirrored or "
+    text += "exchanged images, and utc_first_row"
+    if all_flat:
+        cause, text = "empty images", "a single grey value in all images: check its files in strips.csv"
+    text = f"none of its {len(targets)} targets found; {text}."
+    return Finding.about(cause, strip, text, "strips.csv", explains=tuple(targets))
 
 
 def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:
@@ -421,37 +380,29 @@ MOST_SEARCHES = 4
 def with_left_out(
     strips: Sequence[StripSightings], more: Sequence[StripSightings]
 ) -> tuple[StripSightings, ...]:
-    """`strips` with the observations of `more` that they do not hold; strips of the same id are one."""
+    """`strips` with the observations of `more`; strips of the same id are one."""
     found = {strip.strip_id: strip for strip in strips}
     for strip in more:
-        found[strip.strip_id] = _joined(found[strip.strip_id], strip) if strip.strip_id in found else strip
+        if before := found.get(strip.strip_id):
+            ground = GroundSightings.together([before.ground, strip.ground])
+            R_oi = Rotation.concatenate([before.R_oi_targets, strip.R_oi_targets])
+            strip = replace(before, ground=ground, R_oi_targets=R_oi)
+        found[strip.strip_id] = strip
     return tuple(found.values())
 
 
-def _joined(strip: StripSightings, more: StripSightings) -> StripSightings:
-    known = set(zip(strip.ground.target_id.tolist(), strip.ground.ccd.tolist()))
-    keys = zip(more.ground.target_id.tolist(), more.ground.ccd.tolist())
-    new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=np.int64)
-    if not len(new):
-        return strip
-    ground = GroundSightings.together([strip.ground, more.ground.take(new)])
-    R_oi = strip.R_oi_targets.concatenate([strip.R_oi_targets, more.R_oi_targets[new]])
-    return replace(strip, ground=ground, R_oi_targets=R_oi)
-
-
 def searched_alone(
-    tasks: Sequence[StripTask], ccds: Sequence[int], sigma_rad: np.ndarray
+    tasks: Sequence[StripTask], ccds: Sequence[int], sigma_rad: Floats
 ) -> list[MatchedTargets]:
     """Targets of the CCDs `ccds` in each of the first strips, searched in that CCD alone and as widely as
     `sigma_rad` (3,), the 1-sigma of the matrix, axes of c.
     """
     found: list[MatchedTargets] = []
-    sigma = np.asarray(sigma_rad, dtype=float)
     for ccd in ccds[:MOST_SEARCHES]:
         having = [task for task in tasks if ccd in task.strip.images.ccds]
         for task in having[: max(1, MOST_SEARCHES // len(ccds))]:
             strip = replace(task.strip, images=task.strip.images.of([ccd]))
-            wide = replace(task, strip=strip, sigma_installation_rad=sigma, is_known=False)
+            wide = replace(task, strip=strip, sigma_installation_rad=sigma_rad, is_known=False)
             one = match_strip_targets(wide)
             if not isinstance(one, Entry) and len(one.target_id) >= FEWEST:
                 found.append(one)
@@ -467,11 +418,10 @@ ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may 
 EDGE_PX = 8.0  # from the ends of detector and strip within which a star is not counted
 
 
-@record(kw_only=True)
-class Crossings:
+@record
+class Crossings(RowRecord):
     """Catalogue stars that cross detectors of a strip. Row n of every array is the same crossing."""
 
-    strip_id: str = scalar("strip")
     star: Ints = array("N", "row of the catalogue")
     ccd: Ints = array("N", "CCD of the camera, from 0")
     xy_px: Floats = array("N, 2", "where: (sample, line)")
@@ -501,8 +451,7 @@ def crossings(task: SkyTask, survey: SurveyedStars, R_cs: Rotation) -> Crossings
         inside = (at > EDGE_PX) & (at < last[0] - EDGE_PX) & (line > EDGE_PX) & (line < last[1] - EDGE_PX)
         rows = ahead[star[inside]]
         found.append((rows, np.full(len(rows), ccd), np.column_stack([at, line])[inside]))
-    star_of, ccd_of, xy_px = (np.concatenate(part) for part in zip(*found))
-    return Crossings(strip_id=task.strip.strip_id, star=star_of, ccd=ccd_of, xy_px=xy_px)
+    return Crossings(*(np.concatenate(part) for part in zip(*found)))
 
 
 def _reach(task: SkyTask) -> float:
@@ -514,8 +463,9 @@ def _reach(task: SkyTask) -> float:
     return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
 
 
-def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> SurveyedStars:
-    """Stars of a catalogue as bright as those that were named in any strip: none, if none was."""
+def as_bright_as_named(dump: Dump, named: Sequence[NamedStars]) -> SurveyedStars:
+    """Stars of the catalogue as bright as those that were named in any strip: none, if none was."""
+    survey = survey_of(dump.star_catalogue)
     magnitudes = np.concatenate([one.places.places.v_mag for one in named] or [np.zeros(0)])
     faintest = np.quantile(magnitudes, FAINTEST) if len(magnitudes) else -np.inf
     return survey.take(np.flatnonzero(survey.places.v_mag <= faintest))
@@ -523,47 +473,45 @@ def as_bright_as_named(survey: SurveyedStars, named: Sequence[NamedStars]) -> Su
 
 def stars_found(dump: Dump, task: SkyTask, found: StripStars, expected: Crossings) -> Bools:
     """Which of the stars (N,) that must be in a strip have a detection where they must be."""
-    near_px, seen = _near_px(dump, task), np.zeros(len(expected.ccd), dtype=bool)
-    for ccd in task.strip.images.ccds:
-        here = expected.ccd == ccd
-        off_px = np.abs(expected.xy_px[here, None] - found.xy_px[found.ccd == ccd]).max(axis=2)
-        seen[here] = (off_px < near_px).any(axis=1)
+    seen = np.zeros(len(expected.ccd), dtype=bool)
+    for stars, _, near in _near(dump, task, found, expected):
+        seen[stars] = near.any(axis=1)
     return seen
 
 
-def _near_px(dump: Dump, task: SkyTask) -> float:
-    """How far a star may lie from its place by a right matrix: attitudes, stated scatter, the unstated."""
+def _near(
+    dump: Dump, task: SkyTask, found: StripStars, expected: Crossings
+) -> Iterator[tuple[Ints, Ints, Bools]]:
+    """For each CCD of a strip its stars (N,), its detections (M,), and which (N, M) lie where the others must
+    by a right matrix: attitudes, stated scatter, and the unstated.
+    """
     variance = np.einsum("kaka->ka", task.covariance_c)  # rad², axes of c
     attitude = np.sqrt(np.max(variance[:, :2].max(axis=1) + variance[:, 2] * _reach(task) ** 2))
     sigma_px = (scatter_px(dump, task), NOT_STATED_PX, float(attitude) / task.camera.pixel_rad)
-    return NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
+    near_px = NEAR_SIGMAS * float(np.linalg.norm(sigma_px))
+    for ccd in task.strip.images.ccds:
+        stars, rows = np.flatnonzero(expected.ccd == ccd), np.flatnonzero(found.ccd == ccd)
+        yield stars, rows, np.abs(expected.xy_px[stars, None] - found.xy_px[rows]).max(axis=2) < near_px
 
 
 def star_ledger(dump: Dump, side: SkySide, named: Sequence[NamedStars], R_cs: Rotation) -> Ledger:
     """Bright stars of each strip, found or not; without rows where no strip of the sky has a name."""
     strips = tuple(task.strip.strip_id for task in side.tasks)
     if not any(len(stars.rows) for stars in named):
-        return Ledger.without_rows(Kind.STAR, strips)
-    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+        return Ledger.of(Kind.STAR, strips)
+    bright = as_bright_as_named(dump, named)
     every = [crossings(task, bright, R_cs) for task in side.tasks]
-    found, part, along = [], [], []
-    for task, stars, expected in zip(side.tasks, named, every):
-        found.append(stars_found(dump, task, stars.found, expected))
-        last = np.array([task.camera.n_px(ccd) - 1.0 for ccd in range(task.camera.n_ccds)])
-        part.append(expected.xy_px[:, 0] / last[expected.ccd])
-        along.append(expected.xy_px[:, 1] / max(task.strip.lines - 1.0, 1.0))
-    star = np.concatenate([expected.star for expected in every])
-    return Ledger(
-        kind=Kind.STAR,
-        strips=strips,
-        strip=np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every]),
-        ccd=np.concatenate([expected.ccd for expected in every]),
-        id=np.array([f"{bright.name} {n}" for n in bright.places.hip[star].tolist()], dtype=str),
-        part=np.concatenate(part),
-        along=np.concatenate(along),
-        magnitude=bright.places.v_mag[star],
-        reason=np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number),
-    )
+    of_strips = zip(side.tasks, named, every)
+    found = [stars_found(dump, task, stars.found, expected) for task, stars, expected in of_strips]
+    number = np.repeat(np.arange(len(every)), [len(expected.ccd) for expected in every])
+    seen, camera = Crossings.together(every), side.tasks[0].camera
+    last = np.array([camera.n_px(ccd) - 1.0 for ccd in range(camera.n_ccds)])
+    lines = np.array([max(task.strip.lines - 1.0, 1.0) for task in side.tasks])
+    part, along = seen.xy_px[:, 0] / last[seen.ccd], seen.xy_px[:, 1] / lines[number]
+    ids = [f"{bright.name} {n}" for n in bright.places.hip[seen.star].tolist()]
+    reason = np.where(np.concatenate(found), 0, Reason.NOT_IN_PLACE.number)
+    columns = number, seen.ccd, ids, part, along, bright.places.v_mag[seen.star], reason
+    return Ledger.of(Kind.STAR, strips, columns)
 
 
 def named_alone(dump: Dump, side: SkySide, named: Sequence[NamedStars], ledger: Ledger) -> list[NamedStars]:
@@ -590,19 +538,15 @@ def displaced_stars(
     missing = ledger.strip[~ledger.found]
     if len(missing) < FEWEST_DISPLACED:
         return []
-    survey = survey_of(dump.star_catalogue)
-    bright, every = as_bright_as_named(survey, named), []
+    bright, every = as_bright_as_named(dump, named), []
     for n, (task, one) in enumerate(zip(side.tasks, named)):
         if not len(one.rows) or np.sum(missing == n) < FEWEST_DISPLACED:
             continue
-        expected, near_px = crossings(task, bright, R_cs), _near_px(dump, task)
+        expected = crossings(task, bright, R_cs)
         level = float(np.median(_magnitude(one.found.flux_dn[one.rows]) - one.places.places.v_mag))
         pairs = list[tuple[int, int]]()
-        for ccd in task.strip.images.ccds:
-            rows, stars = np.flatnonzero(one.found.ccd == ccd), np.flatnonzero(expected.ccd == ccd)
-            off_px = np.abs(expected.xy_px[stars, None] - one.found.xy_px[rows]).max(axis=2)
-            lost = stars[~(off_px < near_px).any(axis=1)]
-            free = rows[~(off_px < near_px).any(axis=0)]
+        for stars, rows, near in _near(dump, task, one.found, expected):
+            lost, free = stars[~near.any(axis=1)], rows[~near.any(axis=0)]
             pairs += _of_brightness(expected, lost, one.found, free, bright, level)
         if len(pairs) >= FEWEST_DISPLACED:
             row, star = np.array(pairs).T

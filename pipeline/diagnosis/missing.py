@@ -35,7 +35,7 @@ from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strip_tasks
-from boresight.records.ledger import Entry, Kind, Reason
+from boresight.records.ledger import Entry, Kind, Reason, listed
 from boresight.records.record import Floats
 
 __all__ = [
@@ -50,20 +50,19 @@ FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch m
 
 def what_is_missing(
     outcome: NotObservable,
-    dump: Dump,
-    settings: Settings,
-    reference: HeadSightings,
+    basis: Basis,
     tasks: Sequence[StripTask],
     matched: Sequence[MatchedTargets],
     omissions: Sequence[Entry],
 ) -> str:
     """One sentence for the user, the cause first."""
+    dump, reference = basis.dump, basis.heads[0]
     n_stars = len(reference.stars)  # identified exposures
     n_targets = sum(len(one.target_id) for one in matched)
     counts = f"{n_stars} exposures identified, {n_targets} targets matched in {len(matched)} strips"
     failed = [entry for entry in omissions if entry.subject.kind is Kind.EXPOSURE]
     if failed and n_stars == 0:
-        return f"{_no_exposure(dump, settings, failed)}; {counts}"
+        return f"{_no_exposure(dump, basis.settings, failed)}; {counts}"
     if n_stars and not reference.attitudes.usable.any():
         return f"{_no_attitude(reference)}; {counts}"
     every = [*omissions, *(o for one in matched for o in one.omissions)]
@@ -72,8 +71,7 @@ def what_is_missing(
         return f"{_no_target(dump, tasks)}; {counts}"
     of_strips = [one for one in omissions if one.subject.kind is Kind.STRIP and one.reason in NOTHING]
     if of_strips and len({entry.subject for entry in of_strips}) == len(dump.strips) + len(dump.sky_strips):
-        more = f" and {len(of_strips) - 1} more" if len(of_strips) > 1 else ""
-        return f"no strip can be used: {of_strips[0].line}{more}; {counts}"
+        return f"no strip can be used: {listed([entry.line for entry in of_strips], 1)}; {counts}"
     hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:
         text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "
@@ -128,15 +126,12 @@ def _no_attitude(reference: HeadSightings) -> str:
 
 
 def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
-    misses = [(nearest_miss(task, dump.targets), task.strip.strip_id) for task in tasks]
-    if not np.isfinite([miss[0][:2] for miss in misses]).any():
+    across_m, along_m, along_s, target_id, strip_id = nearest_miss(tasks, dump.targets)
+    if not np.isfinite(across_m):
         return (
             "no strip sees the Earth: by the attitudes and the orbit the camera looks past it; check axes "
             "and REF_FRAME of the orbit, and quaternion_cs of the pre-launch matrix (scalar last, s to c)"
         )
-    (across_m, along_m, along_s, target_id), strip_id = min(
-        misses, key=lambda m: float(np.nan_to_num(np.hypot(*m[0][:2]), nan=np.inf))
-    )
     return (
         f"no target comes into view: the nearest, {target_id}, misses strip {strip_id} by "
         f"{across_m / 1e3:.1f} km across the track and {along_m / 1e3:.1f} km along it ({along_s:.1f} s); "

@@ -255,23 +255,23 @@ def _of_ground(
 ) -> Iterator[MovedInput]:
     """Effects on light from the ground, modelled and not, and heights in another unit."""
 
-    def seen(p_e: Floats, strip: StripSightings, effects: LightEffects | None = None) -> Floats:
-        task, t_s = tasks[strip.strip_id], strip.ground.t_s
-        effects = effects or task.effects
-        return apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, effects)[0]
+    def seen(p_e: Floats, strip: StripSightings, effects: LightEffects) -> Floats:
+        orbit = tasks[strip.strip_id].orbit
+        return apparent_ground_directions(p_e, strip.ground.t_s, orbit, orbit.earth, effects)[0]
 
     light, higher = {key: dict[str, Floats]() for key in EFFECTS}, dict[str, Floats]()
     for strip in strips:
-        task = tasks[strip.strip_id]
-        place = task.places
+        place, effects = tasks[strip.strip_id].places, tasks[strip.strip_id].effects
         p_e = np.array([place[n].p_e for n in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
+        stated = seen(p_e, strip, effects)
         for key in EFFECTS:
-            switched: tuple[dict[str, Any], ...] = {key: True}, {key: False}
-            on, off = (seen(p_e, strip, replace(task.effects, **one)) for one in switched)
-            light[key][strip.strip_id] = on - off
+            is_on = getattr(effects, key)
+            switched: dict[str, Any] = {key: not is_on}
+            change = stated - seen(p_e, strip, replace(effects, **switched))
+            light[key][strip.strip_id] = change if is_on else -change
         lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
         above = ecef_from_geodetic(lat, lon, (1.0 + PERCENT) * height_m, WGS84)
-        higher[strip.strip_id] = seen(above, strip) - seen(p_e, strip)
+        higher[strip.strip_id] = seen(above, strip, effects) - stated
     for key, directions in light.items():
         yield MovedInput(
             cause=f"light of the targets, {key.replace('_', ' ')}",

@@ -127,6 +127,11 @@ class Attitudes:
         """Whether the head solved them itself."""
         return isinstance(self.head.head.source, SolvedAttitudes)
 
+    @property
+    def what(self) -> str:
+        """What the head delivers."""
+        return "attitudes" if self.is_solved else "exposures"
+
 
 def against_own_motion(heads: Sequence[HeadSightings]) -> list[Finding]:
     """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite."""
@@ -153,7 +158,12 @@ def _of_gyro(every: Sequence[Attitudes]) -> list[Finding]:
         when = "late" if size_ms > 0.0 else "early"
         text = f"dated {abs(size_ms):.3g} ms {when} against all heads: check the times in its file."
         return [_about_gyro("times of a gyro", text, "file", size_ms)]
-    return [_late(one, late[one.head.head.name]) for one in every if one.head.head.name in late]
+    found = []
+    for one in (one for one in every if one.head.head.name in late):
+        size_ms = -1e3 * late[one.head.head.name]
+        text = f"dated {abs(size_ms):.3g} ms {'early' if size_ms < 0.0 else 'late'} against the gyro"
+        found.append(_of_all(one, "times of {}", f"{text}: check {{}}.", size_ms, "ms"))
+    return found
 
 
 def _beyond_chance(fits: Mapping[int, tuple[float, float]]) -> float:
@@ -175,12 +185,6 @@ def _lag(of_head: Attitudes) -> float:
     around = tried[[best - 1, best + 1]]
     size = float(minimize_scalar(lambda late_s: -gain(late_s), bounds=around, method="bounded").x)
     return size if gain(size) > 0.0 and _beyond_chance(of_head.against_gyro(size)) <= CERTAIN else np.nan
-
-
-def _late(of_head: Attitudes, late_s: float) -> Finding:
-    when = "early" if late_s > 0.0 else "late"
-    text = f"dated {1e3 * abs(late_s):.3g} ms {when} against the gyro: check {{}}."
-    return _of_all(of_head, "times of {}", text, -1e3 * late_s, "ms")
 
 
 def _about_gyro(cause: str, text: str, field: str, size_ms: float = np.nan) -> Finding:
@@ -359,7 +363,7 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
         return None
     alike = [EXCESSES[n] for n, gain in enumerate(gains) if n != best and gain > gains[best] - ALIKE]
     told = _told_of_all(of_head, parts, EXCESSES[best], sizes[best], largest[best])
-    others = dict.fromkeys(kind.cause.format(_what(of_head)) for kind in alike)
+    others = dict.fromkeys(kind.cause.format(of_head.what) for kind in alike)
     rivals = [cause for cause in others if cause != told.cause]
     text = f"{told.text[:-1]}; or {' or '.join(rivals)}." if rivals else told.text
     return replace(told, text=text, rivals=tuple(f"{cause}, {told.item}" for cause in rivals)), gains[best]
@@ -405,7 +409,7 @@ def _of_all(
     head = of_head.head.head
     file, field = head.times_in
     return Finding(
-        cause=cause.format(_what(of_head)),
+        cause=cause.format(of_head.what),
         item=head.subject.words if of_head.is_solved else "all exposures",
         subjects=(head.subject,) if of_head.is_solved else (),
         text=text.format(f"{field} in {file}"),
@@ -416,10 +420,6 @@ def _of_all(
         refutes=refutes,
         **more,
     )
-
-
-def _what(of_head: Attitudes) -> str:
-    return "attitudes" if of_head.is_solved else "exposures"
 
 
 def _told_of_all(

@@ -32,14 +32,13 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
-from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.exposure import StarTask, exposure_image, is_identified
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.records.ledger import Entry, Kind, Ledger, Subject
-from boresight.records.record import Bools, Floats
+from boresight.records.record import Floats
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -112,14 +111,11 @@ def best_reading(
 def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     """Every other reading of the tables of a dump alone, the commonest mistakes first."""
     for head in dump.heads:
-        source, words, subjects = head.source, head.subject.words, (head.subject,)
-        for cause, changed, field, R_meant in MOUNTINGS:
-            file = f"the installation file of {head.name}"
-            apply = partial(_with_head, head.name, partial(_mounted, R_meant))
-            yield Reading(cause, words, subjects, file, field, changed, apply)
-        for cause, changed, file, field, R_meant in ATTITUDES if isinstance(source, SolvedAttitudes) else ():
-            apply = partial(_with_head, head.name, partial(_turned, R_meant))
-            yield Reading(cause, words, subjects, file.format(source), field, changed, apply)
+        words, subjects = head.subject.words, (head.subject,)
+        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:2]
+        for cause, changed, file, field, changed_head, R_meant in rows:
+            apply = partial(_with_head, head.name, partial(changed_head, R_meant))
+            yield Reading(cause, words, subjects, file.format(head), field, changed, apply)
     for a, b in pairwise([head for head in dump.heads if isinstance(head.source, SolvedAttitudes)]):
         words, both = f"heads {a.name} and {b.name}", (a.subject, b.subject)
         field, apply = "star_cameras.attitudes", partial(_heads_exchanged, a.name, b.name)
@@ -229,18 +225,17 @@ def _inverse_scalar_first(stated: Rotation) -> Rotation:
     return _scalar_first(stated.inv()).inv()
 
 
-# Of a head's installation file: cause, words, field, and the rotation that was meant.
-MOUNTINGS: tuple[tuple[str, str, str, Turn], ...] = (
-    ("sense of the installation matrix", "inverted,", "quaternion_cs", Rotation.inv),
-    ("order of the quaternion's components", "with the scalar first", "quaternion_cs", _scalar_first),
-)
-# Of a head's attitudes: cause, words, file, field, and the rotations that were meant.
+# Of a head, first its installation file, then attitudes that it has solved: cause, words, file, field, what
+# is changed, and the rotation that was meant.
+MOUNTING = "the installation file of {0.name}", "quaternion_cs", _mounted
 SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
-ORDER = "order of the quaternions' components", "with the scalar first", "{0.file}", "qx, qy, qz, qw"
-ATTITUDES: tuple[tuple[str, str, str, str, Turn], ...] = (
-    (*SENSE, "dump.toml", "star_cameras.rotation", Rotation.inv),
-    (*ORDER, _inverse_scalar_first),
-    (*ORDER, _scalar_first),
+ORDER = "order of the quaternions' components", "with the scalar first", "{0.source.file}", "qx, qy, qz, qw"
+OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
+    ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
+    ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
+    (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
+    (*ORDER, _turned, _inverse_scalar_first),
+    (*ORDER, _turned, _scalar_first),
 )
 # Of measured points: cause, words, field, and the points that were meant.
 POINTS: tuple[tuple[str, str, str, Points], ...] = (
@@ -326,16 +321,14 @@ def exchanged_in_sky(
     """Pairs of CCDs of strips of the sky whose bright stars all are on the other one."""
     if not len(ledger.ccd):
         return
-    bright = as_bright_as_named(survey_of(dump.star_catalogue), named)
+    bright = as_bright_as_named(dump, named)
     for task, of_strip in zip(side.tasks, named):
         for a, b, n in _empty_pairs(task.strip, ledger):
             expected = crossings(task, bright, R_cs)
-            in_both = np.isin(expected.ccd, (a, b))
+            expected = expected.take(np.isin(expected.ccd, (a, b)))
 
-            def found(
-                stars: StripStars, task: SkyTask = task, expected: Crossings = expected, both: Bools = in_both
-            ) -> int:
-                return int(stars_found(dump, task, stars, expected)[both].sum())
+            def found(stars: StripStars, task: SkyTask = task, expected: Crossings = expected) -> int:
+                return int(stars_found(dump, task, stars, expected).sum())
 
             reading = _exchanged_ccds(task.strip, a, b, partial(_of_other_ccd, a, b))
             yield from _exchanged(of_strip.found, reading, found, n, "bright stars")
@@ -433,20 +426,12 @@ def strips_without_stars(
             continue
         alone = names(dump, side.only([n])) >= FEWEST
         if not alone and (order := _order(dump, side.only([n]))):
-            text = f"none of its {expected} brightest stars found, but {order.changed} they are"
-            yield order.finding(text)
+            yield order.finding(f"none of its {expected} brightest stars found, but {order.changed} they are")
             continue
-        text = f"none of its {expected} brightest stars is where the other strips place it"
-        if alone:
-            text = f"its stars agree by themselves, but none of {expected} is where the other strips place it"
-        field = "file, utc_first_row"
-        yield Finding(
-            cause="images, clock or attitudes",
-            item=strip.subject.words,
-            subjects=(strip.subject,),
-            text=f"{text}: check {field} in strips.csv{attitudes if alone else ''}.",
-            file="strips.csv",
-            field=field,
-            refutes=alone,
-            rivals=(f"attitudes, {head.subject.words}",) if alone and solved else (),
-        )
+        which = "its stars agree by themselves, but none of" if alone else "none of its"
+        what = f"{which} {expected}{'' if alone else ' brightest stars'} is where the other strips place it"
+        file, field = "strips.csv", "file, utc_first_row"
+        text = f"{what}: check {field} in {file}{attitudes if alone else ''}."
+        rivals = (f"attitudes, {head.subject.words}",) if alone and solved else ()
+        cause = "images, clock or attitudes"
+        yield Finding.about(cause, strip.subject, text, file, field, refutes=alone, rivals=rivals)

@@ -118,35 +118,24 @@ def stretches(
     """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
     what the noise of the head has in common from row to row; where a gyro covers them, against that.
     """
-    for part in (rows[part] for part in without_gap(t_s[rows])):
-        for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)):
-            if len(here) >= FEWEST_ROWS:
-                yield _stretch(here, t_s[here], R_si[here], covariance_s[here], noise, gyro)
-
-
-def _stretch(
-    rows: Ints,
-    t_s: Floats,
-    R_si: Rotation,
-    covariance_s: Floats,
-    noise: AttitudeNoise | None,
-    gyro: GyroRecord | None,
-) -> Stretch:
-    motion = ConstantRate.fitted(t_s, R_si)
-    turned, middle = gyro and gyro.turned(t_s), len(t_s) // 2
-    D = R_si * (turned * turned[middle].inv() * R_si[middle] if turned else motion.R_oi(t_s)).inv()
-    variance, axes = np.linalg.eigh(covariance_s.mean(axis=0))
-    full = noise.coloured_covariance_s(t_s) if noise else np.zeros((len(rows), 3, len(rows), 3))
-    each = np.arange(len(rows))
-    full[each, :, each, :] += covariance_s
-    if gyro and turned:
-        full += gyro.noise.covariance(t_s)[:, None, :, None] * np.eye(3)[:, None, :]
-    return Stretch(
-        rows=rows,
-        turns=(D * D[middle].inv()).as_rotvec() @ axes,
-        noise=np.einsum("ax,kalb,bx->xkl", axes, full, axes),
-        rate=-motion.omega_o @ axes,
-        t_s=t_s,
-        own=np.sqrt(variance),
-        by_gyro=bool(turned),
-    )
+    parts = (rows[part] for part in without_gap(t_s[rows]))
+    cut = (here for part in parts for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)))
+    for here in (here for here in cut if len(here) >= FEWEST_ROWS):
+        t, R, own = t_s[here], R_si[here], covariance_s[here]
+        motion = ConstantRate.fitted(t, R)
+        turned, middle, each = gyro and gyro.turned(t), len(t) // 2, np.arange(len(t))
+        D = R * (turned * turned[middle].inv() * R[middle] if turned else motion.R_oi(t)).inv()
+        variance, axes = np.linalg.eigh(own.mean(axis=0))
+        full = noise.coloured_covariance_s(t) if noise else np.zeros((len(t), 3, len(t), 3))
+        full[each, :, each, :] += own
+        if gyro and turned:
+            full += gyro.noise.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
+        yield Stretch(
+            rows=here,
+            turns=(D * D[middle].inv()).as_rotvec() @ axes,
+            noise=np.einsum("ax,kalb,bx->xkl", axes, full, axes),
+            rate=-motion.omega_o @ axes,
+            t_s=t,
+            own=np.sqrt(variance),
+            by_gyro=bool(turned),
+        )

@@ -16,7 +16,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
-from boresight.records.ledger import Kind, Ledger, Subject
+from boresight.records.ledger import Kind, Ledger, Subject, listed
 
 __all__ = ["MeasuredTargets", "single_targets"]
 
@@ -24,7 +24,6 @@ FEWEST = 3  # targets that make a pattern
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
 # Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
 GROUP_PENALTY = 3.0
-SHOWN = 4  # names in a sentence
 
 
 @dataclass(frozen=True)
@@ -168,31 +167,29 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
     those = tuple(target for group in groups for target in groups[group])
     subjects = tuple(sorted((group for group in groups if group != EVERY), key=lambda group: group.ccd))
     strip_id, of_ccds, n = next(iter(groups)).strip, next(iter(groups)).ccd >= 0, len(those)
-    file = "points.csv" if of_points else "targets.csv"
-    looks, places = "rotation_mrad, x_offset_mm, y_first_mm", "x_offset_mm, y_first_mm"
+    file, camera = "points.csv" if of_points else "targets.csv", "remote_camera.toml"
     item = " and ".join(Subject(Kind.CCD, ccd=one.ccd).words for one in subjects)
+    unexplained = "contradict the rest, and no common cause explains them: check"
+    places = "x_offset_mm, y_first_mm"
     if of_ccds and strip_id:
-        cause, item, field = "images of a CCD", f"{item} in strip {strip_id}", "ccd" if of_points else "file"
-        file = file if of_points else "strips.csv"
+        field, file = ("ccd", file) if of_points else ("file", "strips.csv")
+        cause, item = "images of a CCD", f"{item} in strip {strip_id}"
         text = f"{n} targets contradict the rest: check {field} in {file}, CCDs may be exchanged."
     elif of_ccds:
-        several, field = len(groups) > 1, looks
+        file, field, several = camera, f"rotation_mrad, {places}", len(groups) > 1
         cause = "images or look directions of CCDs" if several else "look directions of a CCD"
         exchanged = f"{'ccd in points.csv' if of_points else 'files in strips.csv'} exchanged"
-        checks = [f"{looks} in remote_camera.toml", exchanged]
-        first, second = checks[::-1] if len(groups) == 2 else checks
+        first, second = f"{field} in {file}", exchanged
+        first, second = (second, first) if len(groups) == 2 else (first, second)
         whose = "their" if several else "its"
         text = f"{n} of {whose} targets contradict the rest: check {first}; or {second}."
-        file = "remote_camera.toml"
     elif strip_id:
         cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
-        shown = ", ".join([target.id for target in those][:SHOWN]) + " and more" * (n > SHOWN)
-        text = f"{shown} contradict the rest, and no common cause explains them: "
-        text += f"check {file}{'' if of_points else ' and the chips'}."
+        check = file if of_points else f"{file} and the chips"
+        text = f"{listed([target.id for target in those])} {unexplained} {check}."
     else:
         cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""
-        text = "they contradict the rest, and no common cause explains them: check "
-        text, file = f"{text}{places} in remote_camera.toml, and {file}.", f"remote_camera.toml, {file}"
+        text, file = f"they {unexplained} {places} in {camera}, and {file}.", f"{camera}, {file}"
     return Finding(
         cause=cause, item=item, subjects=subjects, text=text, file=file, field=field, explains=those
     )

@@ -41,6 +41,11 @@ class Strip:
         """The strip as a subject."""
         return Subject(Kind.STRIP, strip=self.strip_id)
 
+    @property
+    def item(self) -> Entry:
+        """Kind and id of what is processed, without a reason."""
+        return Entry(self.subject)
+
     def ccd_subject(self, ccd: int) -> Subject:
         """One CCD of it as a subject."""
         return Subject(Kind.CCD, strip=self.strip_id, ccd=ccd)

@@ -19,7 +19,7 @@ from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.report.ground_map import MapScene, StripOnGround
-from boresight.records.ledger import Kind, State, Subject
+from boresight.records.ledger import Kind, State, Subject, counted, listed
 
 __all__ = ["findings"]
 
@@ -68,16 +68,10 @@ def clouds(strip_id: str, seen: Mapping[str, Sequence[Look]]) -> Iterator[Findin
         name for name, b, c in seen[State.UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast
     ]
     if cloudy:
-        more = f" and {len(cloudy) - SHOWN} more" if len(cloudy) > SHOWN else ""
-        yield Finding(
-            cause="cloud or snow",
-            item=strip.words,
-            subjects=(strip,),
-            text=f"it is bright and without contrast at {len(cloudy)} target{'s' if len(cloudy) > 1 else ''} "
-            f"that {'were' if len(cloudy) > 1 else 'was'} not matched: {', '.join(cloudy[:SHOWN])}{more}.",
-            explains=tuple(Subject(Kind.TARGET, strip=strip_id, id=name) for name in cloudy),
-            is_fault=False,
-        )
+        text = f"it is bright and without contrast at {counted(len(cloudy), 'target')} that "
+        text += f"{'were' if len(cloudy) > 1 else 'was'} not matched: {listed(cloudy, SHOWN)}."
+        targets = tuple(Subject(Kind.TARGET, strip=strip_id, id=name) for name in cloudy)
+        yield Finding.about("cloud or snow", strip, text, explains=targets, is_fault=False)
 
 
 def _window(one: StripOnGround, row: Mapping[str, Any]) -> tuple[float, float] | None:

@@ -24,7 +24,7 @@ from boresight.pipeline.files.images.star_images import read_exposure
 from boresight.pipeline.files.star_side import Exposure, StarCentroids, StarImages
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.records.ledger import Entry, Reason
-from boresight.records.record import record, scalar
+from boresight.records.record import inner, record, scalar
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.identification.identify import NotIdentified
@@ -47,10 +47,7 @@ class StarTask:
     observer: Observer = scalar("the satellite at mid-exposure")
     settings: StarSettings = scalar("thresholds of detection and identification")
 
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return self.exposure.item
+    item = inner[Entry]("exposure.item", "what is processed, without a reason")
 
 
 def star_tasks(

@@ -8,54 +8,41 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import NominalMotion
-from boresight.geometry.sightings import GroundSightings, HeadAttitudes, StripSightings
+from boresight.geometry.sightings import HeadAttitudes, StripSightings
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, ground_sightings
 from boresight.records.record import Floats
 
-__all__ = ["matched_strips", "named_sightings", "strip_sightings"]
+__all__ = ["sighted_strips", "strip_sightings"]
 
 
-def matched_strips(
-    tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], heads: Sequence[HeadSightings]
+def sighted_strips(
+    tasks: Sequence[StripTask | SkyTask],
+    measured: Sequence[MatchedTargets | NamedStars],
+    heads: Sequence[HeadSightings],
 ) -> list[StripSightings]:
-    """Strips with at least one matched target, with the exposures around them and their attitudes; `tasks`
-    hold those of `matched`, by id.
+    """Strips with at least one matched target or named star, with the exposures around them and their
+    attitudes; `tasks` hold those of `measured`, by id.
     """
     by_id = {task.strip.strip_id: task for task in tasks}
-    return [
-        strip_sightings(task, ground_sightings(one, task), orbit, heads, earth=orbit.earth.prediction)
-        for one in matched
-        if len(one.target_id)
-        for task, orbit in [(by_id[one.strip_id], by_id[one.strip_id].orbit)]
-    ]
-
-
-def named_sightings(
-    tasks: Sequence[SkyTask], named: Sequence[NamedStars], heads: Sequence[HeadSightings]
-) -> list[StripSightings]:
-    """Strips of the sky with at least one named star; `tasks` hold those of `named`, by id."""
-    by_id = {task.strip.strip_id: task for task in tasks}
-    return [
-        strip_sightings(task, sky_sightings(task, one), task.nominal, heads)
-        for one in named
-        if len(one.rows)
-        for task in [by_id[one.strip_id]]
-    ]
+    having = [one for one in measured if len(one.rows if isinstance(one, NamedStars) else one.target_id)]
+    return [strip_sightings(by_id[one.strip_id], one, heads) for one in having]
 
 
 def strip_sightings(
-    task: StripTask | SkyTask,
-    sightings: GroundSightings,
-    nominal: NominalMotion,
-    heads: Sequence[HeadSightings],
-    *,
-    earth: str = "",
+    task: StripTask | SkyTask, measured: MatchedTargets | NamedStars, heads: Sequence[HeadSightings]
 ) -> StripSightings:
     """One strip with the exposures (K,) of the reference head, the first of `heads`, around it; without any
-    where another head carries the strip. `earth` is the prediction of Earth orientation.
+    where another head carries the strip.
     """
+    nominal: NominalMotion
+    if isinstance(task, StripTask):
+        assert isinstance(measured, MatchedTargets)
+        sightings, nominal, earth = ground_sightings(measured, task), task.orbit, task.orbit.earth.prediction
+    else:
+        assert isinstance(measured, NamedStars)
+        sightings, nominal, earth = sky_sightings(task, measured), task.nominal, ""
     reference, t_attitude_s = heads[0], task.t_attitude_s
     by_time = {s.t_s: k for k, s in enumerate(reference.stars)}
     own = task.carrier in ("", reference.head.name)

@@ -10,6 +10,8 @@ a dump states no guidance.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +28,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.stages.strip import MatchedTargets, measured_points
 from boresight.records.ledger import Entry, Kind, Reason, Subject
-from boresight.records.record import Floats, Texts, array, record, scalar
+from boresight.records.record import Floats, Ints, Texts, array, inner, record, scalar
 from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.fit import LEAST_GAIN
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -76,15 +78,8 @@ class SkyTask:
     carrier: str = scalar("head whose attitudes these are")
     interpolation: Interpolation = scalar("between the attitudes", default="lagrange")
 
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return Entry(self.strip.subject)
-
-    @property
-    def epoch(self) -> Epoch:
-        """Zero of all instants."""
-        return self.orbit.epoch
+    item = inner[Entry]("strip.item", "what is processed, without a reason")
+    epoch = inner[Epoch]("orbit.epoch", "zero of all instants")
 
     @property
     def nominal(self) -> ConstantRate:
@@ -109,7 +104,7 @@ class NamedStars:
 
     strip_id: str
     found: StripStars  # all detections
-    rows: np.ndarray  # (N,) those with names
+    rows: Ints  # (N,) those with names
     places: SurveyedStars  # (N,) the same stars in the catalogue
     probability_wrong: Floats  # (N,) of each name
     omissions: tuple[Entry, ...]
@@ -118,6 +113,11 @@ class NamedStars:
     def names(self) -> Texts:
         """(N,) names of the stars, with that of the catalogue."""
         return np.array([f"{self.places.name} {n}" for n in self.places.places.hip.tolist()], dtype=str)
+
+    def take(self, names: Ints) -> NamedStars:
+        """Some of the names (M,), all detections."""
+        rows, places, wrong = self.rows[names], self.places.take(names), self.probability_wrong[names]
+        return replace(self, rows=rows, places=places, probability_wrong=wrong)
 
 
 def find_sky_stars(task: SkyTask) -> StripStars | Entry:

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, replace
-from functools import lru_cache
-from types import MappingProxyType
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, 
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject
-from boresight.records.record import Floats, Ints, Texts, array, record, scalar, shape_of
+from boresight.records.record import Floats, Ints, RowRecord, Texts, array, inner, record, scalar
 
 __all__ = [
     "MatchedTargets",
@@ -98,10 +97,7 @@ class StripTask:
     points: StripPoints = scalar("ground points measured in it by others", default=NO_POINTS)
     carrier: str = scalar("head whose attitudes these are; empty: the reference head", default="")
 
-    @property
-    def item(self) -> Entry:
-        """Kind, id and file of what is processed, without a reason."""
-        return Entry(self.strip.subject)
+    item = inner[Entry]("strip.item", "what is processed, without a reason")
 
     @property
     def places(self) -> dict[str, Target]:
@@ -110,7 +106,7 @@ class StripTask:
 
 
 @record(kw_only=True)
-class MatchedTargets:
+class MatchedTargets(RowRecord):
     """Targets matched in one strip. Row n of every array is the same match."""
 
     strip_id: str = scalar("id of the strip in the dump")
@@ -122,7 +118,7 @@ class MatchedTargets:
     probability_wrong: Floats = array("N", "probability that the position is a false match")
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
-    omissions: tuple[Entry, ...] = scalar("chips that could not be read, targets that were rejected")
+    omissions: tuple[Entry, ...] = scalar("unreadable chips, targets that were rejected", default=())
     farthest_px: float = scalar("largest distance on an axis from a prediction; 0: no template", default=0.0)
 
     def told(self) -> list[str]:
@@ -170,11 +166,9 @@ def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedT
         return replace(match, template=NOTHING, found=NOTHING, residual=NOTHING, surface=NOTHING)
 
     result, omitted = strip_matches(task, parts, keep) if task.targets else (None, [])
-    if result is None:
-        return _matched(task.strip.strip_id, (), omitted)
-    in_view = (refusal for refusal in result.refused if refusal.state is not State.OUT_OF_VIEW)
-    unmatched = [_not_matched(task, refusal) for refusal in in_view]
-    return _matched(task.strip.strip_id, result.matches, [*omitted, *unmatched], pictures)
+    matches, refused = (result.matches, result.refused) if result else ((), ())
+    omitted += [_not_matched(task, one) for one in refused if one.state is not State.OUT_OF_VIEW]
+    return _matched(task.strip.strip_id, matches, omitted, pictures)
 
 
 def pictures_of_match(match: TargetMatch) -> MatchPictures:
@@ -206,7 +200,6 @@ def measured_points(
         probability_wrong=unknown if probability_wrong is None else probability_wrong,
         predicted_px=np.full((n, 2), np.nan),
         pictures=(NO_PICTURES,) * n,
-        omissions=(),
     )
 
 
@@ -225,24 +218,21 @@ def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
 
 def no_matches(strip: Entry) -> MatchedTargets:
     """The outcome for a strip that cannot be used."""
-    return _matched(strip.subject.strip, (), [strip])
+    return _matched(strip.subject.strip, (), [strip], {})
 
 
 def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
     """The matched targets of a strip, and the points measured in it by others."""
     names = np.array([target.target_id for target in points.targets], dtype=str)
     measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
-    columns = [field.name for field in fields(MatchedTargets) if shape_of(field) is not None]
-    columns.remove("pictures")
-    rows = {name: np.concatenate([getattr(matched, name), getattr(measured, name)]) for name in columns}
-    return replace(matched, pictures=matched.pictures + measured.pictures, **rows)
+    return MatchedTargets.together([matched, measured])
 
 
 def _matched(
     strip_id: str,
     matches: Sequence[TargetMatch],
     omissions: Sequence[Entry],
-    pictures: Mapping[tuple[str, int], MatchPictures] = MappingProxyType({}),
+    pictures: Mapping[tuple[str, int], MatchPictures],
 ) -> MatchedTargets:
     matches, n = sorted(matches, key=lambda m: (m.target_id, m.ccd)), len(matches)
     return MatchedTargets(
@@ -280,9 +270,6 @@ def strip_matches(
     read = lru_cache(maxsize=MOST_CHIPS)(lambda n: read_chip(task.chips[n]))
     readable, omitted = _readable(task.chips, read)
 
-    def map_parts(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-        return parts.map(function, items, lambda n, outcome: None)
-
     try:
         scene = scene_of(
             task.strip.images,
@@ -294,7 +281,7 @@ def strip_matches(
             task.settings,
             task.is_known,
         )
-        result = match_strip(scene, each=map_parts, keep=keep)
+        result = match_strip(scene, each=partial(parts.map, done=lambda n, outcome: None), keep=keep)
     except RawDataError as error:
         omitted.append(Entry(task.strip.subject, Reason.UNREADABLE, str(error), error.file))
         return None, omitted

@@ -82,6 +82,25 @@ def test_covariance_of_all_heads_holds_with_coloured_noise(heads: int) -> None:
         assert chi2(df=0.98 * dof).ppf(0.0005) < agreement < chi2(df=dof).ppf(0.9995)
 
 
+@pytest.mark.parametrize("heads", [1, 2])
+def test_two_rows_a_strip_do_not_show_how_the_satellite_moves_between_them(heads: int) -> None:
+    """Waves of 3 s, up to twice the assumed motion: the squares stay below the upper limit of 0.1 %."""
+    between = PLAN.duration_s + 0.8
+    plan = replace(PLAN, exposures=2, wave_s=(3.0, 3.1))
+    nees = 0.0
+    for seed in range(RUNS):
+        rng = np.random.default_rng([2, seed])
+        strips, truth = draw_strips(plan, CameraPair(R_A), rng)
+        plans = [HeadPlan("A", R_A, NOISE_A, step_s=between), HeadPlan("B", R_B, NOISE_B, step_s=between)]
+        alignment = [SHAKEN * R_A.inv() * R_B]
+        rows = with_heads(strips, truth, plans[:heads], alignment[: heads - 1], PLAN.duration_s, rng)
+        estimate = calibrate_strips(rows, SHAKEN * R_A, replace(SETTINGS, sigma_motion_rad=6.0 * ARCSEC))
+        assert isinstance(estimate, InstallationEstimate)
+        error = theta_between(estimate.R_cs, R_A)
+        nees += error @ np.linalg.solve(estimate.cov_theta, error)
+    assert nees < chi2(df=3 * RUNS).ppf(0.9995)
+
+
 SLOW = {  # errors that go on from one strip to the next, which begin 62 s apart
     "correlated over 100 s": {"correlated_rad": [3.0, 3.0, 8.0], "correlation_time_s": [100.0] * 3},
     "correlated over 20 minutes": {"correlated_rad": [3.0, 2.0, 8.0], "correlation_time_s": [1200.0] * 3},

@@ -66,6 +66,9 @@ def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
     strips = {"strip s1": NAMES[:4], "strip s2": NAMES}
     (four,) = heights(NAMES, of_a_strip, lambda: -37.5, strips)
     assert four.item == "4 targets of strip s1" and four.text.startswith("+40 m above")
+    half = noise - np.where(np.arange(12) < 6, 540.0, 0.0)
+    (six,) = heights(NAMES, half, lambda: -37.5, {"strip s1": NAMES[:6], "strip s2": NAMES[6:]})
+    assert six.item == "6 targets of strip s1" and six.text.startswith("-5")
 
 
 def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():

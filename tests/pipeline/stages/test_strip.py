@@ -53,7 +53,7 @@ def test_nearest_miss_is_told_across_and_along_the_track(calibration: DumpCalibr
     half_m = np.ptp(seen_e.reshape(-1, 3) @ across) / 2
     near = replace(near, p_e=last + 7e3 * along + (half_m + 20e3) * across)
     far = replace(far, p_e=last + 900e3 * along)
-    across_m, along_m, along_s, name = nearest_miss(task, (far, near))
+    across_m, along_m, along_s, name, _ = nearest_miss([task], (far, near))
     assert name == near.target_id
     # 2 % of the distance: the footprint is a trapezoid on a curved Earth.
     assert (across_m, along_m) == pytest.approx((20e3, 7e3), abs=600.0)
