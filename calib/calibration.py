@@ -9,7 +9,7 @@ least squares.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -61,7 +61,7 @@ from boresight.calib.taken_up import taken_up
 from boresight.geometry.attitude_estimate import GROSS, with_attitudes
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.records.ledger import Entry, Reason
-from boresight.records.record import Floats, Ints
+from boresight.records.record import Floats, Ints, record
 
 __all__ = ["calibrate_strips", "strip_pairs"]
 
@@ -98,7 +98,7 @@ def calibrate_strips(
     return replace(found, agreement=replace(found.agreement, without=tuple(t for t in trials if t)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Start:
     cameras: tuple[str, ...]
     R_cs0: Rotation  # (C,) of several

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -105,7 +104,7 @@ class CommonBias:
         return [f"{name} {scale * b:+.3g} ± {scale * s:.2g} {of}" for name, b, s, (of, scale) in rows]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SharedError:
     """One row of the table: an error that moves looks and known directions of targets."""
 

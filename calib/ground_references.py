@@ -8,7 +8,6 @@ field is held by its largest modes, and what these leave is an error of each tar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +33,7 @@ class ReferenceOffset:
     stated_m: Floats = array("3", "1-sigma stated for it, m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class ReferenceField:
     """The offset of one reference at the places of its targets, by M modes of unit variance."""
 

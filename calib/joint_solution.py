@@ -118,7 +118,7 @@ def _left(N: Floats, prior: Floats) -> float:
     return float(N[-1, -1] - N[:-1, -1] @ np.linalg.solve(N[:-1, :-1] + prior, N[:-1, -1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Linearised:
     """Whitened residuals of all groups and their derivatives about `R_cs`."""
 
@@ -221,7 +221,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: S
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Reduced:
     """A group with its strips' own unknowns eliminated."""
 

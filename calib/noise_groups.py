@@ -10,12 +10,11 @@ group gains
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from boresight.records.ledger import Kind, Subject
-from boresight.records.record import Bools, Floats, Ints, Texts
+from boresight.records.record import Bools, Floats, Ints, Texts, record
 
 __all__ = ["LEAST_FACTOR", "NoiseGroup", "noisiest"]
 
@@ -24,7 +23,7 @@ LEAST_FACTOR = 1.5  # times the stated errors, from which that is a finding; of 
 FEWEST = 5  # observations of a group
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NoiseGroup:
     """A group of observations, and by how much its errors are larger than stated."""
 

@@ -25,7 +25,7 @@ leaves something of a large error.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -166,7 +166,7 @@ class Reliability:
     scatter: Finding | None = scalar("the last cause, where it is larger errors of a group", default=None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Fit:
     """A minimum of the mixture's criterion, some hypotheses being unknowns."""
 

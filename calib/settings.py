@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 from boresight.geometry.attitude_estimate import AttitudeSettings
 from boresight.geometry.constants import ARCSEC
-from boresight.records.record import check_numbers
+from boresight.records.record import check_numbers, record
 
 __all__ = ["CalibrationSettings"]
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class CalibrationSettings:
     """Priors of the errors that the sightings' own covariances do not hold, and the solver's limits.
 

@@ -11,7 +11,6 @@ and the error has the information sum dᵀ W d, and the right-hand side sum dᵀ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,7 +75,7 @@ def star_effects(strips: Sequence[StripSightings], camera: StarCamera, limit: fl
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Stars:
     """Stars of a strip's exposures."""
 

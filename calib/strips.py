@@ -17,7 +17,6 @@ targets and unknowns are reduced together.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -118,7 +117,7 @@ class StripGroup:
     parts: tuple[GroupPart, ...] = scalar("targets by camera")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class GroupPart:
     """The targets of one camera in a group, and the unknowns of the calibration that move any of them."""
 
@@ -129,7 +128,7 @@ class GroupPart:
     in_s: Floats  # (S, I, 3, m) change of v_s by each of them, rad
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class CommonColumns:
     """Change of the residuals of some targets by the common unknowns (theta of C cameras, then those of the
     calibration) that move any of them."""
@@ -139,7 +138,7 @@ class CommonColumns:
     X: Floats  # (S, 2 I, m)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LinearStrips:
     """S strips of equal shape, linearised about one installation matrix. Rows are whitened, two a target."""
 

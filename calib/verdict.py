@@ -14,7 +14,7 @@ covariance wide and the matrix no worse. What they may also mean is that the obs
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -307,7 +307,7 @@ def _outcome(checks: Sequence[Check], dof: int, findings: Sequence[Finding]) -> 
     return Outcome.FINDINGS if any(one.is_fault for one in findings) else Outcome.CONSISTENT
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class _Checks:
     """How checks are made."""
 

@@ -6,7 +6,7 @@ kept. A result that fails a test is returned as an `Entry` with its reason.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ from boresight.gct_match.search.correlation import (
 )
 from boresight.gct_match.settings import MatchSettings
 from boresight.records.ledger import Entry, Reason
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 
 __all__ = ["locate", "locate_template"]
 
@@ -160,7 +160,7 @@ def locate(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Found:
     """A fit, and the correlation from which it began."""
 

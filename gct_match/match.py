@@ -12,7 +12,7 @@ in both. Every target that is not matched has a refusal.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
@@ -33,7 +33,7 @@ from boresight.gct_match.texture import expected_sigma_px
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 
 __all__ = ["keep_whole", "match_strip"]
 
@@ -90,7 +90,7 @@ def match_strip(scene: Scene, *, each: Each = map, keep: Keep = keep_whole) -> S
     return _matches(found, refused, float(np.exp(log_chance)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Found:
     """What was found of the targets of a strip at their predicted places."""
 

@@ -17,7 +17,7 @@ b, their change by b, and something about b itself. Angles in radians, times in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
@@ -66,7 +66,7 @@ class HeadRows(RowRecord):
         return self.take(slice(*np.searchsorted(self.t_s, [first_s, last_s])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Nodes:
     """What the rows of H heads say of the states at N nodes, D each: x, v, errors g of all heads, error and
     bias of a gyro.
@@ -283,7 +283,7 @@ def _centred(heads: Sequence[HeadRows], most: int, gyro: GyroRows | None) -> _No
     return _Nodes.of(moved, middle, near)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class SmoothedAttitude:
     """The attitude over a pass as the rows of H heads tell it, at N nodes."""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from boresight.records.record import record
 
 __all__ = [
     "ARCSEC",
@@ -24,7 +25,7 @@ GM_EARTH = 3.986004418e14  # m^3/s^2 (IERS Conventions 2010, table 1.1)
 J2_EARTH = 1.0826359e-3  # (IERS Conventions 2010, table 1.1)
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Ellipsoid:
     """An ellipsoid of revolution: semi-major axis (m) and flattening."""
 

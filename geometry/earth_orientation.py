@@ -130,7 +130,7 @@ def _parse_c04(text: bytes) -> Floats:
     """Rows of MJD, UT1 - UTC, xp, yp, dX, dY (s and rad) of an EOP 20 C04 file."""
     lines = _lines(text[text.rindex(b"#") :].partition(b"\n")[2])
     places = ((16, 26), (50, 62), (26, 38), (38, 50), (62, 74), (74, 86))
-    columns = np.column_stack([_field(lines, *place).astype(float) for place in places])
+    columns = np.column_stack([_numbers(lines[:, slice(*place)]) for place in places])
     columns[:, 2:] *= ARCSEC
     return columns
 
@@ -160,6 +160,16 @@ def _parse_finals(text: bytes, after_mjd: float) -> tuple[Floats, float]:
 def _lines(text: bytes) -> NDArray[np.bytes_]:
     """(N, W) characters of lines of equal lengths; `ValueError` for others."""
     return np.frombuffer(text, dtype="S1").reshape(-1, text.index(b"\n") + 1)
+
+
+def _numbers(field: NDArray[np.bytes_]) -> Floats:
+    """(N,) decimal numbers (N, W) with their points one below the other, each a whole number over a power of
+    ten: rounded once, as one that is read from text.
+    """
+    code, point = np.ascontiguousarray(field).view(np.uint8), int(np.flatnonzero(field[0] == b".")[0])
+    places = np.insert(10.0 ** np.arange(field.shape[1] - 1)[::-1], point, 0.0)
+    whole = np.where(code >= ord("0"), code - float(ord("0")), 0.0) @ places
+    return np.copysign(whole, 0.5 - (code == ord("-")).any(axis=1)) / 10.0 ** (field.shape[1] - 1 - point)
 
 
 def _field(lines: NDArray[np.bytes_], first: int, end: int) -> NDArray[np.bytes_]:

@@ -17,7 +17,7 @@ far from that height are computed again at the height found.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,7 +109,7 @@ class RowClock:
         return first[which].reshape(np.shape(ccd))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _States:
     """Satellite and camera at N instants, in axes e of each instant; stored by component for speed."""
 
@@ -141,7 +141,7 @@ class _States:
         return _States(self.packed[:, index])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _HeightsOverImage:
     """Approximate heights of the ground at pixels, bilinear between evenly spaced ones."""
 

@@ -14,7 +14,6 @@ none where no degree is accurate enough.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol
 
@@ -253,7 +252,7 @@ def _on_flat(origin_e: Floats, direction_e: Floats, surface: Surface, height: fl
     return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], p_e, np.nan)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _RaysOverSurface:
     """Rays from `top` to `top + path`, both (N, 3), frame e, m, over any surface."""
 

@@ -12,7 +12,6 @@ BIT 13, 253.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -186,7 +185,7 @@ def crossings_by_steps(clearance: Clearance, n: int, steps: int) -> Floats:
     return _first(clearance, np.zeros(n), np.ones(n), np.full(n, float(steps)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Polynomials:
     """Rays in pixels: column, row and height as polynomials in the parameter."""
 

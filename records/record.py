@@ -19,6 +19,7 @@ import inspect
 import numbers
 import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, cast, dataclass_transform, overload
 
@@ -120,7 +121,7 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
     `__post_init__` of the class runs after that check. Records of more than five fields take `kw_only=True`.
     """
 
-    def decorate(cls: type[Record]) -> type[Record]:
+    def decorate(cls: Any) -> Any:
         own = cls.__dict__.get("__post_init__")
         declared = [(name, f) for name, f in cls.__dict__.items() if isinstance(f, dataclasses.Field)]
         optional = {name for name, _ in declared if str(cls.__annotations__[name]).endswith("| None")}
@@ -128,13 +129,77 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
             (name, f.metadata["shape"], name in optional) for name, f in declared if "shape" in f.metadata
         )
         if checked:
-            cls.__post_init__ = _post_init(cls.__name__, checked, own)  # type: ignore[attr-defined]
-        shown = cls.__repr__ is object.__repr__ or dataclasses.is_dataclass(cls)  # else a base has its own
-        made = dataclasses.dataclass(frozen=True, slots=True, eq=by_value, repr=shown, kw_only=kw_only)(cls)
-        made.__doc__ = _documented(made)
+            cls.__post_init__ = _post_init(cls.__name__, checked, own)
+        # What `dataclasses` would compile for each class (two thirds of the time to import this package)
+        # all records share: so not `frozen=True`.
+        compared = {"eq": by_value, "unsafe_hash": by_value}
+        made: Any = dataclasses.dataclass(init=False, repr=False, slots=True, kw_only=kw_only, **compared)(
+            cls
+        )
+        made.__doc__, made.__signature__ = _documented(made), _Signature()
+        made.__init__, made.__setstate__ = _assign, _restore
+        made.__setattr__ = made.__delattr__ = _refuse_change
+        if made.__repr__ is object.__repr__:  # else it has its own
+            made.__repr__ = _text
         return made
 
     return decorate if cls is None else decorate(cls)
+
+
+def _assign(self: Any, /, *given: Any, **named: Any) -> None:
+    """`__init__` of all records."""
+    cls: Any = type(self)
+    places, taken, needed, defaults, makers, after = _fields_of(cls)
+    values = dict(zip(places, given)) | named
+    if len(values) != len(given) + len(named) or not needed <= values.keys() <= taken:
+        _like(cls)(*given, **named)  # raises what Python says of such a call
+    if makers:
+        values |= {name: make() for name, make in makers.items() if name not in values}
+    for name, value in (defaults | values).items():
+        object.__setattr__(self, name, value)
+    if after is not None:
+        after(self)
+
+
+@cache
+def _fields_of(cls: Any) -> tuple[Any, ...]:
+    """Fields by place, those that a call may name and those that it must, defaults; what runs afterwards."""
+    every = dataclasses.fields(cls)
+    defaults = {field.name: field.default for field in every if field.default is not dataclasses.MISSING}
+    makers = {f.name: f.default_factory for f in every if f.default_factory is not dataclasses.MISSING}
+    taken = {field.name for field in every if field.init}
+    needed = taken - defaults.keys() - makers.keys()
+    return cls.__match_args__, taken, needed, defaults, makers, getattr(cls, "__post_init__", None)
+
+
+@cache
+def _like(cls: Any) -> Any:
+    """A class with the same fields whose `__init__` is compiled by `dataclasses`."""
+    declared: dict[str, Any] = {field.name: field for field in dataclasses.fields(cls)}
+    about = {"__annotations__": {name: f.type for name, f in declared.items()}, "__module__": cls.__module__}
+    names = {"__qualname__": cls.__qualname__, "__doc__": cls.__doc__}
+    return dataclasses.dataclass(type(cls.__name__, (), declared | about | names))
+
+
+class _Signature:
+    """Of a record, for `inspect` and `help`."""
+
+    def __get__(self, held: object, owner: type) -> inspect.Signature:
+        return inspect.signature(_like(owner))
+
+
+def _refuse_change(self: object, name: str, value: object = None) -> None:
+    raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
+
+
+def _restore(self: object, state: tuple[None, dict[str, Any]]) -> None:
+    for name, value in state[1].items():
+        object.__setattr__(self, name, value)
+
+
+def _text(self: Any) -> str:
+    values = [f"{f.name}={getattr(self, f.name)!r}" for f in dataclasses.fields(self) if f.repr]
+    return f"{type(self).__qualname__}({', '.join(values)})"
 
 
 class RowRecord:

@@ -89,7 +89,8 @@ def save(path: Path, columns: dict[str, NDArray], meanings: dict[str, str]) -> N
         "frame": "ICRS",
         "columns": meanings,
     }
-    np.savez_compressed(path, provenance=np.array(json.dumps(provenance, indent=1)), **columns)
+    write = np.savez if path.name == "hipparcos_v8.npz" else np.savez_compressed  # read each time
+    write(path, provenance=np.array(json.dumps(provenance, indent=1)), **columns)
     print(f"{len(columns['hip'])} stars -> {path} ({path.stat().st_size} bytes)")
 
 

@@ -14,7 +14,7 @@ no refraction, no map has a part in it. Scans lie before t = 0, where a campaign
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,7 +80,7 @@ class LinePair:
     assumed: LineSensor = scalar("gives the measured samples their look directions")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class CameraPair:
     """Both cameras as far as vectors need them. Defaults are the paper's Tables 2 and 3."""
 
@@ -99,7 +99,7 @@ class CameraPair:
         return 0.5 * self.n_ccds * self.ccd_px * self.pixel_rad
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StripPlan:
     """What a campaign does and what goes wrong in it. Every sigma may be zero."""
 
@@ -258,7 +258,7 @@ def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Waves:
     """Oscillation of the attitude: a sine about each axis of c."""
 
@@ -277,7 +277,7 @@ class Waves:
         return np.asarray(self.amplitude * np.sin(self.omega * t_s[:, None] + self.phase))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class DrawnStripMotion:
     """Circular orbit and waves of one strip."""
 
@@ -321,7 +321,7 @@ class DrawnStripMotion:
         return R_ci if self.turn is None else self.turn * R_ci
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class DistortionCurve:
     """A smooth random residual of the distortion along the detector, by Fourier waves of its own
     correlation: one curve over the field, or one for each CCD; and shift, slope and bend of each CCD.

@@ -4,8 +4,6 @@ errors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
@@ -13,6 +11,7 @@ from pyproj import Transformer
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
+from boresight.records.record import record
 from boresight.simulator.ground import BlurredGround
 from boresight.simulator.mission_records import ChipImage, GroundTarget, TruePoint
 from boresight.simulator.scan import TrueScene, read_ground
@@ -23,7 +22,7 @@ __all__ = ["Placed", "draw_check_points", "place_targets"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Placed:
     """One target: what the user gets, and where it truly is."""
 

@@ -8,7 +8,7 @@ process is drawn step by step from its own recursion.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from boresight.geometry.sightings import (
     exposure_without_stars,
     solved_attitudes,
 )
+from boresight.records.record import record
 from boresight.simulator.campaign import DrawnStripMotion, StripTruth
 
 __all__ = ["HeadPlan", "correlated_noise", "with_gyro", "with_heads"]
@@ -29,7 +30,7 @@ __all__ = ["HeadPlan", "correlated_noise", "with_gyro", "with_heads"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class HeadPlan:
     """One head: how it is mounted, what is stated of its errors, and what is wrong beyond that."""
 

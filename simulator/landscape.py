@@ -10,13 +10,13 @@ metres (east, north); tones are reflectance times 255, and strengths the amplitu
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from boresight.records.record import record
 from boresight.simulator.lattice_noise import smooth_noise, white_at
 from boresight.simulator.scenario import GroundSettings
 
@@ -40,7 +40,7 @@ _HOUSE_M = 32.0  # from house to house
 _ROOFS = 12  # different tones of roofs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Shapes:
     """Polygons with as many corners each, painted at once; those of one tone do not overlap."""
 
@@ -55,7 +55,7 @@ class Shapes:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Cell:
     """What the parcels of a cell bear, in the order of painting."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -29,6 +29,7 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
+from boresight.records.record import record
 from boresight.simulator.cameras import (
     calibrated_line_camera,
     distorted_line_camera,
@@ -146,7 +147,7 @@ def render_mission(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Plan:
     """When everything happens; seconds since the mission's epoch."""
 
@@ -193,7 +194,7 @@ class _Plan:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _World:
     """The satellite as it truly flies, points and looks."""
 

@@ -8,7 +8,6 @@ matter. All instants are seconds since `Mission.epoch` on the mission's clocks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ class Installation:
     sigma_rad: Array = array("3", "1 sigma about the axes of frame c, rad")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StatedErrors:
     """Stated 1-sigma errors of the mission's data."""
 
@@ -71,7 +70,7 @@ class StatedErrors:
     look_ccd_px: tuple[float, float, float] = (0.0, 0.0, 0.0)  # shift, slope and bend of each CCD by itself
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class RenderedExposure:
     """One image of the star camera. `image()` renders it: (height, width), uint8 or uint16."""
 
@@ -85,7 +84,7 @@ class RenderedExposure:
         return self._render()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class RenderedStrip:
     """What one CCD saw during one strip. The CCDs of a strip share its id."""
 
@@ -116,7 +115,7 @@ class ChipImage:
     epsg: int = scalar("a UTM zone on WGS84")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class GroundTarget:
     """A surveyed point, the middle of its chip; the survey's error included."""
 
@@ -160,7 +159,7 @@ class TrueStrip:
     position_error_m: Array = array("3", "reported minus true, ITRS, m")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class TruePoint:
     """A target or check point: its true place and where each CCD sees it (one entry for each sighting)."""
 
@@ -176,7 +175,7 @@ class TruePoint:
     height_ellipsoidal_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class TrueStar:
     """A star that crosses one CCD in a strip of the sky."""
 
@@ -211,7 +210,7 @@ class Truth:
         return self._exposure(exposure_id)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Mission:
     """One simulated mission. Everything but `truth` is what the mission itself would know."""
 

@@ -8,7 +8,6 @@ ground's texels are read by linear interpolation at those places.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -21,6 +20,7 @@ from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight, Surface, TerrainGrid
+from boresight.records.record import record
 from boresight.simulator.ground import BlurredGround
 from boresight.simulator.normal_numbers import normal_rows, random_bytes
 from boresight.simulator.scenario import GroundSettings
@@ -48,7 +48,7 @@ _WINDOW_RIM = 3  # texels around the nodes: cubics between them reach a little b
 _STEPS_OF_REMAP = 32  # OpenCV places its samples on a lattice of 1/32 texel
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class TrueScene:
     """One strip's true geometry, and the ground below it as the camera's optics show it."""
 
@@ -201,7 +201,7 @@ def _shifts(shape: tuple[int, ...], rng: np.random.Generator) -> Grey:
     return (numbers - np.float32(127.5)) * np.float32(1.0 / (256 * _STEPS_OF_REMAP))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class LineNodes:
     """Texels that some samples of some lines of one CCD look at."""
 

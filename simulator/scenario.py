@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import json
 import types
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cache
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, ClassVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from boresight.records.record import record
 
 __all__ = [
     "CloudSettings",
@@ -56,7 +58,7 @@ class ScenarioError(ValueError):
     """A scenario that cannot be: names the setting, what was found and what is expected."""
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class OrbitSettings:
     """A sun-synchronous orbit that passes over a given place when time zero of the mission strikes."""
 
@@ -69,7 +71,7 @@ class OrbitSettings:
     oem_margin_s: float = 12.0  # nodes before the first and after the last exposure, for interpolation
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PointingWave:
     """One sine of the attitude about one axis of the remote-sensing camera."""
 
@@ -78,7 +80,7 @@ class PointingWave:
     period_s: float
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PointingSettings:
     """Nadir pointing (z of frame c to the centre of the Earth), offsets, and the oscillation of Fig. 4."""
 
@@ -95,7 +97,7 @@ class PointingSettings:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class InstallationSettings:
     """Where the star camera sits on the remote-sensing camera, and by how much that was measured wrong."""
 
@@ -107,7 +109,7 @@ class InstallationSettings:
     sigma_rad: tuple[float, float, float] = (0.003, 0.003, 0.003)  # 1 sigma stated for the measured matrix
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StarCameraSettings:
     """The paper's Table 2."""
 
@@ -124,7 +126,7 @@ class StarCameraSettings:
     exposure_s: float = 0.030  # the sky turns 0.5 px meanwhile at full size: smear stays below the PSF
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class SkySettings:
     """What makes a raw star image out of stars: light, optics, detector."""
 
@@ -149,7 +151,7 @@ class SkySettings:
     sub_exposures_per_px: float = 4.0  # steps of the smear, in each pixel of path
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class LineCameraSettings:
     """The paper's Table 3. Four CCDs, staggered along track, overlapping across track."""
 
@@ -168,7 +170,7 @@ class LineCameraSettings:
     tdi_stages: int = 1
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StripSettings:
     """When the remote-sensing camera takes its strips, and which star exposures go with them."""
 
@@ -181,7 +183,7 @@ class StripSettings:
     only_around_targets_px: float = 0.0  # beyond it zeros, for trials of size: 20 times sooner; 0: all of it
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class SkyScan:
     """One strip that the remote-sensing camera takes of the sky, at a constant rate in any direction."""
 
@@ -193,7 +195,7 @@ class SkyScan:
     drift: float = 0.0  # samples in a row period, to the side
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class SkyStripSettings:
     """Strips of the sky. The detector is that of `GroundSettings`."""
 
@@ -216,7 +218,7 @@ class SkyStripSettings:
     uncatalogued_v_range: tuple[float, float] = (8.5, 10.5)
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class TerrainSettings:
     """Fractal relief, given to the user as a grid of orthometric heights."""
 
@@ -228,7 +230,7 @@ class TerrainSettings:
     error_m: float = 0.0  # 1 sigma of the grid that the user gets, on top of the truth
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class CloudSettings:
     """Partial cloud in the strips."""
 
@@ -237,7 +239,7 @@ class CloudSettings:
     brightness: float = 0.85  # reflectance
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class OtherDateSettings:
     """The strips see the ground at another date than the chips do. Nothing changes by default."""
 
@@ -247,7 +249,7 @@ class OtherDateSettings:
     occlusion: float = 0.0  # fraction of the ground covered by new dark or bright patches
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class GroundSettings:
     """The ground's look and how the cameras render it."""
 
@@ -268,7 +270,7 @@ class GroundSettings:
     other_date: OtherDateSettings = OtherDateSettings()
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class TargetSettings:
     """Ground calibration targets and their chips."""
 
@@ -282,7 +284,7 @@ class TargetSettings:
     least_texture_dn: float = 6.0  # standard deviation a chip must have, or another place is drawn
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class ErrorSettings:
     """The paper's Table 1. Each may be zero."""
 
@@ -307,7 +309,7 @@ class ErrorSettings:
         return shift, slope, bend
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Scenario:
     """Everything that a simulated mission is made from, apart from the seed."""
 

@@ -9,7 +9,7 @@ centroid; outliers are rejected.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -184,7 +184,7 @@ def detector_grid(camera: StarCamera) -> Floats:
     return xy[np.isfinite(camera.directions_from_pixels(xy)[:, 2])]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Step:
     """One Gauss-Newton step with the rotations eliminated, and the residuals before it."""
 
@@ -241,7 +241,7 @@ def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:
     return np.array([flat[a:b].T @ weighted[a:b] for a, b in pairwise(ends.tolist())])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Projected:
     """Directions projected by a camera with parameters theta: log f, x0, y0 (px), p1 f, p2 f, q1 f^2, q2 f^4,
     log-f drift (1/s), q3 f^6. Distortion acts on coordinates divided by the nominal focal length, so all are

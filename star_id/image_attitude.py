@@ -8,7 +8,6 @@ the time here: residuals are whitened once in pixels, and the normal matrix is o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dsyev
@@ -120,7 +119,7 @@ def fit_image_attitude(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Whitened:
     """Stars of one image with residuals in standard deviations."""
 

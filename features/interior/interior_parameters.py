@@ -20,7 +20,7 @@ which keeps the prior of every look direction; the z are independent with varian
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -39,7 +39,7 @@ RATE_RAD_S = 0.01  # of a scan: makes delays of rows comparable with looks
 OF_CCD = ("shift_along", "shift_across", "rotation", "scale")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class InteriorPriors:
     """Prior 1-sigma of the parameters. Zero: not estimated."""
 

@@ -14,7 +14,7 @@ time, each with the prior variance q dt on each axis (q in rad²/s).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -497,7 +497,7 @@ def step_gains(series: MountingSeries, X: Floats, density: float, rows: Ints) ->
     return np.sum(np.where(seen, along**2 / values, 0.0), axis=1), np.sum(np.log(values), axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Walk:
     """The ramps of a walk by sums: each is 0 before its interval between two knots, and 1 after it."""
 
@@ -541,7 +541,7 @@ class _Walk:
         return np.where(order < 0, _from(values, rows)[:, None], later)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Normal:
     """Normal equations of columns, of the walk's ramps after them, and of the shared unknowns."""
 

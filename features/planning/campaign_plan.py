@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.forecast.accuracy import Forecast
 from boresight.pipeline.forecast.campaigns import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.pipeline.run.settings import settings_from_values
+from boresight.records.record import record
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
 DRAWS = 25  # example strips for each number of targets, which are plotted and not compared
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedCameras:
     """`[cameras]`: where the star camera looks, and the pixels of both."""
 
@@ -55,7 +56,7 @@ class PlannedCameras:
         _check_counts(self, 64, "n_ccds")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedStrips:
     """`[strips]`: how many, how long, and the star exposures of each."""
 
@@ -72,7 +73,7 @@ class PlannedStrips:
         _check_counts(self, 1000, "exposures", "stars")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedTargets:
     """`[targets]`: how many a strip, where, and how well their positions are measured and known."""
 
@@ -86,7 +87,7 @@ class PlannedTargets:
         _check_counts(self, 10_000, "count")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedSky:
     """`[sky]`: strips that scan the sky, forward and backward in turn."""
 
@@ -105,7 +106,7 @@ class PlannedSky:
             raise ValueError(f"rate_mrad_s must be positive, got {self.rate_mrad_s}")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedGyro:
     """`[gyro]`: a gyro between the star exposures of strips of the ground, the same about every axis."""
 
@@ -129,7 +130,7 @@ class PlannedGyro:
         return GyroNoise(random_walk_rad=walk, bias_walk_rad_s=drift, bias_rad_s=bias, white_rad=white)
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class PlannedErrors:
     """`[errors]`: 1-sigma of what is common to a strip or a camera (defaults: the paper's Table 1)."""
 
@@ -142,7 +143,7 @@ class PlannedErrors:
     distortion_length_px: float = 2000.0
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Plan:
     """A campaign as its file describes it; every section and key is optional."""
 
@@ -154,7 +155,7 @@ class Plan:
     errors: PlannedErrors = field(default_factory=PlannedErrors)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class PlanForecast:
     """1-sigma against the number of strips and of targets, and without each source of error (long form), a
     summary, and the strips that a target needs.

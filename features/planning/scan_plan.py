@@ -9,7 +9,6 @@ Moon are ERFA's (`epv00`, `moon98`), beyond its nodes the orbit is continued und
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import erfa
 import numpy as np
@@ -46,7 +45,7 @@ FIELD_RAD = 0.012  # half-angle of the cone in which they are counted
 Z = np.array([0.0, 0.0, 1.0])  # line of sight, in frames s and c
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class ScanSettings:
     """How scans are made and what they must keep away from."""
 

@@ -9,7 +9,7 @@ in electrons the photon noise of brighter stars follows, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
+from boresight.records.record import record
 from boresight.star_id.field import nominal_camera, ra_dec_roll, solve_field
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.identification.identify import NotIdentified
@@ -42,7 +43,7 @@ __all__ = ["CameraNumbers", "SkyPlanRequest", "camera_of_numbers", "images_of_nu
 LIMIT_SNR = 5.5
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class CameraNumbers:
     """The design of a camera; field of view or focal length, and pitch with the latter."""
 
@@ -119,7 +120,7 @@ _NOT_DETERMINED_PX = 5.0
 _Known = tuple[StarCamera, StarImageModel, StarIndex, str]  # with a line about it
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class SkyPlanRequest:
     """What is known of the camera, how many images are to be taken, and where the plan goes."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.run.index_cache import cached_index
 from boresight.pipeline.run.unforeseen import UNFORESEEN, internal_error
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, ra_dec_roll, solve_list
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -57,7 +57,7 @@ _INDICES = 4  # kept in memory, mapped from files: of unknown cameras, and of th
 CATALOGUE_YEAR, EPOCH_ERROR_YEARS = 2020.0, 6.0  # of images without time
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Line:
     """What there is to say about one image."""
 
@@ -70,7 +70,7 @@ class Line:
     planets: tuple[Planet, ...] = ()  # in view at the image's time, where that is known
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Request:
     """What is known of the camera, and what is drawn."""
 

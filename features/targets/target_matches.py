@@ -6,7 +6,6 @@ dump -> stars, attitudes -> each strip: matches, refusals -> table (CSV or Parqu
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,12 @@ from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.stages.strip import StripTask, strip_matches
 from boresight.records.ledger import Entry, State
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 
 __all__ = ["StripLine", "matched_lines", "matches_table", "write_matches"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class StripLine:
     """What became of one strip."""
 

@@ -15,8 +15,6 @@ another crop) does not shift the result. The covariance is that of the template'
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
@@ -70,7 +68,7 @@ class PositionFit:
         return float(np.sqrt(max(self.cov_px[0, 0], self.cov_px[1, 1])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Pair:
     """What does not change during a fit."""
 
@@ -82,7 +80,7 @@ class _Pair:
     mtf_at_nyquist: float  # of the camera that took the picture
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Warp:
     """Map from the template to the picture, and whether the step that led to it was small."""
 
@@ -91,7 +89,7 @@ class _Warp:
     settled: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Equations:
     """The linearised problem at one warp."""
 
@@ -103,7 +101,7 @@ class _Equations:
     informative: bool  # whether template and picture have gradients in common
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Round:
     """A round of filtering, weighting and Gauss-Newton steps."""
 

@@ -9,14 +9,13 @@ the weight. Gradients must be orthogonal to the radiometric terms.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 
 __all__ = ["Blocks", "blocks_of"]
 
@@ -28,7 +27,7 @@ _LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted wit
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 
 
-@dataclass(frozen=True, slots=True, eq=False)  # built at every step: the shape check would cost
+@record  # built at every step: the shape check would cost
 class Blocks:
     """Scores and information of the B blocks of a template on its displacement."""
 

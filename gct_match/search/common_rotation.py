@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -34,7 +34,7 @@ from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import StripImage
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.records.record import Floats, Ints
+from boresight.records.record import Floats, Ints, record
 
 __all__ = ["Each", "search_common_rotation", "vote_tolerance_px"]
 
@@ -42,7 +42,7 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # as `map
 _SUPPORTERS = 4  # targets that determine a rotation even if one of them agrees by accident
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Picture:
     """A part of a CCD that is searched, from `origin_px` (sample, line) on."""
 
@@ -50,7 +50,7 @@ class _Picture:
     origin_px: tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Template:
     """A target's template on the coarse grid, and its search windows."""
 

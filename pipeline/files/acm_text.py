@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -99,7 +99,7 @@ class AcmAttitudes:
     variance_rad2: Floats | None = array("N, 3", "about the axes of B; None: not stated", default=None)
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class _Block:
     """Keywords and lines of numbers of one block."""
 

@@ -21,7 +21,6 @@ product of another convention is refused, not placed kilometres away.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -58,7 +57,7 @@ _MAX_POWERS = 20
 _LOOK_SAMPLES = 201  # a cubic spline through them holds a polynomial of degree 5 to 1e-13 rad
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class _Names:
     """Where a version of DIMAP has what."""
 

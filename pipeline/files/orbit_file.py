@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -144,7 +144,7 @@ def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class _Keywords:
     """Values by keyword, and how errors name the keyword: "line 9, REF_FRAME", in XML "REF_FRAME"."""
 

@@ -6,7 +6,6 @@ Columns are named as those of the Gaia archive; `source_id` may be any whole num
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import Identity, check_extent, identity_of, limited_content
 from boresight.pipeline.files.xml_files import read_xml
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record
 from boresight.star_id.whole_catalogue import all_hipparcos
 
 __all__ = ["StarTable", "read_star_table", "survey_of"]
@@ -48,7 +47,7 @@ COLUMNS: dict[str, tuple[float, float, float | None]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StarTable:
     """A user's table of stars: read once in each process while it stays the same (`survey_of`)."""
 

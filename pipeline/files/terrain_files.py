@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import lru_cache
 from pathlib import Path
 
@@ -53,7 +53,7 @@ class TargetHeights:
 NO_TERRAIN = TargetHeights(np.zeros((0, 3)), np.zeros(0))  # of a dump with strips of the sky alone
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class TerrainFiles:
     """Terrain models that are read where they are needed. Equal files are read once (`surface_of`)."""
 

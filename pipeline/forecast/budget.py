@@ -56,10 +56,12 @@ def uncertainty_budget(
         return forecast_from_strips(these, R_cs, model).after(len(these)).covariance
 
     now = covariance(fitted, model)
-    larger = {name: covariance([of(one) for one in fitted], model) for name, of in OF_SIGHTINGS.items()}
+    changed = {name: [of(one) for one in fitted] for name, of in OF_SIGHTINGS.items()}
+    larger = {name: covariance(these, model) for name, these in changed.items() if these != fitted}
     for source, names in OF_SETTINGS.items():
         stated = {name: ROOT * getattr(model, name) for name in names}
-        larger[source] = covariance(fitted, replace(model, **stated))
+        if any(stated.values()):
+            larger[source] = covariance(fitted, replace(model, **stated))
     found = [ErrorShare(source=source, covariance=(C - now) / STEP) for source, C in larger.items()]
     shares = [np.diag(one.covariance) / np.diag(now) for one in found]
     order = np.argsort([-float(share.sum()) for share in shares], kind="stable")
@@ -84,8 +86,10 @@ def _attitudes(strip: StripSightings) -> StripSightings:
 
 def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:
     def change(strip: StripSightings) -> StripSightings:
-        ground = strip.ground
-        factor = np.where(ground.is_star == of_stars, 1.0 + STEP, 1.0)[:, None, None]
+        ground, larger = strip.ground, strip.ground.is_star == of_stars
+        if not larger.any():
+            return strip
+        factor = np.where(larger, 1.0 + STEP, 1.0)[:, None, None]
         return replace(strip, ground=replace(ground, cov_c=factor * ground.cov_c))
 
     return change
@@ -98,7 +102,11 @@ def _coordinates(strip: StripSightings) -> StripSightings:
 
 def _earth(strip: StripSightings) -> StripSightings:
     ground = strip.ground
-    return replace(strip, ground=replace(ground, earth_i=ROOT * ground.earth_i))
+    return (
+        replace(strip, ground=replace(ground, earth_i=ROOT * ground.earth_i))
+        if ground.earth_i.any()
+        else strip
+    )
 
 
 # Sources that the sightings hold, by name: how a strip looks with its variance larger by `STEP`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -66,7 +66,7 @@ def _drawn(
     return with_gyro(strips, truth, cameras.R_cs, plan.gyro, t_s, rng)
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class SkyPart:
     """The strips of the sky of a planned campaign."""
 

@@ -7,9 +7,10 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from operator import call
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -46,7 +47,13 @@ from boresight.pipeline.head_noise.spectrum import allan_deviation
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
-from boresight.pipeline.report.ground_map import ground_table, scene_json, scene_pictures, scenes_of
+from boresight.pipeline.report.ground_map import (
+    ground_table,
+    quicklooks_of,
+    scene_json,
+    scene_pictures,
+    scenes_of,
+)
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
@@ -83,14 +90,17 @@ def write_evidence(
     folder, executor = result / "evidence", executor or InOrder()
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
-    parts = (
+    parts: list[Callable[[], Any]] = [
         partial(_exposure, dump, calibration, settings),
         partial(_accuracy, dump, calibration, ground),
         partial(findings, dump, calibration, scenes, ground),
         partial(unmatched_pictures, scenes, ground, dump),
-    )
+    ]
     here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
-    exposure, accuracy, found, unmatched = here.map(call, parts, lambda n, part: None)
+    quicklooks = quicklooks_of(scenes)
+    lists = [(here, parts + quicklooks)] if here == executor else [(here, parts), (executor, quicklooks)]
+    made = chain.from_iterable(one.map(call, items, lambda n, part: None) for one, items in lists)
+    exposure, accuracy, found, unmatched, *pictures = made
     tables: dict[str, pa.Table] = {
         "inputs": _inputs(dump),
         "convergence": _convergence(calibration),
@@ -100,7 +110,7 @@ def write_evidence(
         "ground": ground,
         "unmatched": unmatched,
         **_attitude_noise(dump, settings),
-        "map": scene_pictures(scenes, dump, calibration, executor),
+        "map": scene_pictures(scenes, dump, pictures),
     }
     for name, table in tables.items():
         write_inside(

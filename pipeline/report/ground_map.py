@@ -8,10 +8,12 @@ strip's rigorous model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache, partial
 from itertools import islice
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +37,6 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.table_files import arrow_rows
 from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.star_preview import jpeg_of
-from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.records.ledger import Entry, Kind, State, Subject
 from boresight.records.record import Floats, Ints, array, record, scalar
@@ -48,6 +49,7 @@ __all__ = [
     "ground_table",
     "local_plane",
     "overview",
+    "quicklooks_of",
     "scene_json",
     "scene_pictures",
     "scenes_of",
@@ -126,6 +128,7 @@ class MapScene:
         return np.column_stack(self.plane().transform(*degrees))
 
 
+@cache
 def local_plane(lat_deg: float, lon_deg: float) -> Transformer:
     """Longitude, latitude (degrees) to metres east, north of a place."""
     local = f"+proj=aeqd +lat_0={lat_deg} +lon_0={lon_deg} +ellps=WGS84"
@@ -320,20 +323,23 @@ def _temperatures_c(dump: Dump, t_s: Floats) -> Floats:
     return np.interp(t_s, source.rows.t_s, source.rows.temperature_c, left=np.nan, right=np.nan)
 
 
-def scene_pictures(
-    scenes: Sequence[MapScene],
-    dump: Dump,
-    calibration: DumpCalibration,
-    executor: Executor,
-) -> pa.Table:
-    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip."""
-    views = [
-        _View(scene=replace(scene, strips=()), strip=one, ccd=ccd)
+def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
+    """What makes the picture (rows, columns) of each CCD's image, in order of scenes, strips and CCDs."""
+    return [
+        partial(_quicklook, replace(scene, strips=()), one, ccd)
         for scene in scenes
         for one in scene.strips
         for ccd in one.task.strip.images.ccds
     ]
-    seen = iter(executor.map(_quicklook, views, lambda n, picture: None))
+
+
+def scene_pictures(
+    scenes: Sequence[MapScene], dump: Dump, quicklooks: Iterable[NDArray[np.float32]]
+) -> pa.Table:
+    """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip,
+    joined from those of its CCDs, each (rows, columns).
+    """
+    seen = iter(quicklooks)
     rows: list[dict[str, object]] = []
     surface = surface_of(dump.terrain)
     for number, scene in enumerate(scenes):
@@ -377,21 +383,10 @@ def _shaded(scene: MapScene, surface: Surface) -> NDArray[np.uint8]:
     return np.round(255.0 * np.clip(0.25 + 0.75 * light, 0.0, 1.0)).astype(np.uint8)
 
 
-@record(kw_only=True)
-class _View:
-    """What the quicklook of one CCD's image depends on."""
-
-    scene: MapScene = scalar("plane of the map")
-    strip: StripOnGround = scalar("strip with its model")
-    ccd: int = scalar("number of the CCD")
-
-
-def _quicklook(view: _View) -> NDArray[np.float32]:
+def _quicklook(scene: MapScene, one: StripOnGround, ccd: int) -> NDArray[np.float32]:
     """A CCD's image resampled to the map (rows, columns); NaN where it did not look or cannot be read."""
-    one, ccd = view.strip, view.ccd
     images, surface = one.task.strip.images, surface_of(one.task.terrain)
-    box_m = one.box_m(view.scene)
-    lat, lon, (rows, columns) = _lattice(view.scene, box_m)
+    lat, lon, (rows, columns) = _lattice(scene, one.box_m(scene))
     height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
     ground_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
     pixels = np.array(one.model.pixels_from_ground(ccd, ground_e), dtype=np.float32)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 import html
 import math
+import os
+from contextlib import suppress
 from typing import Any
 from unicodedata import category
 
@@ -12,6 +14,8 @@ import jinja2
 from markupsafe import Markup
 
 from boresight.geometry.epoch import Epoch
+from boresight.pipeline import __version__
+from boresight.pipeline.run.index_cache import cache_folder
 from boresight.records.record import record, scalar
 
 __all__ = ["UTC_FROM", "Number", "number_from", "template", "utc_text"]
@@ -68,10 +72,14 @@ def template(name: str) -> jinja2.Template:
 
 @functools.cache  # with the templates that it has compiled
 def _environment() -> jinja2.Environment:
+    kept = cache_folder() / f"templates-{__version__}-{jinja2.__version__}"
+    with suppress(OSError):
+        kept.mkdir(parents=True, exist_ok=True)
     return jinja2.Environment(
         loader=jinja2.PackageLoader("boresight.pipeline.report", "templates"),
         autoescape=True,
         optimized=False,  # most expressions are evaluated once
+        bytecode_cache=jinja2.FileSystemBytecodeCache(str(kept)) if os.access(kept, os.W_OK) else None,
         finalize=_visible,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -11,7 +11,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, Protocol, get_args, get_type_hints
 
@@ -48,7 +48,7 @@ class Unit:
     contents: tuple[tuple[Path, Identity, str], ...] = scalar("its files with their digests", default=())
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class StageRunner:
     """Runs stages: store of finished units (None: none is kept), executor, progress callback; and counts the
     units that were computed (True) or read from the store.
@@ -84,7 +84,7 @@ class StageRunner:
         return [unit.outcome for unit in done]
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Cached:
     """A stage with a store around it."""
 

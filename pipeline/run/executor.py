@@ -17,13 +17,13 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkContext, SpawnContext
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from boresight.pipeline.errors import WorkerError
+from boresight.records.record import record
 
 __all__ = ["FORKS", "Executor", "InOrder", "Processes", "executor_for"]
 
@@ -43,7 +43,7 @@ class Executor(Protocol):
         """What each of `count` items has for its own parts, where it is computed."""
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class InOrder:
     """Applies the function in this process, one item after another."""
 
@@ -72,7 +72,7 @@ START: ForkContext | SpawnContext = (
 FORKS = START.get_start_method() == "fork"  # a process has what this one has, functions without a name too
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Processes:
     """An executor of `count` processes, which are started for each list of items."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -23,6 +23,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.text_files import expected_of, toml_tables
+from boresight.records.record import record
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
@@ -33,7 +34,7 @@ RENAMED = {"run.passes": "rounds"}  # keys of before, which are read with a rema
 FINITE = ConfigDict(allow_inf_nan=False)  # of pydantic: no setting is infinite or NaN
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class RunSettings:
     """How the stages are put together."""
 
@@ -51,7 +52,7 @@ class RunSettings:
             raise ValueError(f"exposure_margin_s must be positive, got {self.exposure_margin_s}")
 
 
-@dataclass(frozen=True, slots=True)
+@record(by_value=True)
 class Settings:
     """What the user asked for. `calibration` holds only the values that were given."""
 

@@ -10,7 +10,7 @@ a dump states no guidance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -98,7 +98,7 @@ class SkyTask:
         return RowClock(self.strip.t_first_row_s, period).instant(line) + delay
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NamedStars:
     """What became of one strip of the sky."""
 

@@ -10,14 +10,13 @@ runs in bands of rows that stay in the processor's cache, with OpenCV's vector i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.records.record import Floats, Ints
+from boresight.records.record import Floats, Ints, record
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, extended
 from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
@@ -48,7 +47,7 @@ MAX_CANDIDATES = 20_000
 _BAND_ROWS = 64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _GreyScale:
     """Conversion of the image to 8 bits, gain * (value - sky) + offset, and the threshold on that scale."""
 

@@ -9,7 +9,7 @@ chi2 / dof.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -154,12 +154,12 @@ def _fit(
         images = images_at(psf, rest.middles, fit.state[slow, :2], sigma[slow], windows.radius)
         steps = 1 if one_step else 2 * _MORE_STEPS if psf.is_flat else _MORE_STEPS
         more = _iterate(rest, fit.state[slow], images, sigma[slow], psf, gain, steps=steps)
-        for name in _Fit.__slots__:
+        for name in [field.name for field in fields(fit)]:
             getattr(fit, name)[slow] = getattr(more, name)
     return _stars_of(fit, windows, pixels, psf, settled_px=LARGEST_STEP_PX if one_step else _SMALL_STEP)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Fit:
     """State of all fits after the last step, and what it was computed from."""
 

@@ -8,7 +8,6 @@ on a plateau as bright as their surroundings (a roof, a cloud), and peaks in the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ class Detections:
     hot_pixels: int = scalar("peaks rejected because a single pixel explains them")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Filtered:
     """Windows around candidates, and their filtered values at `shifts` x `shifts` positions each."""
 

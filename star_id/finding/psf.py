@@ -9,7 +9,6 @@ grows with the distance from the image's centre. Stars of any other form have an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -96,7 +95,7 @@ class Psf:
         return 0.5 * float(np.hypot(*self.smear_px) + abs(self.coma_px))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class PsfImages:
     """Unit-flux images of N stars in square windows of M pixels, with derivatives."""
 

@@ -8,13 +8,12 @@ tangent-plane point t is measured at e^s (t + k1 r^2 t + decentring terms).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import wahba_matrices
-from boresight.records.record import Floats, Ints
+from boresight.records.record import Floats, Ints, record
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.identification.tangent_plane import (
     Complex,
@@ -46,7 +45,7 @@ RESOLVED_PX = 3.0
 STARS_PER_DETECTION = 1.6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class AttitudeHypothesis:
     """An attitude, a distortion, and the catalogue stars that they predict in the image."""
 
@@ -56,7 +55,7 @@ class AttitudeHypothesis:
     predicted: Complex  # (M,) tangent-plane points, distorted
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NearbyPairs:
     """All pairs of a predicted star and a detection near it."""
 
@@ -65,7 +64,7 @@ class NearbyPairs:
     n_predicted: int  # predicted stars that were searched for
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class OneToOnePairs:
     """Pairs in which each predicted star and each detection occurs at most once."""
 
@@ -76,7 +75,7 @@ class OneToOnePairs:
     n_predicted: int  # predicted stars that were searched for
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class AcceptedPairs:
     """Accepted pairs of detections and catalogue stars."""
 

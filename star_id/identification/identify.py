@@ -9,7 +9,6 @@ detections that match (`hypothesis`), and the likelihood ratio of the image with
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -200,7 +199,7 @@ def identify_stars(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Trial:
     """A refined hypothesis with its matches and its log likelihood ratio."""
 

@@ -9,14 +9,13 @@ good part of P.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.records.record import Bools, Floats, Ints
+from boresight.records.record import Bools, Floats, Ints, record
 from boresight.star_id.identification.tangent_plane import (
     FieldOfView,
     PlaneDetections,
@@ -54,7 +53,7 @@ _MAP_CELLS = 256
 _CELL = 0.35
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class Proposals:
     """Triangles worth a trial, best first. Row n of every array is the same triangle."""
 
@@ -153,7 +152,7 @@ def _axes(ends: Floats) -> Floats:
     return axes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _DetectionMap:
     """Cells of the image with a bright detection in or beside them, on a coarse grid with a border of one
     cell."""

@@ -4,7 +4,6 @@ camera's field of view there."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,7 @@ class FieldOfView:
         return np.asarray((np.abs(points.real) < self.half_x) & (np.abs(points.imag) < self.half_y))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class PlaneDetections:
     """Detections of one image in the tangent plane, brightest first, with a search index along x."""
 

@@ -18,7 +18,7 @@ detections of density rho that lies there by chance, with the odds L : rho (`nam
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 import scipy
@@ -88,7 +88,7 @@ class StripField:
         return np.argsort(self.v_mag, kind="stable")[:count]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class CommonRotation:
     """The common rotation that most detections agree with."""
 
@@ -98,7 +98,7 @@ class CommonRotation:
     log10_chance: float  # bound of the probability that so many agree by chance
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class NoRotation:
     """No rotation is more than chance."""
 
@@ -194,7 +194,7 @@ def name_stars(
     return NamedRows(row=row[chosen], star=star[chosen], probability_wrong=wrong[chosen])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@record
 class _Pairs:
     """P pairs of a detection and a catalogue star: displacements, and the errors that they have in common."""
 

@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 
+from boresight.records.record import _assign
+
 ROOT = Path(__file__).parents[2]
 ROW = re.compile(r"^\| `boresight\.([\w.]+)` \| (?:`([\w.]+)`)? *\|", re.MULTILINE)
 
@@ -31,8 +33,10 @@ def journeys(page: str) -> Mapping[str, list[Stop]]:
     }
 
 
-def code_of_name(name: str) -> CodeType:
-    """The code that runs when a dotted name below `boresight` is called; of a class its `__init__`."""
+def code_of_name(name: str) -> CodeType | type:
+    """The code that runs when a dotted name below `boresight` is called; of a class its `__init__`, of a
+    record the class, as all records have one.
+    """
     parts = name.split(".")
     for cut in range(len(parts), 0, -1):
         path = ROOT.joinpath(*parts[:cut])
@@ -41,7 +45,7 @@ def code_of_name(name: str) -> CodeType:
             for part in parts[cut:]:
                 thing = getattr(thing, part)
             made = thing.__init__ if inspect.isclass(thing) else thing
-            return inspect.unwrap(made).__code__
+            return thing if made is _assign else inspect.unwrap(made).__code__
     raise AssertionError(f"boresight.{name} is not there")
 
 
@@ -53,22 +57,25 @@ class Call:
     by: str
 
 
-def calls_of(codes: Mapping[CodeType, str], work: Callable[[], object]) -> dict[str, list[Call]]:
+def calls_of(codes: Mapping[CodeType | type, str], work: Callable[[], object]) -> dict[str, list[Call]]:
     """What calls each of some functions while `work` is done: the first call by each caller.
 
     The caller is the nearest public function of the program: private ones, functions within functions and
     those of libraries are a part of the one that calls them.
     """
     found: dict[str, list[Call]] = {}
-    seen: set[tuple[CodeType, str]] = set()
+    seen: set[tuple[CodeType | type, str]] = set()
 
     def profile(frame: FrameType, event: str, argument: object) -> None:
-        if event != "call" or frame.f_code not in codes:
+        if event != "call":
+            return
+        called = type(frame.f_locals["self"]) if frame.f_code is _assign.__code__ else frame.f_code
+        if called not in codes:
             return
         by = public_caller(frame)
-        if (frame.f_code, by) not in seen:
-            seen.add((frame.f_code, by))
-            found.setdefault(codes[frame.f_code], []).append(Call(len(seen), by))
+        if (called, by) not in seen:
+            seen.add((called, by))
+            found.setdefault(codes[called], []).append(Call(len(seen), by))
 
     sys.setprofile(profile)
     try:
