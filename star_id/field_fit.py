@@ -122,6 +122,6 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "y0_px": off,
         "p1": decentred,
         "p2": decentred,
-        "q1": 0.03 / (corner * f_mm) ** 2,
-        "q2": 0.01 / (corner * f_mm) ** 4,
+        "q1": float(np.hypot(0.03 / corner**2, 1.0 / 3.0)) / f_mm**2,
+        "q2": float(np.hypot(0.01 / corner**4, 0.2)) / f_mm**4,
     }
