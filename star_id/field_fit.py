@@ -16,6 +16,7 @@ from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (
+    FITTED,
     ROUNDS,
     SMALL_CHANGE,
     LensEquations,
@@ -97,13 +98,13 @@ def _fit(
     stars = IdentifiedStars(xy_px=xy_px - moved_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
-    ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0, q3=0.0)
     prior = _prior_sigmas(camera)
     residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
     for _ in range(ROUNDS):  # two are usual
         cov = cov_px + common * np.eye(2)
-        fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
+        fit = fit_camera(replace(stars, cov_px=cov), camera, R, FITTED, prior, ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
         before, common = common, with_common_variance(equations, common)
         if abs(common - before) <= SMALL_CHANGE * before:
@@ -124,4 +125,5 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "p2": decentred,
         "q1": float(np.hypot(0.03 / corner**2, 1.0 / 3.0)) / f_mm**2,
         "q2": float(np.hypot(0.01 / corner**4, 0.2)) / f_mm**4,
+        "q3": 1.0 / 7.0 / f_mm**6,
     }

@@ -33,6 +33,7 @@ from boresight.geometry.star_camera import StarCamera, term_orders
 from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
     PARAMETERS,
+    Q3,
     CameraFit,
     pixel_derivatives,
     rotation_derivatives,
@@ -40,6 +41,7 @@ from boresight.star_id.camera_fit import (
 )
 
 __all__ = [
+    "FITTED",
     "PER_PARAMETER",
     "ROUNDS",
     "SIZES_PX",
@@ -52,6 +54,8 @@ __all__ = [
     "with_common_variance",
 ]
 
+# Parameters of a camera that are fitted to one image.
+FITTED = (*PARAMETERS, Q3)
 # Degree of the polynomials of a smooth distortion of one image: one image does not show finer structure.
 _DEGREE = 6
 # Powers (i, j) of x and y of its terms.
@@ -186,19 +190,19 @@ class LensEquations:
 
         `prior` holds the 1-sigma deviations of the camera's parameters.
         """
-        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera)
+        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera, FITTED)
         xy = fit.camera.pixels_from_directions(u_s)
         return cls(
             camera=fit.camera,
-            free=PARAMETERS,
+            free=FITTED,
             variance_factor=fit.variance_factor,
             u_s=u_s,
             xy_px=xy,
             residual_px=fit.residual_px[fit.keep],
             cov_px=cov_px[fit.keep],
             slopes=slopes,
-            columns=_columns(fit.camera, u_s, xy, slopes, PARAMETERS, stretched=False),
-            sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]),
+            columns=_columns(fit.camera, u_s, xy, slopes, FITTED, stretched=False),
+            sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in FITTED]),
         )
 
     @classmethod
@@ -336,7 +340,7 @@ def lens_errors(equations: LensEquations, common_px2: float, stretch_px: float) 
     if stretch_px:
         equations = equations.stretched(stretch_px)
     plain = equations.solved(common_px2)
-    is_fit = equations.free == PARAMETERS and not stretch_px  # then it is their most probable value
+    is_fit = equations.free == FITTED and not stretch_px  # then it is their most probable value
     mean = np.zeros(len(plain.mean)) if is_fit else plain.mean
     without = _errors(equations, plain, mean, common_px2, equations.variance_factor)
     warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None
@@ -528,7 +532,7 @@ def _columns(
     return np.concatenate(parts, axis=2)
 
 
-def _camera_slopes(camera: StarCamera, free: tuple[str, ...] = PARAMETERS) -> Floats:
+def _camera_slopes(camera: StarCamera, free: tuple[str, ...]) -> Floats:
     """(3 + F, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
     parameters `free`."""
     points = _slope_points(camera)
