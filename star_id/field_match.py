@@ -17,8 +17,6 @@ from boresight.star_id.beyond_chance import NEVER_SIGMA
 
 __all__ = ["FieldMatch", "match_field"]
 
-# The same distance in px at most: a prediction worse than that does not tell stars apart (set by hand).
-_LARGEST_REACH_PX = 40.0
 # Predicted stars of like brightness that share one probability of detection: it is then known to 0.1, 0.5 /
 # sqrt(24).
 _STARS_PER_GROUP = 24
@@ -69,7 +67,7 @@ def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> 
     """Rows (K,), (K,) of detections and predicted stars within `NEVER_SIGMA` of one another."""
     own = np.sqrt(np.trace(cov_predicted, axis1=1, axis2=2))
     largest = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).max(initial=0.0)))
-    reach = np.minimum(NEVER_SIGMA * np.hypot(own, largest), _LARGEST_REACH_PX)
+    reach = NEVER_SIGMA * np.hypot(own, largest)
     near = cKDTree(xy).query_ball_point(predicted, reach)
     counts = np.array([len(rows) for rows in near], dtype=np.int64)
     detection = np.array([row for rows in near for row in rows], dtype=np.int64)
