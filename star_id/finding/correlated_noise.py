@@ -100,9 +100,9 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     height = np.asarray(cv2.sepFilter2D(in_noise(image, background), cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
     middle, far = np.array(
-        [np.quantile(tile, [0.5, ndtr(_ABOVE_SIGMA if is_cut else -CLIP_SIGMA)]) for tile in tiles]
+        [np.quantile(tile, [0.5, ndtr(_ABOVE_SIGMA if is_cut else -SELDOM_SIGMA)]) for tile in tiles]
     ).T
-    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / CLIP_SIGMA
+    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / SELDOM_SIGMA
     factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background
