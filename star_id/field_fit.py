@@ -65,13 +65,13 @@ def fit_attitude_and_lens(
     """Attitude and camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3), GCRS.
 
     `camera` and `R_si` are approximate; `expected` is the lens that the prior is about; else one without
-    distortion. All seven camera parameters are fitted. One image does not separate them: a shifted detector
-    looks like a rotated and decentred one. So a Gaussian prior regularises them (`_prior_sigmas`), and the
-    covariance is that of the well-determined direction of the image's centre. What the camera model cannot
-    explain is a position error of each star (`common_variance`; without it the few brightest stars would
-    determine the distortion), a stretch and a smooth distortion (`lens_misfit`). A stretch that is seen is
-    taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
-    that are not linear.
+    distortion. All seven parameters of a camera, and a third radial term, are fitted. One image does not
+    separate them: a shifted detector looks like a rotated and decentred one. So a Gaussian prior regularises
+    them (`_prior_sigmas`), and the covariance is that of the well-determined direction of the image's centre.
+    What the camera model cannot explain is a position error of each star (`common_variance`; without it the
+    few brightest stars would determine the distortion), a stretch and a smooth distortion (`lens_misfit`). A
+    stretch that is seen is taken off the centroids and all is fitted again: distortion and decentring absorb
+    a part of it, by terms that are not linear.
     """
     fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
     stretch_px = stretch_size(equations, common)
@@ -114,7 +114,8 @@ def _fit(
 
 def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
     """1-sigma deviations of lenses from ideal ones, by parameter: principal point 1 % of the width;
-    displacement of the corners 3 % (q1), 1 % (q2) and 0.2 % (decentring) of their radius."""
+    displacement of the corners 3 % (q1), 1 % (q2) and 0.2 % (decentring) of their radius, and that by which
+    projections differ: arctan t = t - t^3 / 3 + t^5 / 5 - t^7 / 7."""
     f_mm, off = 1e3 * camera.focal_m, 0.01 * camera.width_px
     corner = 0.5 * np.hypot(camera.width_px, camera.height_px) * camera.pixel_m / camera.focal_m
     decentred = 0.002 / (corner * f_mm)
@@ -124,6 +125,6 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "p1": decentred,
         "p2": decentred,
         "q1": float(np.hypot(0.03 / corner**2, 1.0 / 3.0)) / f_mm**2,
-        "q2": float(np.hypot(0.01 / corner**4, 0.2)) / f_mm**4,
+        "q2": float(np.hypot(0.01 / corner**4, 1.0 / 5.0)) / f_mm**4,
         "q3": 1.0 / 7.0 / f_mm**6,
     }

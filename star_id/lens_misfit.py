@@ -13,7 +13,7 @@ size, too, is that of the largest evidence. What stretches an image changes its 
 star of this image shows: it enters the error of the field of view. A stretch along a diagonal may be a shear,
 that of a rolling shutter, half of which is a rotation: it enters the error of the roll.
 
-Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (seven of a
+Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (eight of a
 fitted camera; the focal length of one that was given and does not fit), the stretch (2) and the coefficients.
 A rotation about the image's centre is nearly independent of all parameters; a rotation about the optical
 axis, which may lie anywhere, would be a small difference of large terms.
