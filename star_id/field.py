@@ -104,6 +104,8 @@ _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True,
 # Error of detections and of predicted stars along one axis, px, in naming the stars outside the middle of a
 # fisheye's image (set by hand).
 _EXTENDED_PX = 0.5
+# Ratio of identified stars above which kinds of lenses are compared by their residuals (set by hand).
+_NEARLY_AS_MANY = 0.98
 
 
 @record(kw_only=True)
@@ -334,7 +336,7 @@ def _likeliest(every: Sequence[FieldSolution], stars: StarList) -> FieldSolution
     """The lens that, of those with nearly as many stars as the one with most, leaves the smallest residuals
     of that one's stars; the first, unless others are clearly better."""
     best = max(every, key=lambda lens: lens.matches)
-    lenses = [lens for lens in every if CLEARLY_MORE * lens.matches >= best.matches]
+    lenses = [lens for lens in every if lens.matches >= _NEARLY_AS_MANY * best.matches]
     W = np.linalg.inv(stars.cov_px[best.detections])
 
     def misfit(lens: FieldSolution) -> float:

@@ -16,7 +16,6 @@ from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
 from boresight.star_id.lens_misfit import (
-    FITTED,
     ROUNDS,
     SMALL_CHANGE,
     LensEquations,
@@ -65,13 +64,13 @@ def fit_attitude_and_lens(
     """Attitude and camera from centroids (N, 2), px, covariances (N, 2, 2) and directions (N, 3), GCRS.
 
     `camera` and `R_si` are approximate; `expected` is the lens that the prior is about; else one without
-    distortion. All seven parameters of a camera, and a third radial term, are fitted. One image does not
-    separate them: a shifted detector looks like a rotated and decentred one. So a Gaussian prior regularises
-    them (`_prior_sigmas`), and the covariance is that of the well-determined direction of the image's centre.
-    What the camera model cannot explain is a position error of each star (`common_variance`; without it the
-    few brightest stars would determine the distortion), a stretch and a smooth distortion (`lens_misfit`). A
-    stretch that is seen is taken off the centroids and all is fitted again: distortion and decentring absorb
-    a part of it, by terms that are not linear.
+    distortion. All seven camera parameters are fitted. One image does not separate them: a shifted detector
+    looks like a rotated and decentred one. So a Gaussian prior regularises them (`_prior_sigmas`), and the
+    covariance is that of the well-determined direction of the image's centre. What the camera model cannot
+    explain is a position error of each star (`common_variance`; without it the few brightest stars would
+    determine the distortion), a stretch and a smooth distortion (`lens_misfit`). A stretch that is seen is
+    taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
+    that are not linear.
     """
     fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
     stretch_px = stretch_size(equations, common)
@@ -98,13 +97,13 @@ def _fit(
     stars = IdentifiedStars(xy_px=xy_px - moved_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
-    ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0, q3=0.0)
-    prior = _prior_sigmas(camera)
+    ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
+    prior = _prior_sigmas(camera, 0.0 if expected else 1.0)
     residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
     for _ in range(ROUNDS):  # two are usual
         cov = cov_px + common * np.eye(2)
-        fit = fit_camera(replace(stars, cov_px=cov), camera, R, FITTED, prior, ideal)
+        fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
         equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
         before, common = common, with_common_variance(equations, common)
         if abs(common - before) <= SMALL_CHANGE * before:
@@ -112,10 +111,10 @@ def _fit(
     return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep]), common
 
 
-def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
+def _prior_sigmas(camera: StarCamera, between: float) -> dict[str, float]:
     """1-sigma deviations of lenses from ideal ones, by parameter: principal point 1 % of the width;
     displacement of the corners 3 % (q1), 1 % (q2) and 0.2 % (decentring) of their radius, and that by which
-    projections differ: arctan t = t - t^3 / 3 + t^5 / 5 - t^7 / 7."""
+    projections differ, arctan t = t - t^3 / 3 + t^5 / 5, times `between` (0: the lens is of one kind)."""
     f_mm, off = 1e3 * camera.focal_m, 0.01 * camera.width_px
     corner = 0.5 * np.hypot(camera.width_px, camera.height_px) * camera.pixel_m / camera.focal_m
     decentred = 0.002 / (corner * f_mm)
@@ -124,7 +123,6 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "y0_px": off,
         "p1": decentred,
         "p2": decentred,
-        "q1": float(np.hypot(0.03 / corner**2, 1.0 / 3.0)) / f_mm**2,
-        "q2": float(np.hypot(0.01 / corner**4, 1.0 / 5.0)) / f_mm**4,
-        "q3": 1.0 / 7.0 / f_mm**6,
+        "q1": float(np.hypot(0.03 / corner**2, between / 3.0)) / f_mm**2,
+        "q2": float(np.hypot(0.01 / corner**4, between / 5.0)) / f_mm**4,
     }

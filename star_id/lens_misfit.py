@@ -13,7 +13,7 @@ size, too, is that of the largest evidence. What stretches an image changes its 
 star of this image shows: it enters the error of the field of view. A stretch along a diagonal may be a shear,
 that of a rolling shutter, half of which is a rotation: it enters the error of the roll.
 
-Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (eight of a
+Unknowns are a rotation of the image's centre (3), about the axes of s, the camera's parameters (seven of a
 fitted camera; the focal length of one that was given and does not fit), the stretch (2) and the coefficients.
 A rotation about the image's centre is nearly independent of all parameters; a rotation about the optical
 axis, which may lie anywhere, would be a small difference of large terms.
@@ -33,7 +33,6 @@ from boresight.geometry.star_camera import StarCamera, term_orders
 from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
     PARAMETERS,
-    Q3,
     SMALL_STEP,
     CameraFit,
     pixel_derivatives,
@@ -42,7 +41,6 @@ from boresight.star_id.camera_fit import (
 )
 
 __all__ = [
-    "FITTED",
     "PER_PARAMETER",
     "ROUNDS",
     "SIZES_PX",
@@ -55,8 +53,6 @@ __all__ = [
     "with_common_variance",
 ]
 
-# Parameters of a camera that are fitted to one image.
-FITTED = (*PARAMETERS, Q3)
 # Degree of the polynomials of a smooth distortion of one image: one image does not show finer structure.
 _DEGREE = 6
 # Powers (i, j) of x and y of its terms.
@@ -187,19 +183,19 @@ class LensEquations:
 
         `prior` holds the 1-sigma deviations of the camera's parameters.
         """
-        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera, FITTED)
+        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera, PARAMETERS)
         xy = fit.camera.pixels_from_directions(u_s)
         return cls(
             camera=fit.camera,
-            free=FITTED,
+            free=PARAMETERS,
             variance_factor=fit.variance_factor,
             u_s=u_s,
             xy_px=xy,
             residual_px=fit.residual_px[fit.keep],
             cov_px=cov_px[fit.keep],
             slopes=slopes,
-            columns=_columns(fit.camera, u_s, xy, slopes, FITTED, stretched=False),
-            sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in FITTED]),
+            columns=_columns(fit.camera, u_s, xy, slopes, PARAMETERS, stretched=False),
+            sigma=np.append(np.full(3, np.inf), [prior.get(name, np.inf) for name in PARAMETERS]),
         )
 
     @classmethod
@@ -337,7 +333,7 @@ def lens_errors(equations: LensEquations, common_px2: float, stretch_px: float) 
     if stretch_px:
         equations = equations.stretched(stretch_px)
     plain = equations.solved(common_px2)
-    is_fit = equations.free == FITTED and not stretch_px  # then it is their most probable value
+    is_fit = equations.free == PARAMETERS and not stretch_px  # then it is their most probable value
     mean = np.zeros(len(plain.mean)) if is_fit else plain.mean
     without = _errors(equations, plain, mean, common_px2, equations.variance_factor)
     warped = _warped(equations, plain, common_px2) if common_px2 > 0.0 else None

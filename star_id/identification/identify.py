@@ -30,7 +30,7 @@ from boresight.star_id.identification.hypothesis import (
     robust_sigma,
 )
 from boresight.star_id.identification.likelihood import log_likelihood_ratio
-from boresight.star_id.identification.proposals import BRIGHTEST, HOPELESS, MOST_DETECTIONS, propose
+from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
 from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
 from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
 from boresight.star_id.settings import StarSettings
@@ -73,6 +73,15 @@ _STAGES = (
     *stages_of(USUAL, MOST_DETECTIONS, begin=STARS_PER_FIELD),
     *stages_of(DENSER, STARS_PER_FIELD, MOST_DETECTIONS),
 )
+# Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
+_STARS_FOR_SHIFT = 30
+# Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
+# errors are as expected a right one has less with probability exp(-4) at most, and an image has many right
+# ones.
+_HOPELESS = -4.0
+# Brightest detections by which a proposal is tried before all are: most are wrong, and these tell so (set by
+# hand).
+_BRIGHT = 100
 # Error of predictions over the mean distance of detections, below which each star's nearest detection is
 # its own: another is nearer in pi * 0.05^2, 1 %, of the cases.
 _UNAMBIGUOUS = 0.05
@@ -155,7 +164,7 @@ def identify_stars(
     n = len(xy)
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
-    image, bright = PlaneDetections.from_xy(xy, field), PlaneDetections.from_xy(xy[:BRIGHTEST], field)
+    image, bright = PlaneDetections.from_xy(xy, field), PlaneDetections.from_xy(xy[:_BRIGHT], field)
     if prior is not None:
         tracked, tried = _track(image, index, prior, settings)
         if tracked is not None:
@@ -175,7 +184,7 @@ def identify_stars(
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             corners = image.points[triangle]
             trial = _try_proposal(bright, index, corners, R, float(log_scale))
-            if n > BRIGHTEST and trial is not None and trial.log_ratio > -HOPELESS:
+            if n > _BRIGHT and trial is not None and trial.log_ratio > _HOPELESS:
                 trial = _try_proposal(image, index, corners, R, float(log_scale))
             if trial is None:
                 continue
@@ -214,8 +223,8 @@ def _track(
     hypothesis = predict_field(image, index, prior.R_si.as_matrix(), np.zeros(4))
     shifts = 1
     if reach > 4.0 * field.pixel:
-        bright = hypothesis.predicted[:MOST_DETECTIONS]
-        every = (image.points[None, :MOST_DETECTIONS] - bright[:, None]).ravel()
+        bright = hypothesis.predicted[:_STARS_FOR_SHIFT]
+        every = (image.points[None, :_STARS_FOR_SHIFT] - bright[:, None]).ravel()
         offsets = every[(np.abs(every.real) < reach) & (np.abs(every.imag) < reach)]
         cell = max(4.0 * field.pixel, 0.5 * prior.sigma_rad)
         cells = int(np.ceil(2.0 * reach / cell))
@@ -264,7 +273,7 @@ def _refined_trial(
     match = match_within(hypothesis, pairs, 3.0 * pairs.sigma)
     if match is None:
         return None
-    if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, chosen)) < -HOPELESS:
+    if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, chosen)) < _HOPELESS:
         return _Trial(match, Rotation.from_matrix(hypothesis.R), hypothesis.distortion, log_ratio)
     spacing = math.sqrt(image.area / len(image.points))
     unambiguous = field.is_calibrated and sigma.max(initial=0.0) < _UNAMBIGUOUS * spacing

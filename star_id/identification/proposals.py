@@ -30,7 +30,7 @@ from boresight.star_id.identification.triangle_index import (
     triangle_shapes,
 )
 
-__all__ = ["BRIGHTEST", "HOPELESS", "MOST_DETECTIONS", "Proposals", "propose"]
+__all__ = ["MOST_DETECTIONS", "Proposals", "propose"]
 
 # Brightest detections of which triangles are made: 2024 triangles.
 MOST_DETECTIONS = 24
@@ -38,16 +38,16 @@ MOST_DETECTIONS = 24
 _TRIALS = 16
 # Probability that an index star in the field is among the bright detections (set by hand).
 _DETECTION_RATE = 0.5
-# Natural logarithm of the factor below what is expected from which a proposal is dropped: where errors are as
-# expected a right one has less with probability exp(-4) at most, and an image has many right ones.
-HOPELESS = 4.0
+# Natural logarithm: a proposal is examined if its likelihood ratio is a tenth of the number of proposals,
+# or more.
+_MARGIN = np.log(10.0)
 # Nearest neighbours of which one must be detected for the others to be looked at (set by hand).
 _FIRST = 6
 # Proposals judged at a time; bounds memory to some MB.
 _CHUNK = 1024
-# Brightest detections by which proposals are judged, and tried before all detections are: enough to include
-# the stars of the index, 14 a field.
-BRIGHTEST = 60
+# Brightest detections on the map that proposals are judged by: enough to include the stars of the index, 14
+# a field.
+_BRIGHT = 60
 # Most cells of that map along x (set by hand; bounds its memory).
 _MAP_CELLS = 256
 # Side of a cell in units of the camera's error at the edges: a star is then found at most one cell off.
@@ -87,7 +87,7 @@ def propose(
                 for c in chunks
             ]
         )
-        worth = np.flatnonzero((log_ratio > np.log(examined) - HOPELESS) | unlikely_too)
+        worth = np.flatnonzero((log_ratio > np.log(examined) - _MARGIN) | unlikely_too)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
         detected, longest, rows = detected[best], longest[best], rows[best]
     _, R, log_scale = _posed(image, table, u_s, u_i, detected, longest, rows)
@@ -169,7 +169,7 @@ class _DetectionMap:
         cell = max(_CELL * field.shape_error * width + 2.0 * field.pixel, width / _MAP_CELLS)
         columns, rows = int(width / cell) + 1, int(height / cell) + 1
         occupied = np.zeros((rows + 2, columns + 2), dtype=bool)
-        bright = image.points[:BRIGHTEST]
+        bright = image.points[:_BRIGHT]
         column = ((bright.real + field.half_x) / cell).astype(np.int64)
         row = ((bright.imag + field.half_y) / cell).astype(np.int64)
         inside = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
