@@ -63,7 +63,7 @@ def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> 
         sigma[~seen] = np.median(sigma[cut])
         cut |= ~seen
     above = (lower - value[0]) / np.maximum(sigma, step) - z
-    above[~seen] = -ndtri(np.minimum(least[~seen], ndtr(--FARTHEST_SIGMA)))
+    above[~seen] = -ndtri(np.minimum(least[~seen], ndtr(FARTHEST_SIGMA)))
     mean = value[0] + sigma * _moments(above)[0]
     return np.where(cut, mean, level), np.where(cut, sigma, noise), np.where(cut, above, UNCUT)
 
