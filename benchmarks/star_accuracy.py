@@ -30,6 +30,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from frames import PAPER_CAMERA, Sensor, as_seen, render, star_frame
 
 from boresight.features.sky_images.centroid_report import score_lines
+from boresight.features.sky_images.score import SNR_EDGES, cramer_rao_px, score_centroids
 from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
@@ -42,7 +43,6 @@ from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov
 from boresight.star_id.observer import Observer
-from boresight.star_id.score import SNR_EDGES, cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import sight_stars
 

@@ -15,6 +15,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from record import SHARED, exit_status, head, judge_share, not_run, verdict
 from scipy.stats import chi2
 
@@ -24,6 +25,7 @@ from boresight.star_id.camera_fit import IdentifiedStars
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import LARGEST_FOV_RAD, SMALLEST_FOV_RAD, FieldSolution, solve_field
 from boresight.star_id.field_fit import fit_attitude_and_lens
+from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex, build_index
 from boresight.star_id.lens_misfit import LensErrors
 from boresight.star_id.observer import proper_motion_covariance
@@ -36,9 +38,13 @@ LENSES = (
     ("tetra3, 35 mm", ("tetra3/*",), 2.0),
     ("GranaSAT", ("startrackerpy/*.jpg",), 2.0),
     ("Star_Tracker_Microcontroller, 16 mm", ("Star_Tracker_Microcontroller/[A-Z]*",), 2.0),
+    ("PiFinder, 10.2 deg", ("PiFinder/pifinder*", "PiFinder/orion*"), 2.0),
+    ("spel, 3 mm, two nights", ("spel*",), 2.0),
     ("cedar-solve, 507 px", ("cedar-solve/crappy*", "cedar-solve/orion*", "cedar-solve/roof*"), None),
 )
 NEAR = 0.1  # of the field: a pointing that is the manifest's
+REPEATED = "spel*"  # files of a lens with several frames of each pointing, taken within a minute
+SAME = np.radians(0.5)  # between the middles of frames of one pointing
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,7 @@ def main() -> None:
         chosen = [row["file"] for row in rows if any(fnmatchcase(row["file"], file) for file in files)]
         chosen = [file for file in chosen if isinstance(answers[file], FieldSolution)]
         fields(name, [fitted(file, answers[file], index) for file in chosen], most)
+    repeats([found for file, found in answers.items() if fnmatchcase(file, REPEATED)])
     raise SystemExit(exit_status())
 
 
@@ -81,8 +88,12 @@ def is_right(row: dict[str, str], found: FieldSolution) -> bool:
     """Whether the middle of the image lies where the manifest has it."""
     ra, dec = np.radians([float(row["ra_deg"]), float(row["dec_deg"])])
     known = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    middle = found.R_si.inv().apply((found.camera.middle_axes())[:, 2])
-    return bool(np.arccos(np.clip(known @ middle, -1.0, 1.0)) < NEAR * found.fov_x_rad)
+    return bool(np.arccos(np.clip(known @ middle_of(found), -1.0, 1.0)) < NEAR * found.fov_x_rad)
+
+
+def middle_of(found: FieldSolution) -> NDArray:
+    """Direction (3,) of the middle of the image, GCRS."""
+    return found.R_si.inv().apply(found.camera.middle_axes()[:, 2])
 
 
 def fitted(file: str, found: FieldSolution, index: StarIndex) -> Frame:
@@ -97,6 +108,24 @@ def fitted(file: str, found: FieldSolution, index: StarIndex) -> Frame:
     number = np.zeros(len(xy), dtype=np.int64)
     used = IdentifiedStars(xy_px=xy, cov_px=cov, u_i=u_i, frame=number, t_s=np.zeros(1))
     return Frame(Path(file).name, found, errors, used)
+
+
+def repeats(found: list[FieldSolution | NotIdentified]) -> None:
+    """Print the scatter of the fields of view of one pointing about their mean, all pointings together: the
+    same stars at the same pixels, through a lens as it is at that minute."""
+    groups: list[list[FieldSolution]] = []
+    for one in found:
+        if isinstance(one, FieldSolution):
+            near = [group for group in groups if middle_of(one) @ middle_of(group[0]) > np.cos(SAME)]
+            near[0].append(one) if near else groups.append([one])
+    total, dof = 0.0, 0
+    for group in groups:
+        field = np.array([one.fov_x_rad for one in group])
+        weight = np.array([one.fov_x_sigma_rad for one in group]) ** -2.0
+        total += float((weight * (field - np.average(field, weights=weight)) ** 2).sum())
+        dof += len(group) - 1
+    text = f"spel, 3 mm: chi2 of fields of one pointing a degree of freedom {total / dof:.2f}"
+    verdict(text, "at most 2", total / dof <= 2.0, sum(map(len, groups)))
 
 
 def fields(name: str, frames: list[Frame], most: float | None) -> None:

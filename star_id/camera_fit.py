@@ -24,6 +24,7 @@ __all__ = [
     "DRIFT",
     "PARAMETERS",
     "Q3",
+    "SMALL_STEP",
     "CameraFit",
     "IdentifiedStars",
     "detector_grid",
@@ -48,8 +49,8 @@ _ALL = (*PARAMETERS, DRIFT, Q3)
 _NOTHING: Mapping[str, float] = MappingProxyType({})
 # Change of the logarithm of the focal length at which a fit has diverged: 20 times (set by hand).
 _LARGEST_LOG_SCALE = 3.0
-# Step, in standard errors of the parameters, at which a fit has converged.
-_SMALL_STEP = 1e-3
+# Step, in standard errors of the parameters or logarithms of sizes, at which a fit has converged.
+SMALL_STEP = 1e-3
 
 
 @record
@@ -117,7 +118,7 @@ def fit_camera(
         inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * float(np.median(chi2[keep])) / MEDIAN_CHI2)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
-        if np.array_equal(inlier, keep) and step.in_sigmas < _SMALL_STEP:
+        if np.array_equal(inlier, keep) and step.in_sigmas < SMALL_STEP:
             break
         keep = inlier
     residual = step.residual[keep]

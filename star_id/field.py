@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import LOST_BY_CHANCE
+from boresight.star_id.beyond_chance import LEAST_STARS, LOST_BY_CHANCE
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -83,11 +83,6 @@ _FOV_STEP = 0.10
 # Largest relative change of a triangle's shape that an error of the nominal focal length may cause; it
 # makes the steps of wide fields smaller than `_FOV_STEP` (set by hand).
 _SHAPE_STEP = 0.012
-# Stars that the first lens is fitted to, the brightest: false detections are mostly faint, and bend a lens
-# that few stars hold (set by hand).
-_STARS_TO_START = 12
-# Fewest reliable stars that give the attitude; of fewer it is not better than that of all stars.
-_LEAST_RELIABLE = 4
 # Stages of three passes over all fields of view, each a tuple of stages: the few
 # brightest detections first, which name most images; then more of them; last the dense table, should many
 # stars be missing (set by hand).
@@ -374,7 +369,7 @@ def _of_fisheye(stars: StarList, known: _Known, fov_x_rad: float) -> FieldSoluti
         named = replace(answer[0], detections=middle.rows[answer[0].detections])
         whole = nominal_camera(known.size, fov_x_rad, "equidistant")
         kinds = wide_lenses(replace(whole, focal_m=answer[1].focal_m, pixel_m=answer[1].pixel_m))
-        for first in (_STARS_TO_START, len(named.detections)):  # a false one among few may be in the way
+        for first in (SOME_DETECTIONS, len(named.detections)):  # a false one among few may be in the way
             fits = (_fitted(seen, named, kind, known, expected=kind, first=first) for kind in kinds)
             lenses = [
                 replace(fit, mirrored=mirrored)
@@ -402,7 +397,7 @@ def _of_known_camera(
     xy, u_i = stars.xy_px.take(rows, axis=0), star_directions(index, found.stars, known.observer)
     used = select_for_calibration(stars.centroids, rows, found.stars, camera, index, known.settings)
     fitted = xy, cov, u_i
-    if _LEAST_RELIABLE <= np.count_nonzero(used) < len(used):
+    if LEAST_STARS <= np.count_nonzero(used) < len(used):
         fitted = xy[used], cov[used], u_i[used]
     fit = fit_known_camera(camera, *fitted, found.R_si)
     measured = {"R_si": fit.R_si, "cov_s": fit.cov_s, "misfit_px": fit.misfit_px, "u_i": u_i}
@@ -415,7 +410,7 @@ def _fitted(
     start: StarCamera,
     known: _Known,
     expected: StarCamera | None = None,
-    first: int = _STARS_TO_START,
+    first: int = SOME_DETECTIONS,
 ) -> FieldSolution | None:
     """Solution with attitude, lens and matches in turn, each star weighted by its own covariance: the
     brightest stars fit the lens, the lens tells which detections are further stars, until they no longer
@@ -441,7 +436,7 @@ def _fitted(
         seen = np.flatnonzero(camera.contains(predicted))
         area_px = camera.width_px * camera.height_px
         match = match_field(stars.xy_px, stars.cov_px, predicted[seen], cov[seen] + moved[seen], area_px)
-        if len(match.stars) < _LEAST_RELIABLE:
+        if len(match.stars) < LEAST_STARS:
             return None
         before, rows, detections = rows, shown[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
@@ -473,7 +468,7 @@ def _expected_stars(camera: StarCamera, R_si: Rotation, detections: int, index: 
 
 def _if_enough(reliable: Bools) -> Bools:
     """(N,) the stars to measure by: the reliable ones; all, where too few are."""
-    return reliable if reliable.sum() >= _LEAST_RELIABLE else np.ones(len(reliable), dtype=bool)
+    return reliable if reliable.sum() >= LEAST_STARS else np.ones(len(reliable), dtype=bool)
 
 
 def solve_stars(

@@ -98,7 +98,7 @@ def _fit(
     R = Rotation.concatenate([R_si])
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
-    prior = _prior_sigmas(camera)
+    prior = _prior_sigmas(camera, 0.0 if expected else 1.0)
     residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
     common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
     for _ in range(ROUNDS):  # two are usual
@@ -111,9 +111,10 @@ def _fit(
     return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep]), common
 
 
-def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
+def _prior_sigmas(camera: StarCamera, between: float) -> dict[str, float]:
     """1-sigma deviations of lenses from ideal ones, by parameter: principal point 1 % of the width;
-    displacement of the corners 3 % (q1), 1 % (q2) and 0.2 % (decentring) of their radius."""
+    displacement of the corners 3 % (q1), 1 % (q2) and 0.2 % (decentring) of their radius, and that by which
+    projections differ, arctan t = t - t^3 / 3 + t^5 / 5, times `between` (0: the lens is of one kind)."""
     f_mm, off = 1e3 * camera.focal_m, 0.01 * camera.width_px
     corner = 0.5 * np.hypot(camera.width_px, camera.height_px) * camera.pixel_m / camera.focal_m
     decentred = 0.002 / (corner * f_mm)
@@ -122,6 +123,6 @@ def _prior_sigmas(camera: StarCamera) -> dict[str, float]:
         "y0_px": off,
         "p1": decentred,
         "p2": decentred,
-        "q1": 0.03 / (corner * f_mm) ** 2,
-        "q2": 0.01 / (corner * f_mm) ** 4,
+        "q1": float(np.hypot(0.03 / corner**2, between / 3.0)) / f_mm**2,
+        "q2": float(np.hypot(0.01 / corner**4, between / 5.0)) / f_mm**4,
     }

@@ -13,14 +13,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from boresight.records.record import Floats, Ints, array, record
+from boresight.star_id.beyond_chance import NEVER_SIGMA
 
 __all__ = ["FieldMatch", "match_field"]
 
-# Distance of a detection from a predicted star, in standard errors of both, within which they may match:
-# exceeded by chance in 1.5e-8, exp(-36 / 2).
-_REACH_SIGMA = 6.0
-# The same distance in px at most: a prediction worse than that does not tell stars apart (set by hand).
-_LARGEST_REACH_PX = 40.0
 # Predicted stars of like brightness that share one probability of detection: it is then known to 0.1, 0.5 /
 # sqrt(24).
 _STARS_PER_GROUP = 24
@@ -68,10 +64,10 @@ def match_field(
 
 
 def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> tuple[Ints, Ints]:
-    """Rows (K,), (K,) of detections and predicted stars within `_REACH_SIGMA` of one another."""
+    """Rows (K,), (K,) of detections and predicted stars within `NEVER_SIGMA` of one another."""
     own = np.sqrt(np.trace(cov_predicted, axis1=1, axis2=2))
     largest = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).max(initial=0.0)))
-    reach = np.minimum(_REACH_SIGMA * np.hypot(own, largest), _LARGEST_REACH_PX)
+    reach = NEVER_SIGMA * np.hypot(own, largest)
     near = cKDTree(xy).query_ball_point(predicted, reach)
     counts = np.array([len(rows) for rows in near], dtype=np.int64)
     detection = np.array([row for rows in near for row in rows], dtype=np.int64)

@@ -33,6 +33,7 @@ from boresight.geometry.star_camera import StarCamera, term_orders
 from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
     PARAMETERS,
+    SMALL_STEP,
     CameraFit,
     pixel_derivatives,
     rotation_derivatives,
@@ -56,18 +57,14 @@ __all__ = [
 _DEGREE = 6
 # Powers (i, j) of x and y of its terms.
 _TERMS = term_orders(_DEGREE)
-# Gain of log evidence by a smooth distortion for it to be stated: e^2 to 1 (set by hand).
-_WARP_LOG_EVIDENCE = 2.0
 # Prior sizes, px, that are compared by evidence, in ratios of 1.6: of a stretch along one direction
 # (displacement at the ends of the longer side), and of a smooth distortion of a lens.
 SIZES_PX = np.geomspace(1e-3, 1e2, 26, dtype=np.float64)
-# Gain of log evidence by a variance common to all stars, or by a stretch, for it to be stated: one, for its
-# one parameter (Akaike 1974).
+# Gain of log evidence by a variance common to all stars, a stretch or a smooth distortion for it to be
+# stated: one for each size that is estimated (Akaike 1974).
 PER_PARAMETER = 1.0
-# Common variance, px^2, at which the search for it ends: so large only where no degree of freedom is left.
-_LARGEST_VARIANCE = 1e12
-# Most rounds of a solution and its common variance in turn, and the relative change that ends them (set by
-# hand).
+# Most rounds of a search, or of a solution and its common variance in turn, and the relative change that
+# ends them (set by hand).
 ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
@@ -81,8 +78,8 @@ _CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
 _STEP_PX = 0.01
 # Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
-# curvature that is assumed, longest step, step that ends it, and most steps (set by hand).
-_DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP, _LAST_STEP, _SEARCH_STEPS = 0.1, 0.3, 0.8, 1e-3, 20
+# curvature that is assumed, and longest step (set by hand).
+_DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP = 0.1, 0.3, 0.8
 
 
 @record(kw_only=True)
@@ -186,7 +183,7 @@ class LensEquations:
 
         `prior` holds the 1-sigma deviations of the camera's parameters.
         """
-        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera)
+        u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera, PARAMETERS)
         xy = fit.camera.pixels_from_directions(u_s)
         return cls(
             camera=fit.camera,
@@ -297,11 +294,11 @@ def _common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, bef
 
     if excess(0.0) <= 0.0:
         return 0.0
-    most = float(square.sum() + own_px2.max())
-    while excess(most) > 0.0 and most < _LARGEST_VARIANCE:  # from somewhere on it falls as -dof / variance
-        most *= 2.0
-    if most >= _LARGEST_VARIANCE:
+    if float((2.0 - leverage).sum()) < SMALL_CHANGE:  # no degree of freedom is left
         return before
+    most = float(square.sum() + own_px2.max())
+    while excess(most) > 0.0:  # from somewhere on it falls as -dof / variance
+        most *= 2.0
     likeliest = _zero(excess, 0.0, most)
 
     def log_likelihood(variance: float) -> float:
@@ -361,7 +358,7 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tupl
     if solved(*sized(start)).log_evidence <= plain.log_evidence:  # then no size raises it
         return None
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
-    share = share_by_evidence(log_evidence - plain.log_evidence, _WARP_LOG_EVIDENCE)
+    share = share_by_evidence(log_evidence - plain.log_evidence, len(size) * PER_PARAMETER)
     if share == 0.0:
         return None
     common, warp = sized(size)
@@ -408,15 +405,15 @@ def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats
     whatever the curvature (`scipy.optimize` takes 0.1 s to load)."""
     h, place = _DERIVATIVE_STEP, start
     moves = h * np.eye(2)
-    for _ in range(_SEARCH_STEPS):
+    for _ in range(ROUNDS):
         here, both = function(place), function(place + h)
         more, less = (np.array([function(place + sign * move) for move in moves]) for sign in (1.0, -1.0))
         slope, along, across = (more - less) / (2.0 * h), more + less - 2.0 * here, both - more.sum() + here
         curvature, axes = np.linalg.eigh(np.array([[along[0], across], [across, along[1]]]) / h**2)
         step = axes @ (axes.T @ slope / np.maximum(np.abs(curvature), _LEAST_CURVATURE))
         length = float(np.hypot(*step))
-        place = place + step * min(1.0, _LONGEST_STEP / max(length, _LAST_STEP))
-        if length < _LAST_STEP:
+        place = place + step * min(1.0, _LONGEST_STEP / max(length, SMALL_STEP))
+        if length < SMALL_STEP:
             break
     return place, function(place)
 
@@ -528,7 +525,7 @@ def _columns(
     return np.concatenate(parts, axis=2)
 
 
-def _camera_slopes(camera: StarCamera, free: tuple[str, ...] = PARAMETERS) -> Floats:
+def _camera_slopes(camera: StarCamera, free: tuple[str, ...]) -> Floats:
     """(3 + F, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
     parameters `free`."""
     points = _slope_points(camera)

@@ -29,7 +29,7 @@ REFRACTION_STEPS = 4
 # Mean speed of the Earth over that of light: largest relative change of angles by it.
 ABERRATION = 9.94e-5
 # The same, root mean square over all directions, where the time of an image is unknown.
-ABERRATION_SCALE = ABERRATION / 3.0**0.5
+ABERRATION_SCALE = ABERRATION / np.sqrt(3.0)
 
 
 @record

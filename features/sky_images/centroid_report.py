@@ -12,17 +12,18 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.features.sky_images.score import CentroidScore, score_centroids
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, SERIES, panels
+from boresight.pipeline.results.limits import Limit, given_limits
 from boresight.star_id.finding.star_list import StarList, list_stars
-from boresight.star_id.score import CentroidScore, score_centroids
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["draw_score", "score_images", "score_lines"]
+__all__ = ["centroid_limits", "draw_score", "score_images", "score_lines"]
 
 Array = NDArray[np.float64]
 
@@ -162,3 +163,26 @@ def _truth_of(table: pd.DataFrame, image: Path, images: int, file: str) -> tuple
             file, "column file", "none", "the name of the image for each star: there are several"
         )
     return table[["x_px", "y_px"]].to_numpy(float), table["flux_dn"].to_numpy(float)
+
+
+def centroid_limits(
+    score: CentroidScore,
+    max_x_bound: float | None = None,
+    min_complete: float | None = None,
+    from_snr: float = 10.0,
+) -> list[Limit]:
+    """The limits that are given, against a score of centroids, over all stars of at least `from_snr` (rounded
+    up to the next edge of the score's bins): root mean square of error over Cramer-Rao bound, and the share
+    of the true stars that are found.
+    """
+    bins = (score.snr_edges[:-1] >= from_snr) & (score.stars > 0)
+    found, over = score.found[bins], score.over_bound[bins]
+    seen = found > 0
+    x_bound = np.sqrt(np.average(over[seen] ** 2, weights=found[seen])) if seen.any() else np.nan
+    complete = found.sum() / score.stars[bins].sum() if bins.any() else np.nan
+    stars = f"of {score.stars[bins].sum()} stars of SNR {from_snr:g} and more"
+    figures = (
+        ("max-x-bound", x_bound, max_x_bound, f"error over bound {stars}"),
+        ("min-complete", complete, min_complete, f"share found {stars}"),
+    )
+    return given_limits(figures)

@@ -8,12 +8,11 @@ from typing import Annotated
 
 import typer
 
-from boresight.features.sky_images.centroid_report import score_images
+from boresight.features.sky_images.centroid_report import centroid_limits, score_images
 from boresight.features.sky_images.options import Dark, Images, star_settings
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import Answer, tell, wrong_usage
-from boresight.pipeline.results.limits import centroid_limits
 
 __all__ = ["centroids_command"]
 

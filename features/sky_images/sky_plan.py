@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.features.sky_images.score import cramer_rao_px
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.camera_fit import (
@@ -25,7 +26,6 @@ from boresight.star_id.camera_fit import (
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position
 

@@ -13,9 +13,8 @@ from boresight.records.record import record, scalar
 
 if TYPE_CHECKING:  # whoever states limits need not load the models of geo-positioning, 0.2 s
     from boresight.pipeline.results.validate import TruthErrors
-    from boresight.star_id.score import CentroidScore
 
-__all__ = ["Limit", "centroid_limits", "junit_xml", "limit_lines", "validation_limits"]
+__all__ = ["Limit", "given_limits", "junit_xml", "limit_lines", "validation_limits"]
 
 
 @record(kw_only=True)
@@ -58,33 +57,10 @@ def validation_limits(
         ("max-nees", validation.nees, max_nees, "NEES"),
         ("max-ground-m", ground_m, max_ground_m, "rms along or across, m,"),
     )
-    return _given(figures)
+    return given_limits(figures)
 
 
-def centroid_limits(
-    score: CentroidScore,
-    max_x_bound: float | None = None,
-    min_complete: float | None = None,
-    from_snr: float = 10.0,
-) -> list[Limit]:
-    """The limits that are given, against a score of centroids, over all stars of at least `from_snr` (rounded
-    up to the next edge of the score's bins): root mean square of error over Cramer-Rao bound, and the share
-    of the true stars that are found.
-    """
-    bins = (score.snr_edges[:-1] >= from_snr) & (score.stars > 0)
-    found, over = score.found[bins], score.over_bound[bins]
-    seen = found > 0
-    x_bound = np.sqrt(np.average(over[seen] ** 2, weights=found[seen])) if seen.any() else np.nan
-    complete = found.sum() / score.stars[bins].sum() if bins.any() else np.nan
-    stars = f"of {score.stars[bins].sum()} stars of SNR {from_snr:g} and more"
-    figures = (
-        ("max-x-bound", x_bound, max_x_bound, f"error over bound {stars}"),
-        ("min-complete", complete, min_complete, f"share found {stars}"),
-    )
-    return _given(figures)
-
-
-def _given(figures: Iterable[tuple[str, float, float | None, str]]) -> list[Limit]:
+def given_limits(figures: Iterable[tuple[str, float, float | None, str]]) -> list[Limit]:
     """The limits that are given, of name, figure, limit and words."""
     return [
         Limit(name=n, found=float(f), limit=limit, what=w) for n, f, limit, w in figures if limit is not None

@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from boresight.records.record import Bools, Floats
 from boresight.star_id.beyond_chance import CLIP_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
-from boresight.star_id.finding.cut_sky import UNCUT
+from boresight.star_id.finding.cut_sky import FARTHEST_SIGMA, UNCUT
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX
 
 __all__ = ["as_independent_noise", "rounding_of_blocks"]
@@ -34,8 +34,6 @@ _LINES = 16
 _ALIKE = 0.92
 # Largest difference that counts, at least, DN: in fewer grey levels a star's slope is larger.
 _LARGEST_DN = 2.0
-# Height, sigmas, at which the noise is measured above a sky that is cut off: stars cover less.
-_ABOVE_SIGMA = 2.0
 # Tiles along each side of the image in which it is measured; of all the lower quartile counts, since roofs,
 # trees and dark clouds reach below the sky, too.
 _TILES, _COUNTED = 4, 0.25
@@ -100,9 +98,9 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     height = np.asarray(cv2.sepFilter2D(in_noise(image, background), cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
     middle, far = np.array(
-        [np.quantile(tile, [0.5, ndtr(_ABOVE_SIGMA if is_cut else -CLIP_SIGMA)]) for tile in tiles]
+        [np.quantile(tile, [0.5, ndtr(FARTHEST_SIGMA if is_cut else -SELDOM_SIGMA)]) for tile in tiles]
     ).T
-    reach = (far - middle) / _ABOVE_SIGMA if is_cut else -far / CLIP_SIGMA
+    reach = (far - middle) / FARTHEST_SIGMA if is_cut else -far / SELDOM_SIGMA
     factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background

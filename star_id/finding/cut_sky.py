@@ -18,6 +18,7 @@ from boresight.records.record import Floats
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 
 __all__ = [
+    "FARTHEST_SIGMA",
     "LEAST_LEVELS_PER_SIGMA",
     "UNCUT",
     "after_cut",
@@ -28,8 +29,8 @@ __all__ = [
 
 # Height of the sky above the cut, sigmas, from where on nothing of it is cut off: 3e-7 of the pixels.
 UNCUT = NEVER_SIGMA
-# Lowest such height that is used, sigmas: 2 % of the pixels are above the cut there.
-_DARKEST = -2.0
+# Farthest height from the level of the sky, sigmas, at which it is measured: 2 % of the pixels are beyond.
+FARTHEST_SIGMA = 2.0
 # Fewest grey levels for the noise of a pixel: coarser steps show neither its size nor faint stars (set by
 # hand).
 LEAST_LEVELS_PER_SIGMA = 1.5
@@ -62,7 +63,7 @@ def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> 
         sigma[~seen] = np.median(sigma[cut])
         cut |= ~seen
     above = (lower - value[0]) / np.maximum(sigma, step) - z
-    above[~seen] = -ndtri(np.minimum(least[~seen], ndtr(-_DARKEST)))
+    above[~seen] = -ndtri(np.minimum(least[~seen], ndtr(FARTHEST_SIGMA)))
     mean = value[0] + sigma * _moments(above)[0]
     return np.where(cut, mean, level), np.where(cut, sigma, noise), np.where(cut, above, UNCUT)
 
@@ -71,7 +72,7 @@ def limit_after_cut(above: Floats, sigmas: float, pixels: float) -> Floats:
     """Height over the level (B,), in sigmas of the noise before the cut, that a mean of so many pixels
     exceeds as rarely as a normal variable `sigmas`; `above` as of `cut_moments`. A mean with weights counts
     as that of as many pixels as have the same skewness."""
-    _, variance, skewness = _moments(np.clip(above, _DARKEST, UNCUT))
+    _, variance, skewness = _moments(np.clip(above, -FARTHEST_SIGMA, UNCUT))
     shape = 4.0 * pixels / np.maximum(skewness, 1e-3) ** 2
     gamma = (gammainccinv(shape, ndtr(-sigmas)) - shape) / np.sqrt(shape)
     return np.where(above < UNCUT, np.sqrt(variance) * gamma, sigmas)

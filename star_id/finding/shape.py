@@ -23,9 +23,9 @@ from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
-from boresight.star_id.finding.psf import FINE, PsfImages, shape_images
+from boresight.star_id.finding.psf import FINE, USUAL_SIGMA_PX, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
-from boresight.star_id.finding.windows import NINE, StarWindows, star_windows
+from boresight.star_id.finding.windows import AT_ONCE, NINE, StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
@@ -35,11 +35,6 @@ _STARS = 60
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
 # Width of that smoothing, px: joins the parts of rings and trails (set by hand).
 _SMOOTHING_PX = 2.0
-# Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
-# MB each.
-_BAND = 256
-# Width of the smoothing of the mean image, cells of half a px: 0.6 px (set by hand).
-_SMOOTH_CELLS = 1.2
 
 
 @record
@@ -65,8 +60,8 @@ def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float3
 
 def _bands(rows: int, reach: int) -> Iterator[tuple[slice, slice]]:
     """Bands of an image's rows, one after another, each with the rows around it to which a filter reaches."""
-    for first in range(0, rows, _BAND):
-        last = min(first + _BAND, rows)
+    for first in range(0, rows, 2 * AT_ONCE):
+        last = min(first + 2 * AT_ONCE, rows)
         yield slice(first, last), slice(max(0, first - reach), min(rows, last + reach))
 
 
@@ -248,7 +243,7 @@ def _stacked(windows: StarWindows, offset: Floats, flux: Floats, sky: Floats) ->
     for _ in range(3):
         whole = np.bincount(cell[keep], weight[keep], side * side).reshape(side, side)
         summed = np.bincount(cell[keep], (weight * value)[keep], side * side).reshape(side, side)
-        whole, summed = (gaussian_filter(part, _SMOOTH_CELLS) for part in (whole, summed))
+        whole, summed = (gaussian_filter(part, 0.5 * FINE * USUAL_SIGMA_PX) for part in (whole, summed))
         mean = summed / np.maximum(whole, 1e-9)
         off = np.abs(value - mean.ravel()[cell]) * np.sqrt(weight)
         keep = off < SELDOM_SIGMA * max(1.0, MAD_SIGMA * float(np.median(off)))

@@ -21,7 +21,7 @@ from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.finding.candidates import MAX_CANDIDATES
 from boresight.star_id.finding.star_shape import STARS_FOR_WIDTH
-from boresight.star_id.finding.windows import StarWindows
+from boresight.star_id.finding.windows import AT_ONCE, StarWindows
 from boresight.star_id.strip_stars.column_blocks import Columns, candidates, column_levels
 from boresight.star_id.strip_stars.fit import TraceFits, fit_traces, gain_from_windows, width_of
 from boresight.star_id.strip_stars.settings import StripStarSettings
@@ -35,8 +35,6 @@ _ROWS_READ, _ROWS_ALIKE = 1024, 256
 _STARS_FOR_GAIN = 300
 # SNR of stars that give width and gain: of the first limit that three stars reach.
 _BRIGHT_SNR = (30.0, 10.0)
-# Stars fitted at a time, which bounds memory.
-_FITTED_AT_ONCE = 100
 # Largest chi2 / dof of a star: the first, plus the square of the second times its SNR, since jitter and
 # uneven pixels show in bright ones (set by hand).
 _MISFIT, _MISFIT_OF_SNR = 2.0, 0.05
@@ -246,8 +244,8 @@ def _blocks(images: StripImage, ccd: int, margin: int) -> Iterator[tuple[int, ND
 
 def _fits(found: _Found, offset: Floats, sigma_px: float, gain: float) -> TraceFits:
     parts = []
-    for first in range(0, len(offset), _FITTED_AT_ONCE):
-        rows = np.arange(first, min(first + _FITTED_AT_ONCE, len(offset)))
+    for first in range(0, len(offset), AT_ONCE):
+        rows = np.arange(first, min(first + AT_ONCE, len(offset)))
         part = found.take(rows)
         parts.append(fit_traces(part.windows, offset[rows], part.motion, sigma_px, gain))
     names = [f.name for f in fields(TraceFits)]

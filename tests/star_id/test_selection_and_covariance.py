@@ -9,6 +9,7 @@ from frames import PAPER_CAMERA, Sensor, listed_stars, render, stars_in_view
 from frames import SMALL_CAMERA as CAMERA
 from scipy.spatial.transform import Rotation
 
+from boresight.features.sky_images.score import cramer_rao_px
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.sightings import StarSightings
 from boresight.star_id.camera_fit import IdentifiedStars, fit_camera
@@ -19,7 +20,6 @@ from boresight.star_id.finding.psf import Psf
 from boresight.star_id.given_camera import fit_known_camera
 from boresight.star_id.identification.triangle_index import build_index, equivalent_fov, triangle_shapes
 from boresight.star_id.observer import Observer, proper_motion_covariance
-from boresight.star_id.score import cramer_rao_px
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import has_reliable_position, select_for_calibration, sight_stars, smear_of_rate
 

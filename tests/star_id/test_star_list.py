@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 from scipy.stats import chi2, poisson
 
+from boresight.features.sky_images.score import cramer_rao_px, score_centroids
 from boresight.simulator.scenario import SkySettings
 from boresight.simulator.sky import expose
 from boresight.star_id.finding.background import estimate_background
@@ -19,7 +20,6 @@ from boresight.star_id.finding.psf import Psf
 from boresight.star_id.finding.star_list import _subtract_dark, list_stars
 from boresight.star_id.finding.star_shape import _width_over_field
 from boresight.star_id.finding.windows import star_windows
-from boresight.star_id.score import cramer_rao_px, score_centroids
 from boresight.star_id.settings import StarSettings
 
 TOLD_GAIN = StarSettings(gain_e_per_dn=40.0)

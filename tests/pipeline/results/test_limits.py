@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from boresight.pipeline.results.limits import centroid_limits, junit_xml, limit_lines, validation_limits
+from boresight.features.sky_images.centroid_report import centroid_limits
+from boresight.pipeline.results.limits import junit_xml, limit_lines, validation_limits
 
 
 def validation(points: int = 3) -> Any:
