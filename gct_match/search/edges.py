@@ -19,11 +19,13 @@ import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
+from boresight.records.record import Bools
 
 __all__ = [
     "FULL",
     "centred",
     "coarse_edge_fields",
+    "distinct_edges",
     "edge_field",
     "edge_similarity",
     "halved",
@@ -33,6 +35,7 @@ __all__ = [
 FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
+_AROUND_PX = 6.0  # sigma of a Gaussian: neighbourhood whose mean direction tells nothing about the place
 _BAND = 64  # rows of the field at a time: they stay in the cache
 _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
 
@@ -40,6 +43,17 @@ _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's m
 def edge_field(image: Image) -> Image:
     """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), single precision."""
     return _field(image, _median_power(_strips(image)))
+
+
+def distinct_edges(grey: Image, valid: Bools) -> Image:
+    """(2, H, W) edge field z of a picture (H, W) less its mean over the neighbourhood; zero where not `valid`.
+
+    Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
+    along all of it.
+    """
+    field = edge_field(np.where(valid, grey, np.float32(np.nan)))
+    inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
+    return np.stack([(plane - cv2.GaussianBlur(plane, (0, 0), _AROUND_PX)) * inner for plane in field])
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
