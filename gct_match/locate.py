@@ -27,7 +27,7 @@ from boresight.gct_match.search.correlation import (
     self_similarity,
     spread_px2,
 )
-from boresight.gct_match.search.edges import distinct_edges, edge_similarity
+from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
 from boresight.records.ledger import Entry, Reason
 from boresight.records.record import Floats
@@ -221,7 +221,9 @@ def _of_changed(
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     own = edge_similarity(one, window(one, -radius_px, -radius_px, *around[2:]))
-    wrong = probability_wrong(surface, peak, REACH_PX, own)
+    there = peak.astype(int) + around[:2]  # the edge of one cloud agrees with that of one field
+    parts = agreeing_parts(one, window(two, *there.tolist(), w, h))
+    wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
     fit_xy = fit.xy_px - reference_px - start_px + radius_px
     moved = spread_px2(surface, peak, fit_xy, REACH_PX) + _DATES_PX**2 * np.eye(2)
     fit = replace(fit, cov_px=fit.cov_px + moved)

@@ -23,6 +23,7 @@ from boresight.records.record import Bools
 
 __all__ = [
     "FULL",
+    "agreeing_parts",
     "centred",
     "coarse_edge_fields",
     "distinct_edges",
@@ -36,6 +37,7 @@ FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
 _AROUND_PX = 6.0  # sigma of a Gaussian: neighbourhood whose mean direction tells nothing about the place
+_PARTS = 6  # along a template's longer side, for `agreeing_parts`: of 21 px on a chip of 128 px
 _BAND = 64  # rows of the field at a time: they stay in the cache
 _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
 
@@ -96,6 +98,17 @@ def edge_similarity(template: Image, field: Image) -> Image:
     power += field[1] * field[1]
     under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
     return normalised_correlation(real + imaginary, template, under)
+
+
+def agreeing_parts(template: Image, field: Image) -> float:
+    """Number of parts of a template's edges (2, h, w) whose agreement with a field (2, h, w) is the agreement
+    of the whole: (Σ c)² / Σ c² of the products c of parts. Signs of c are random where the two have nothing
+    in common: so many or more agree with a probability of exp(-N / 2) at most (Hoeffding's inequality).
+    """
+    h, w = template.shape[1:]
+    size = max(1, w * _PARTS // max(h, w)), max(1, h * _PARTS // max(h, w))
+    c = cv2.resize((centred(template) * field).sum(axis=0), size, interpolation=cv2.INTER_AREA).astype(float)
+    return float(max(c.sum(), 0.0) ** 2 / (np.sum(c * c) + 1e-30))
 
 
 def normalised_correlation(product: Image, template: Image, power: Image) -> Image:
