@@ -26,6 +26,9 @@ __all__ = [
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
 _FAR, _SHARED = 0.25, 0.25
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
+# Share of the independent values that changes of season leave to decide between places; and between positions
+# under one peak (NAIP: errors are then as stated).
+_CHANGED, _MOVED = 0.5, 0.6
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
@@ -97,7 +100,8 @@ def spread_px2(surface: Image, peak_xy: Floats, fit_xy: Floats, reach_px: int) -
     offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
     x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
     inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-    log_likelihood = _log_likelihood(cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside], surface[~under])
+    fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
+    log_likelihood = _log_likelihood(fine, surface[~under], _MOVED)
     weight = np.exp(log_likelihood - log_likelihood.max())
     off = np.stack([x[inside], y[inside]]) - fit_xy[:, None]
     spread: Floats = (weight * off) @ off.T / weight.sum()
@@ -138,11 +142,11 @@ def _under(surface: Image, peak_xy: Floats, reach_px: int | None) -> Bools:
     return under
 
 
-def _log_likelihood(correlation: NDArray, away: NDArray) -> Floats:
-    """That of positions by their correlation, those `away` from the peak tell the number of independent values
-    of it.
+def _log_likelihood(correlation: NDArray, away: NDArray, share: float = _CHANGED) -> Floats:
+    """That of positions by their correlation; those `away` from the peak tell the number of independent
+    values, of which a `share` counts.
     """
-    n = 0.5 / max(float(np.mean(away.astype(float) ** 2)), 1e-6)
+    n = share / max(float(np.mean(away.astype(float) ** 2)), 1e-6)
     return -0.5 * n * np.log1p(-(np.clip(correlation.astype(float), 0.0, 0.99999) ** 2))
 
 
