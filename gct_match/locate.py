@@ -220,9 +220,9 @@ def _of_changed(
     fit = fit_changed(one, two, usable, picture.grey, start, reference_px)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
-    own = edge_similarity(one, window(one, -radius_px, -radius_px, *around[2:]))
-    there = peak.astype(int) + around[:2]  # the edge of one cloud agrees with that of one field
-    parts = agreeing_parts(one, window(two, *there.tolist(), w, h))
+    own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
+    left, top = (peak.astype(int) + around[:2]).tolist()
+    parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
     fit_xy = fit.xy_px - reference_px - start_px + radius_px
     moved = spread_px2(surface, peak, fit_xy, REACH_PX) + _DATES_PX**2 * np.eye(2)

@@ -2,8 +2,8 @@
 
 Season, water, crops, shadows and clouds are noise of the template: correlated, with a spectrum of its own,
 and often more than what both have in common. Weights and filters that follow from the residuals would hold
-the fit wherever it begins. All edges count alike, therefore, by their directions, with no more weight for a
-strong one, and the scatter of the template's blocks, of which each sees changes of its own, is the covariance.
+the fit wherever it begins. All edges count alike, therefore, by their directions, strong ones no more than
+others, and the scatter of the template's blocks, of which each sees changes of its own, is the covariance.
 """
 
 from __future__ import annotations

@@ -91,8 +91,8 @@ def probability_wrong(
 
 
 def spread_px2(surface: Image, peak_xy: Floats, fit_xy: Floats, reach_px: int) -> Floats:
-    """Mean square (2, 2), px², of the distances from a fit (x, y) of the positions within `reach_px` of a peak
-    (x, y) that a correlation surface (R, C) leaves possible.
+    """Mean square (2, 2), px², of the distances from a fit (x, y) of the positions within `reach_px` of a
+    peak (x, y) that a correlation surface (R, C) leaves possible.
 
     Likelihoods are those of `probability_wrong`, at fractions of a pixel.
     """

@@ -48,7 +48,7 @@ def edge_field(image: Image) -> Image:
 
 
 def distinct_edges(grey: Image, valid: Bools) -> Image:
-    """(2, H, W) edge field z of a picture (H, W) less its mean over the neighbourhood; zero where not `valid`.
+    """(2, H, W) edge field z of a picture (H, W) less its mean around each pixel; zero where not `valid`.
 
     Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
     along all of it.

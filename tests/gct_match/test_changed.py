@@ -82,7 +82,9 @@ def test_pixels_that_are_not_valid_leave_the_edges_of_others_as_they_are():
     edges = distinct_edges(spoilt, valid)
     whole = distinct_edges(template, np.ones_like(valid))
     assert not edges[:, ~valid].any()
-    assert np.abs(edges - whole)[:, :15].max() < 0.06  # four sigma of the wide Gaussian away; the median moves
+    assert (
+        np.abs(edges - whole)[:, :15].max() < 0.06
+    )  # four sigma of the wide Gaussian away; the median moves
     assert np.hypot(*edges).max() < 2.0  # no edge where the hole begins
 
 
