@@ -47,6 +47,7 @@ class Run:
     stars: int
     targets: int
     visible: int
+    used: int  # of the visible ones
     chi2_dof: float
     apart: tuple[float, float] = (0.0, 0.0)  # by cuts: theta in its sigma, and share of sigma, the largest
     squares: tuple[float, ...] = ()  # errors of the cuts, squared in their covariances
@@ -137,21 +138,24 @@ def run_seed(scenario: str, seed: int, changed: float, clouds: float, workers: i
             validation_of(saved, open_dump(dump)),
             facts["stars"],
             facts["targets"],
-            _visible(open_dump(dump)),
+            *_visible(open_dump(dump), pd.read_parquet(result / "sightings" / "targets.parquet")),
             facts["chi2"] / facts["dof"],
             *(apart_by_cuts(dump, result) if is_cut else ()),
         )
 
 
-def _visible(dump: Dump) -> int:
-    """Images of targets around which, ± 40 px, no cloud hides half of a strip."""
-    strips, seen = {strip.strip_id: strip.images for strip in dump.strips}, 0
+def _visible(dump: Dump, sighted: pd.DataFrame) -> tuple[int, int]:
+    """Images of targets around which, ± 40 px, no cloud hides half of a strip, and those of them in use."""
+    strips, seen, used = {strip.strip_id: strip.images for strip in dump.strips}, 0, 0
+    kept = sighted[sighted.kept]
+    in_use = set(zip(kept.strip_id, kept.target_id, kept.ccd))
     for at in pd.read_csv(dump.root / "truth" / "targets.csv").itertuples():
         images, (x, y) = strips[at.strip], (round(at.sample), round(at.line))
         lines, samples = images.shape(at.ccd)
         box = max(0, y - 40), min(lines, y + 40), max(0, x - 40), min(samples, x + 40)
-        seen += (images.read(at.ccd, *box) < 170).mean() > 0.5  # a cloud has 217, no land 170
-    return int(seen)
+        is_seen = (images.read(at.ccd, *box) < 170).mean() > 0.5  # a cloud has 217, no land 170
+        seen, used = seen + is_seen, used + (is_seen and (at.strip, at.id, at.ccd) in in_use)
+    return int(seen), int(used)
 
 
 def row(run: Run) -> str:
@@ -200,8 +204,8 @@ def main() -> int:
     name = f"{options.scenario} from pixels"
     if options.changed or options.clouds:
         name = f"{name}, {options.changed:g} of the fields changed, {options.clouds:g} under clouds"
-        targets, visible = (sum(getattr(run, what) for run in runs) for what in ("targets", "visible"))
-        judge_share(f"{name}: targets used of those visible", targets, visible, least=0.8)
+        used, visible = (sum(getattr(run, what) for run in runs) for what in ("used", "visible"))
+        judge_share(f"{name}: targets used of those visible", used, visible, least=0.8)
     judge_largest(f"{name}: largest error", float(np.abs(sigmas).max()), 4.0, "of its own sigma", len(runs))
     judge_nees(name, [run.errors.nees for run in runs])
     if options.cuts:

@@ -11,25 +11,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.gct_match.imaging.views import (
-    View,
-    band_passed,
-    edge_strength,
-    filled_with_mean,
-    in_counts,
-    view_of,
-    window,
-)
+from boresight.gct_match.imaging.views import View, filled_with_mean, in_counts, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
 from boresight.gct_match.refine.changed import REACH_PX, fit_changed
-from boresight.gct_match.refine.least_squares import UNCHANGED_PX, PositionFit, fit_position
+from boresight.gct_match.refine.least_squares import (
+    UNCHANGED_PX,
+    PositionFit,
+    fit_position,
+    usable_pixels,
+)
 from boresight.gct_match.search.correlation import (
     correlation_surface,
-    mean_position,
     peaks_of,
     probability_wrong,
     self_similarity,
+    spread_px2,
 )
+from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
 from boresight.records.ledger import Entry, Reason
 from boresight.records.record import Floats, record
@@ -41,9 +39,9 @@ __all__ = ["locate", "locate_template"]
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
+_UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
-_AGREE_SIGMAS = 3.0  # within which two fits of one scene lie, of their errors together
-_PARTS_LEAVE = 0.8  # of the variance that the fit to all leaves (set by hand)
+_DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 _DEFAULTS = MatchSettings()  # for the functions of this module that take single settings
@@ -135,15 +133,10 @@ def locate(
     grey = window(picture.grey, *around)[window(picture.valid, *around)]
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
-    unchanged = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
-    found = _tested(unchanged, radius_px, template, settings)
-    if isinstance(unchanged, Entry) or not _is_sure(unchanged.fit, settings):
-        changed = _of_changed(template, picture, start_px, radius_px, reference_px)
-        if isinstance(unchanged, Entry) or not _is_of_the_scene(unchanged.fit, changed, settings):
-            kept, found = found, _tested(changed, radius_px, template, settings)
-            if isinstance(found, Entry) and isinstance(kept, _Found) and isinstance(changed, _Found):
-                if changed.fit.sigma_px <= settings.sigma_px and _agree(kept.fit, changed.fit):
-                    found = replace(changed, wrong=kept.wrong)
+    found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
+    if isinstance(found, Entry) or not _is_sure(found.fit):
+        found = _of_changed(template, picture, start_px, radius_px, reference_px)
+    found = _tested(found, radius_px, template, settings)
     if isinstance(found, Entry):
         return found
     best = found.fit
@@ -195,62 +188,45 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None:
         return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
-    wrong = probability_wrong([surface], best_peak)
+    wrong = probability_wrong(surface, best_peak)
     return _Found(best, surface, best_peak, float(peaks.value[0]), wrong, np.zeros((2, 2)))
 
 
-def _is_sure(fit: PositionFit, settings: MatchSettings) -> bool:
+def _is_sure(fit: PositionFit) -> bool:
     """Whether so much agrees with the template that its weights cannot have been chosen by a displacement."""
-    if fit.sigma_px > UNCHANGED_PX or fit.correlation < settings.least_correlation:
+    if fit.sigma_px > UNCHANGED_PX or fit.correlation < _UNSURE_CORRELATION:
         return False
     return fit.sigma_px < _SURE_PX or fit.correlation > _SURE_CORRELATION
-
-
-def _is_of_the_scene(fit: PositionFit, changed: _Found | Entry, settings: MatchSettings) -> bool:
-    """Whether a fit to parts of the template is that of the scene: these parts agree far better than all do
-    where all fit best. Shores of lakes that have risen, all on one side, agree no better.
-    """
-    if fit.sigma_px > UNCHANGED_PX or fit.correlation < settings.least_correlation:
-        return False
-    left = 1.0 - changed.fit.correlation**2 if isinstance(changed, _Found) else 1.0
-    return 1.0 - fit.correlation**2 < _PARTS_LEAVE * left
-
-
-def _agree(one: PositionFit, other: PositionFit) -> bool:
-    """Whether two fits that weigh the scene otherwise find one place: then each says that the other is not
-    that of another place, however little they correlate.
-    """
-    apart = one.xy_px - other.xy_px
-    return float(apart @ np.linalg.solve(one.cov_px + other.cov_px, apart)) < _AGREE_SIGMAS**2
 
 
 def _of_changed(
     template: View, picture: View, start_px: tuple[int, int], radius_px: int, reference_px: Floats
 ) -> _Found | Entry:
-    """The fit to the whole template by its strong edges; what it shows bright the picture may show dark.
+    """The fit to the whole template by the directions of its edges, which outlast crops, season and light,
+    whichever side is brighter.
 
-    Shores and crops that have moved leave a displaced peak. Edges without their sign are a second look at the
-    pair: the position is the mean of those that both leave possible, and their covariance is added to that of
-    the fit.
+    Shores, crops and shadows that have moved displace it: its covariance grows by the spread of the positions
+    that the edges leave possible, and by what dates differ where nothing seems to.
     """
-    template, picture = band_passed(template), band_passed(picture)
-    surface = _surface(template, picture, start_px, radius_px)
-    edges = edge_strength(template)
-    unsigned = _surface(edges, edge_strength(picture), start_px, radius_px)
-    inverted = bool(-surface.min() > surface.max())
-    if inverted:
-        template, surface = replace(template, normalised=-template.normalised), -surface
+    (h, w), (x, y) = template.grey.shape, start_px
+    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
+    one, two = (distinct_edges(view.grey, view.valid) for view in (template, picture))
+    surface = edge_similarity(one, window(two, *around))
     peaks = peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:
         return not_matched(Reason.NO_CORRELATION)
-    fit = fit_changed(template, picture, peaks.xy[0] + start_px - radius_px, reference_px)
+    start, peak = peaks.xy[0] + start_px - radius_px, np.round(peaks.xy[0])
+    usable = usable_pixels(template.valid, picture.valid, start)
+    fit = fit_changed(one, two, usable, picture.grey, start, reference_px)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
-    peak = np.round(peaks.xy[0])
-    own = [_surface(one, one, (0, 0), radius_px) for one in (template, edges)]
-    wrong = probability_wrong([surface, unsigned], peak, REACH_PX, own)
-    mean, moved = mean_position([surface, unsigned], peak, REACH_PX)
-    fit = replace(fit, xy_px=mean + start_px - radius_px + reference_px, cov_px=fit.cov_px + moved)
+    own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
+    left, top = (peak.astype(int) + around[:2]).tolist()
+    parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
+    wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
+    fit_xy = fit.xy_px - reference_px - start_px + radius_px
+    moved = spread_px2(surface, peak, fit_xy, REACH_PX) + _DATES_PX**2 * np.eye(2)
+    fit = replace(fit, cov_px=fit.cov_px + moved)
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 
 

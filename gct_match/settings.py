@@ -39,7 +39,9 @@ class MatchSettings:
     )
     attitude_sigma_px: float = scalar("error of a star exposure's attitude (0.3 arcsec)", default=1.5)
     attitude_step_s: float = scalar("interval of star exposures, s: attitude errors correlate", default=0.2)
-    least_correlation: float = scalar("filtered, robust: below, most of the chip has changed", default=0.4)
+    least_correlation: float = scalar(
+        "of edges, or filtered grey values: below, nothing is common", default=0.02
+    )
     saturation_dn: float = scalar("grey values from here on are not used", default=float("inf"))
     no_data: float = scalar("grey value that marks missing data", default=float("nan"))
 

@@ -15,8 +15,6 @@ from boresight.records.record import Bools, array, record
 
 __all__ = [
     "View",
-    "band_passed",
-    "edge_strength",
     "filled_with_mean",
     "in_counts",
     "normalised",
@@ -25,7 +23,6 @@ __all__ = [
 ]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
-_STRONG_PX = 1.0, 4.0  # Gaussians whose difference is the pass band where contrast is left as it is
 _COUNTS = 50.0  # standard deviation of a usual picture of 8 bits
 _MOST_COUNTS = 1e6  # beyond, single precision makes whole numbers of others
 _FLOOR = 0.15  # of the median contrast: noise on flat ground is not amplified to texture
@@ -37,38 +34,12 @@ class View:
 
     grey: Image = array("H, W", "grey values, single precision")
     valid: Bools = array("H, W", "pixels that may be used")
-    normalised: Image = array("H, W", "what is compared: output of `normalised`, or of `band_passed`")
+    normalised: Image = array("H, W", "what is compared: output of `normalised`")
 
 
 def view_of(grey: Image, valid: Bools) -> View:
     """View of the picture `grey` (H, W), float32, of which only the pixels in `valid` (H, W) are used."""
     return View(grey, valid, normalised(grey, valid))
-
-
-def band_passed(view: View) -> View:
-    """The view with its grey values in a band of frequencies as what is compared: contrast as it is, so that
-    strong edges, which survive a change of season, have the largest part.
-    """
-    image, weight = filled_with_mean(view.grey, view.valid), view.valid.astype(np.float32)
-    image -= np.float32(cv2.mean(image)[0])
-    fine, wide = (cv2.GaussianBlur(image * weight, (0, 0), sigma_px) for sigma_px in _STRONG_PX)
-    if not view.valid.all():
-        fine, wide = (
-            part / (cv2.GaussianBlur(weight, (0, 0), sigma_px) + np.float32(1e-3))
-            for part, sigma_px in zip((fine, wide), _STRONG_PX, strict=True)
-        )
-    return View(view.grey, view.valid, (fine - wide) * weight)
-
-
-def edge_strength(view: View) -> View:
-    """The band-passed view with the strength of its edges, whichever side is brighter, as what is compared:
-    the root of the gradient, without its local mean.
-    """
-    slopes = (cv2.Sobel(view.normalised, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
-    strength: Image = cv2.sqrt(cv2.magnitude(*slopes))
-    strength -= cv2.GaussianBlur(strength, (0, 0), _CONTRAST_PX)
-    inner = cv2.erode(view.valid.astype(np.uint8), np.ones((5, 5), np.uint8))  # the band reaches over edges
-    return View(view.grey, view.valid, strength * inner)
 
 
 def in_counts(image: NDArray, valid: Bools) -> Image:

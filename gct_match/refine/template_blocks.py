@@ -35,6 +35,10 @@ class Blocks:
     score: Floats  # (B, 2)
     information: Floats  # (B, 2, 2)
 
+    def with_scores_of(self, other: Blocks) -> Blocks:
+        """Of two planes of one template: scores and information of the same blocks add up."""
+        return Blocks(self.lever, self.score + other.score, self.information + other.information)
+
     def displacement(self, *, affine: bool) -> Floats:
         """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
         column displaces the reference point; the others are 0 unless `affine`.

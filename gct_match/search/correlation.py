@@ -6,8 +6,6 @@ That probability follows from the correlation away from the peak. Pictures are n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +17,18 @@ from boresight.records.record import Bools, Floats, array, record
 __all__ = [
     "Peaks",
     "correlation_surface",
-    "mean_position",
     "peaks_of",
     "probability_wrong",
     "self_similarity",
+    "spread_px2",
 ]
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
 _FAR, _SHARED = 0.25, 0.25
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
+# Share of the independent values that changes of season leave to decide between places; and between positions
+# under one peak (NAIP: errors are then as stated).
+_CHANGED, _MOVED = 0.5, 0.6
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
@@ -66,50 +67,45 @@ def peaks_of(surface: Image, most: int, apart: int) -> Peaks:
 
 
 def probability_wrong(
-    surfaces: Sequence[Image], peak_xy: Floats, reach_px: int | None = None, own: Sequence[Image] = ()
+    surface: Image, peak_xy: Floats, reach_px: int | None = None, own: Image | None = None
 ) -> float:
-    """Probability that the true position is not under the peak (x, y) of the first of the whole correlation
-    surfaces (R, C) of a pair.
+    """Probability that the true position is not under a peak (x, y) of a whole correlation surface (R, C).
 
-    Each position has the likelihood (1 - r²)^(-n/2) of being the true one in each surface, against 1 for
-    chance. One over the variance of r away from the peak is the number of independent values; what has
-    changed takes as many of them, and all surfaces show the same pixels: n is half of it over the number of
-    surfaces. Side lobes are not chance: those of `own`, each template's correlation with itself, highest in
-    the middle (R, C), are taken off. Under the peak are positions joined to it at more than half its height,
-    from which least squares converges to it: all of a ridge along a road, or what lies within `reach_px` of
-    the peak.
+    Each position has the likelihood (1 - r²)^(-n/2) of being the true one, against 1 for chance. One over the
+    variance of r away from the peak is the number of independent values; what has changed takes as many of
+    them: n is half of it. Side lobes are not chance: those of `own`, the template's correlation with itself,
+    highest in the middle (R, C), are taken off. Under the peak are positions joined to it at more than half
+    its height, from which least squares converges to it: all of a ridge along a road, or what lies within
+    `reach_px` of the peak.
     """
-    under = _under(surfaces[0], peak_xy, reach_px)
+    under = _under(surface, peak_xy, reach_px)
     if np.count_nonzero(~under) < 30:
         return 1.0
-    (column, row), (h, w) = np.round(peak_xy).astype(int), under.shape
-    away = list(surfaces)
-    for k, lobes in enumerate(own):
-        away[k] = away[k] - away[k][row, column] * window(lobes, w // 2 - column, h // 2 - row, w, h)
-    log_likelihood = _log_likelihood(surfaces, [rest[~under] for rest in away], 0.5 / len(surfaces))
+    (column, row), (h, w), away = np.round(peak_xy).astype(int), under.shape, surface
+    if own is not None:
+        away = surface - surface[row, column] * window(own, w // 2 - column, h // 2 - row, w, h)
+    log_likelihood = _log_likelihood(surface, away[~under])
     here, elsewhere = (float(np.logaddexp.reduce(log_likelihood[part])) for part in (under, ~under))
     wrong = float(np.logaddexp(elsewhere, np.log(_PRIOR_ABSENT / (1.0 - _PRIOR_ABSENT) * under.size)))
     return float(np.exp(wrong - np.logaddexp(wrong, here)))
 
 
-def mean_position(surfaces: Sequence[Image], peak_xy: Floats, reach_px: int) -> tuple[Floats, Floats]:
-    """Mean (x, y) and covariance (2, 2), px², of the positions within `reach_px` of a peak (x, y) that the
-    correlation surfaces (R, C) of a pair leave possible.
+def spread_px2(surface: Image, peak_xy: Floats, fit_xy: Floats, reach_px: int) -> Floats:
+    """Mean square (2, 2), px², of the distances from a fit (x, y) of the positions within `reach_px` of a
+    peak (x, y) that a correlation surface (R, C) leaves possible.
 
-    Likelihoods are those of `probability_wrong`, at fractions of a pixel. What has moved with its
-    surroundings lies along the same edges in all surfaces and takes as many values as one of them has: n is
-    the number of independent values over one more than the surfaces.
+    Likelihoods are those of `probability_wrong`, at fractions of a pixel.
     """
-    under = _under(surfaces[0], peak_xy, reach_px)
+    under = _under(surface, peak_xy, reach_px)
     offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
     x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
     inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-    share = 1.0 / (1.0 + len(surfaces))
-    fine = [cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside] for surface in surfaces]
-    log_likelihood = _log_likelihood(fine, [surface[~under] for surface in surfaces], share)
+    fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
+    log_likelihood = _log_likelihood(fine, surface[~under], _MOVED)
     weight = np.exp(log_likelihood - log_likelihood.max())
-    xy = np.stack([x[inside], y[inside]]).astype(float)
-    return xy @ weight / weight.sum(), np.cov(xy, ddof=0, aweights=weight)
+    off = np.stack([x[inside], y[inside]]) - fit_xy[:, None]
+    spread: Floats = (weight * off) @ off.T / weight.sum()
+    return spread
 
 
 def self_similarity(template: Image) -> float:
@@ -146,15 +142,12 @@ def _under(surface: Image, peak_xy: Floats, reach_px: int | None) -> Bools:
     return under
 
 
-def _log_likelihood(correlations: Sequence[NDArray], away: Sequence[NDArray], share: float) -> Floats:
-    """That of positions by their correlations in several surfaces, with a `share` of the numbers of
-    independent values, which the correlations `away` from the peak tell.
+def _log_likelihood(correlation: NDArray, away: NDArray, share: float = _CHANGED) -> Floats:
+    """That of positions by their correlation; those `away` from the peak tell the number of independent
+    values, of which a `share` counts.
     """
-    out: Floats = np.zeros(correlations[0].shape)
-    for r, far in zip(correlations, away, strict=True):
-        n = share / max(float(np.mean(far.astype(float) ** 2)), 1e-6)
-        out -= 0.5 * n * np.log1p(-(np.clip(r.astype(float), 0.0, 0.99999) ** 2))
-    return out
+    n = share / max(float(np.mean(away.astype(float) ** 2)), 1e-6)
+    return -0.5 * n * np.log1p(-(np.clip(correlation.astype(float), 0.0, 0.99999) ** 2))
 
 
 def _vertex(surface: Image, row: NDArray, column: NDArray, axis: int) -> Floats:

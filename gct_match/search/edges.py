@@ -19,11 +19,14 @@ import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
+from boresight.records.record import Bools
 
 __all__ = [
     "FULL",
+    "agreeing_parts",
     "centred",
     "coarse_edge_fields",
+    "distinct_edges",
     "edge_field",
     "edge_similarity",
     "halved",
@@ -33,6 +36,8 @@ __all__ = [
 FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
+_AROUND_PX = 6.0  # sigma of a Gaussian: neighbourhood whose mean direction tells nothing about the place
+_PARTS = 6  # along a template's longer side, for `agreeing_parts`: of 21 px on a chip of 128 px
 _BAND = 64  # rows of the field at a time: they stay in the cache
 _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
 
@@ -40,6 +45,17 @@ _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's m
 def edge_field(image: Image) -> Image:
     """(2, H, W) real and imaginary part of z at each pixel of a picture (H, W), single precision."""
     return _field(image, _median_power(_strips(image)))
+
+
+def distinct_edges(grey: Image, valid: Bools) -> Image:
+    """(2, H, W) edge field z of a picture (H, W) less its mean around each pixel; zero where not `valid`.
+
+    Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
+    along all of it.
+    """
+    field = edge_field(np.where(valid, grey, np.float32(np.nan)))
+    inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
+    return np.stack([(plane - cv2.GaussianBlur(plane, (0, 0), _AROUND_PX)) * inner for plane in field])
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
@@ -82,6 +98,17 @@ def edge_similarity(template: Image, field: Image) -> Image:
     power += field[1] * field[1]
     under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
     return normalised_correlation(real + imaginary, template, under)
+
+
+def agreeing_parts(template: Image, field: Image) -> float:
+    """Number of parts of a template's edges (2, h, w) whose agreement with a field (2, h, w) is the agreement
+    of the whole: (Σ c)² / Σ c² of the products c of parts. Signs of c are random where the two have nothing
+    in common: so many or more agree with a probability of exp(-N / 2) at most (Hoeffding's inequality).
+    """
+    h, w = template.shape[1:]
+    size = max(1, w * _PARTS // max(h, w)), max(1, h * _PARTS // max(h, w))
+    c = cv2.resize((centred(template) * field).sum(axis=0), size, interpolation=cv2.INTER_AREA).astype(float)
+    return float(max(c.sum(), 0.0) ** 2 / (np.sum(c * c) + 1e-30))
 
 
 def normalised_correlation(product: Image, template: Image, power: Image) -> Image:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.correlation import (
     correlation_surface,
-    mean_position,
     peaks_of,
     probability_wrong,
+    spread_px2,
 )
 
 
@@ -48,9 +48,9 @@ def test_correlation_is_one_where_the_template_was_cut_out():
 def test_lone_peak_is_right_and_one_among_equals_is_not():
     surface = 0.05 * noise(6, 41)
     surface[20, 20] = 0.8
-    assert probability_wrong([surface], np.array([20.0, 20.0])) < 1e-6
+    assert probability_wrong(surface, np.array([20.0, 20.0])) < 1e-6
     surface[5, 33] = 0.8
-    assert probability_wrong([surface], np.array([20.0, 20.0])) > 0.4
+    assert probability_wrong(surface, np.array([20.0, 20.0])) > 0.4
 
 
 def test_highest_of_nothing_but_chance_is_not_believed():
@@ -58,21 +58,18 @@ def test_highest_of_nothing_but_chance_is_not_believed():
     for seed in range(200):
         surface = 0.05 * noise(seed, 33)
         row, column = np.unravel_index(np.argmax(surface), surface.shape)
-        wrong.append(probability_wrong([surface], np.array([column, row], dtype=float)))
+        wrong.append(probability_wrong(surface, np.array([column, row], dtype=float)))
     assert min(wrong) > 0.01  # the limit at which matches are refused
 
 
-def test_mean_position_lies_between_two_looks_that_differ_with_a_covariance_that_spans_them():
+def test_spread_of_positions_grows_with_their_distance_from_the_fit_and_for_a_lower_peak():
     y, x = np.mgrid[:33, :33].astype(np.float32)
     far = 0.05 * noise(8, 33) * (np.hypot(x - 16.0, y - 16.0) > 8.0)
 
-    def seen(column: float, height: float = 0.5) -> NDArray:
-        return far + height * np.exp(-((x - column) ** 2 + (y - 16.3) ** 2) / (2.0 * 2.0**2))
+    def spread(height: float, fit_x: float = 16.4) -> NDArray:
+        seen = far + height * np.exp(-((x - 16.4) ** 2 + (y - 16.3) ** 2) / (2.0 * 2.0**2))
+        return spread_px2(seen, np.array([16.0, 16.0]), np.array([fit_x, 16.3]), 3)
 
-    peak = np.array([16.0, 16.0])
-    one, _ = mean_position([seen(16.4)], peak, 3)
-    assert one == pytest.approx([16.4, 16.3], abs=0.05)  # px: between quarters of a pixel
-    both, cov = mean_position([seen(16.8), seen(15.2)], peak, 3)
-    assert both == pytest.approx([16.0, 16.3], abs=0.05)
-    single = mean_position([seen(16.4, 0.2)], peak, 3)[1]
-    assert np.linalg.eigvalsh(single).min() > np.linalg.eigvalsh(cov).max()  # a lower peak tells less
+    high, low = spread(0.5), spread(0.2)
+    assert np.linalg.eigvalsh(low).min() > np.linalg.eigvalsh(high).max()  # a lower peak tells less
+    assert spread(0.5, 17.0)[0, 0] - high[0, 0] == pytest.approx(0.6**2, abs=0.06)  # px², quarters of a pixel

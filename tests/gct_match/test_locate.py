@@ -48,7 +48,7 @@ def pair_of(half: NDArray, seed: int) -> Pair:
 
 def test_look_alikes_of_an_estate_are_told_apart_by_how_well_they_can_be_placed():
     one, two = np.array_split(estate(np.random.default_rng(3), 1200), 2)
-    for here, there in ((0, 2), (2, 20), (4, 14)):
+    for here, there in ((0, 2), (2, 20), (7, 15)):
         template, window = pair_of(one, here).template, pair_of(two, there).window
         assert isinstance(looked_for(template, window, TRUSTING), TemplateMatch)  # all else speaks for it
         outcome = looked_for(template, window, SETTINGS)
@@ -200,7 +200,8 @@ def test_target_that_is_rarely_visible_is_found_less_surely(monkeypatch: pytest.
     half, rng = estate(np.random.default_rng(3), 1200), np.random.default_rng(4)
     pair = make_pair(half, np.random.default_rng(8), size_px=32, margin_px=MARGIN, condition="clean")
     noisy = np.clip(pair.window + rng.normal(0.0, 40.0, pair.window.shape), 1.0, 255.0).astype(np.float32)
-    lenient = replace(TRUSTING, probability_wrong=1.0, least_correlation=0.1, sigma_px=9.0)
+    limits = {"sigma_px": 9.0, "sigma_self_similar_px": 9.0, "probability_wrong": 1.0}
+    lenient = replace(SETTINGS, least_correlation=0.01, **limits)
     wrong = []
     for absent in (0.05, 0.5, 0.95):
         monkeypatch.setattr(module, "_PRIOR_ABSENT", absent)
