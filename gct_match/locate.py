@@ -42,6 +42,7 @@ _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not h
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
+_OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 _DEFAULTS = MatchSettings()  # for the functions of this module that take single settings
@@ -225,8 +226,8 @@ def _of_changed(
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
     fit_xy = fit.xy_px - reference_px - start_px + radius_px
-    moved = spread_px2(surface, peak, fit_xy, REACH_PX) + _DATES_PX**2 * np.eye(2)
-    fit = replace(fit, cov_px=fit.cov_px + moved)
+    spread, dates = spread_px2(surface, peak, fit_xy, REACH_PX), _DATES_PX**2 * np.eye(2)
+    fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 
 

@@ -19,7 +19,7 @@ from boresight.records.record import RowRecord, array, record, scalar
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
     from boresight.records.record import Bools, Floats, Ints, Texts
 
-__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "counted", "either_of", "listed"]
+__all__ = ["Entry", "Kind", "Ledger", "Reason", "State", "Subject", "count_words", "either_of", "list_words"]
 
 
 class Kind(StrEnum):
@@ -306,12 +306,12 @@ class Entry:
         return f"{self.state}: {self.text}" if self.text else f"{self.state}"
 
 
-def counted(n: int, thing: str) -> str:
+def count_words(n: int, thing: str) -> str:
     """How many things: "1 target", "2 targets"."""
     return f"{n} {thing}{'s' if n > 1 else ''}"
 
 
-def listed(names: Sequence[str], most: int = 4) -> str:
+def list_words(names: Sequence[str], most: int = 4) -> str:
     """Names in a sentence: "T1, T2 and 5 more"."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 

@@ -27,7 +27,7 @@ from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.files.terrain_files import TerrainFiles
 from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, misses
-from boresight.records.ledger import Entry, Kind, Reason, Subject, counted, listed
+from boresight.records.ledger import Entry, Kind, Reason, Subject, count_words, list_words
 from boresight.records.record import Floats, record, scalar
 
 __all__ = [
@@ -96,10 +96,10 @@ def contradicting_rows(entries: Sequence[Entry]) -> Iterator[Finding]:
         for reason, text in CONTRADICTIONS.items():
             those = [entry.subject for entry in entries if entry.reason is reason]
             if subjects := tuple(subject for subject in those if subject.kind == kind):
-                names = listed([subject.name for subject in subjects])
+                names = list_words([subject.name for subject in subjects])
                 yield Finding(
                     cause=reason.value,
-                    item=counted(len(subjects), kind),
+                    item=count_words(len(subjects), kind),
                     subjects=subjects,
                     text=f"{names}: {text} {table}.",
                     file=table,
@@ -145,9 +145,9 @@ def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
         fits = f"lie in their chips with {slip}" if slip else far
         yield Finding(
             cause="coordinates",
-            item=counted(len(names), "target"),
+            item=count_words(len(names), "target"),
             subjects=tuple(Subject(Kind.TARGET, id=name) for name in names),
-            text=f"{listed(names)} {fits}: correct lat_deg, lon_deg in targets.csv.",
+            text=f"{list_words(names)} {fits}: correct lat_deg, lon_deg in targets.csv.",
             file="targets.csv",
             field="lat_deg, lon_deg",
             explains=tuple(entry.subject for name in names for entry in of_target[name]),

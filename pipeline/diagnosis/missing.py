@@ -35,7 +35,7 @@ from boresight.pipeline.stages.head import Basis, HeadSightings, sight_head
 from boresight.pipeline.stages.sky_side import SkySide, find_in_sky_strips, name_in_sky_strips
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, misses, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import strip_tasks
-from boresight.records.ledger import Entry, Kind, Reason, listed
+from boresight.records.ledger import Entry, Kind, Reason, list_words
 from boresight.records.record import Floats
 
 __all__ = [
@@ -71,7 +71,7 @@ def what_is_missing(
         return f"{_no_target(dump, tasks)}; {counts}"
     of_strips = [one for one in omissions if one.subject.kind is Kind.STRIP and one.reason in NOTHING]
     if of_strips and len({entry.subject for entry in of_strips}) == len(dump.strips) + len(dump.sky_strips):
-        return f"no strip can be used: {listed([entry.line for entry in of_strips], 1)}; {counts}"
+        return f"no strip can be used: {list_words([entry.line for entry in of_strips], 1)}; {counts}"
     hidden = [entry for entry in of_targets if entry.reason is Reason.HIDDEN]
     if n_targets == 0 and len(hidden) == len(of_targets) > 0:
         text = f"none of {len(hidden)} measured points is in view of the satellite: check times and frame of "

@@ -16,7 +16,7 @@ from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
-from boresight.records.ledger import Kind, Ledger, Subject, listed
+from boresight.records.ledger import Kind, Ledger, Subject, list_words
 
 __all__ = ["MeasuredTargets", "single_targets"]
 
@@ -186,7 +186,7 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
     elif strip_id:
         cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
         check = file if of_points else f"{file} and the chips"
-        text = f"{listed([target.id for target in those])} {unexplained} {check}."
+        text = f"{list_words([target.id for target in those])} {unexplained} {check}."
     else:
         cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""
         text, file = f"they {unexplained} {places} in {camera}, and {file}.", f"{camera}, {file}"

@@ -19,7 +19,7 @@ from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.report.ground_map import MapScene, StripOnGround
-from boresight.records.ledger import Kind, State, Subject, counted, listed
+from boresight.records.ledger import Kind, State, Subject, count_words, list_words
 
 __all__ = ["findings"]
 
@@ -68,8 +68,8 @@ def clouds(strip_id: str, seen: Mapping[str, Sequence[Look]]) -> Iterator[Findin
         name for name, b, c in seen[State.UNMATCHED] if b > brightness + contrast and c < 0.5 * contrast
     ]
     if cloudy:
-        text = f"it is bright and without contrast at {counted(len(cloudy), 'target')} that "
-        text += f"{'were' if len(cloudy) > 1 else 'was'} not matched: {listed(cloudy, SHOWN)}."
+        text = f"it is bright and without contrast at {count_words(len(cloudy), 'target')} that "
+        text += f"{'were' if len(cloudy) > 1 else 'was'} not matched: {list_words(cloudy, SHOWN)}."
         targets = tuple(Subject(Kind.TARGET, strip=strip_id, id=name) for name in cloudy)
         yield Finding.about("cloud or snow", strip, text, explains=targets, is_fault=False)
 

@@ -167,7 +167,7 @@ def test_stores_and_disks_give_the_same_targets(
 ) -> None:
     dates = sorted(DATES, reverse=True)[:2]
     here = suggested(tmp_path / "here", *(images[date]["image"] for date in dates))[0]
-    assert len(here) >= 8
+    assert len(here) >= 6  # places of which half has changed are not found again
     assert suggested(tmp_path / "there", *(f"{store}/archive/{date}.tif" for date in dates))[0] == here
     local, _ = stac_images(StacQuery(source=catalogue_of(tmp_path / "c", images)))
     for source in ("s3://archive/c/catalog.json", f"{store}/archive/c/catalog.json"):

@@ -50,8 +50,9 @@ def test_targets_are_kept_where_they_were_with_errors_as_stated(tmp_path: Path):
     sigma = both[["sigma_sample_px_now", "sigma_line_px_now"]].to_numpy()
     squares = ((moved / sigma) ** 2).sum(axis=1)
     assert len(then) == len(chips) == 36 and len(both) == len(now)
-    assert len(now) >= 24  # 26 are kept: cloud and changed fields leave the others too little
+    assert len(now) >= 34  # all 36 are kept
     assert np.abs(moved).max() < 1.0  # px: none is of another place, of a window of 12 px
     assert squares.max() < 30.0  # chi-square of two axes: 5 sigma
-    # Its median is 1.39; both fits have the noise of the same strip in common.
-    assert 0.5 < np.median(squares) < 2.1
+    # Its median is 1.39 where places differ as those of real dates, by 0.07 px and by what has moved; here
+    # nothing has moved, so that it is smaller, and both fits have the noise of the same strip in common.
+    assert 0.1 < np.median(squares) < 2.1
