@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import LEAST_FORWARD, StarCamera
 from boresight.records.record import Floats, Ints, array, record, scalar
-from boresight.star_id.beyond_chance import NOISIER
 from boresight.star_id.camera_fit import (
     DRIFT,
     IdentifiedStars,
@@ -50,6 +49,9 @@ __all__ = [
 # Random pixel maps drawn from the covariance for the error that holds anywhere on the detector with 95 %;
 # with 2000 the quantile's probability is good to 0.5 %, sqrt(0.95 * 0.05 / 2000).
 _DRAWN_MAPS = 2000
+# Reduced chi-square up to which Brown's model predicts stars well enough to name them; above it the lens
+# model is chosen by evidence first (set by hand).
+_ROUGHLY = 1.5
 
 
 @record
@@ -179,7 +181,7 @@ def calibrate_camera(
         rotations = Rotation.concatenate([solution.R_si for _, solution in identified])
         try:
             rough = None if known else fit_camera(used, start, rotations)
-            if rough and rough.variance_factor < NOISIER:  # Brown's model is good enough to name stars by
+            if rough and rough.variance_factor < _ROUGHLY:
                 camera, known = rough.camera, True
                 continue
             lens = choose_lens(used, start, rotations)

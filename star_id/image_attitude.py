@@ -25,7 +25,7 @@ __all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
 _SMALLEST_EIGENVALUE = 1e-10
 # The components after and before each of three, cyclically: (a x b)_k = a[next] b[previous] - a[previous]
 # b[next].
-NEXT = np.roll(np.arange(3), -1)
+NEXT = np.array([1, 2, 0])
 PREV = NEXT[NEXT]
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).

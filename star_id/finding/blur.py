@@ -40,13 +40,14 @@ _PEAKED = 1.09
 # Least and largest width (px), length (px) and 1 + wings^2 of a fitted PSF: fans point outwards or inwards,
 # wings are at most 0.9.
 _BOUNDS = ([0.0, -np.inf, 1.0], [np.inf, np.inf, 1.8])
+# Size of the change of a width, as a share of it, by which its fit is scaled (set by hand).
+_UNSURE = 0.1
 # Relative step of a parameter for numerical derivatives (set by hand).
 _STEP = 0.02
 # Fewest bright stars that a coma or trail is fitted to (set by hand; four a parameter).
 _FEWEST = 12
-# Share of a pixel's light by which real stars differ from a fan of Gaussians, added to the noise of fits of
-# coma; share of a width by which it is doubtful; share of the peak below which an empirical image is noise
-# (set by hand).
+# Share of a pixel's light by which real stars differ from a fan of Gaussians; added to the noise of fits of
+# coma (set by hand).
 _UNLIKE = 0.1
 # Chi-square in excess of its degrees of freedom over that of the other PSF, below which a PSF is better
 # (set by hand).
@@ -54,6 +55,9 @@ _BETTER = 0.8
 # Gain of chi-square that is beyond chance: three parameters gain 3 with a standard deviation of 2.4, and
 # pixels' noise is not quite normal.
 _BEYOND_CHANCE = 50.0
+# Share of the peak below which pixels of an empirical image do not enter its second moments: they are
+# noise.
+_LIGHT = 0.1
 
 
 def find_coma(
@@ -78,7 +82,7 @@ def find_coma(
 
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
     best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
-    scale = np.array([_UNLIKE * psf.sigma_px, length, _PEAKED - 1.0])
+    scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
     theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
     found = comatic(theta)
     if not _is_better(windows, start, found, psf, _UNLIKE):
@@ -153,7 +157,7 @@ def find_trail(
             psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None, error_factor=None
         )
 
-    scale = np.append(_UNLIKE, np.full(2, np.abs(smear).max()))
+    scale = np.append(_UNSURE, np.full(2, np.abs(smear).max()))
     found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
     before, after = (_chi2(windows, start, each) for each in (psf, found))
     dof = windows.data.size
@@ -167,7 +171,7 @@ def _trail_of(psf: Psf) -> tuple[float, Floats]:
     assert psf.shape is not None
     radius = psf.shape_radius_px
     value = shape_images(psf.shape, np.zeros((1, 2)), radius).value.reshape(2 * radius + 1, -1).astype(float)
-    light = np.where(value > _UNLIKE * value.max(), value, 0.0)
+    light = np.where(value > _LIGHT * value.max(), value, 0.0)
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     moments = np.array([[(light * x * x).sum(), (light * x * y).sum()], [0.0, (light * y * y).sum()]])
     (across2, along2), axes = np.linalg.eigh(moments / light.sum(), UPLO="U")

@@ -25,7 +25,7 @@ from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
 from boresight.star_id.finding.psf import FINE, USUAL_SIGMA_PX, PsfImages, shape_images
 from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
-from boresight.star_id.finding.windows import AT_ONCE, NINE, StarWindows, star_windows
+from boresight.star_id.finding.windows import NINE, StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]
 
@@ -35,6 +35,9 @@ _STARS = 60
 _LARGEST_RADIUS, _LEAST_RADIUS = 20, 5
 # Width of that smoothing, px: joins the parts of rings and trails (set by hand).
 _SMOOTHING_PX = 2.0
+# Rows that are worked on at a time: pictures of a whole image of 20 million pixels in floating point are 80
+# MB each.
+_BAND = 256
 
 
 @record
@@ -60,8 +63,8 @@ def flat_image(image: NDArray[Any], background: Background) -> NDArray[np.float3
 
 def _bands(rows: int, reach: int) -> Iterator[tuple[slice, slice]]:
     """Bands of an image's rows, one after another, each with the rows around it to which a filter reaches."""
-    for first in range(0, rows, 2 * AT_ONCE):
-        last = min(first + 2 * AT_ONCE, rows)
+    for first in range(0, rows, _BAND):
+        last = min(first + _BAND, rows)
         yield slice(first, last), slice(max(0, first - reach), min(rows, last + reach))
 
 

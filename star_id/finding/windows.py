@@ -13,7 +13,7 @@ from boresight.star_id.finding.background import Background
 
 __all__ = ["AT_ONCE", "NINE", "StarWindows", "star_windows", "windows_at"]
 
-# Windows worked on at a time, and half of the rows, so that they stay in the processor's cache.
+# Windows worked on at a time, so that they stay in the processor's cache.
 AT_ONCE = 128
 # A pixel and the eight around it: twice, those up to 2 px away.
 NINE = np.ones((3, 3), np.uint8)
