@@ -341,7 +341,7 @@ def _shown(dimension: Dimension, lengths: dict[str, int]) -> str:
 
 def _documented(cls: type) -> str:
     """The class's docstring with a NumPy "Attributes" section made from its fields."""
-    lines = [inspect.cleandoc(cls.__doc__ or ""), "", "Attributes", "----------"]
+    lines = list[str]()
     for field in dataclasses.fields(cls):  # type: ignore[arg-type]
         if field.name.startswith("_"):
             continue
@@ -352,4 +352,5 @@ def _documented(cls: type) -> str:
     for name, member in vars(cls).items():
         if isinstance(member, inner):
             lines += [name, f"    {member.__doc__}"]
-    return "\n".join(lines) + "\n"
+    heading = ["", "Attributes", "----------"] if lines else []
+    return "\n".join([inspect.cleandoc(cls.__doc__ or ""), *heading, *lines]) + "\n"
