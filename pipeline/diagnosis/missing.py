@@ -154,7 +154,7 @@ def cause_of_no_result(
     together = calibrate_strips(strips, basis.dump.R_cs0, plain) if strips else None
     if not isinstance(together, InstallationEstimate):
         return None
-    found = examined(basis, together, strips, plain, moved_inputs(basis.dump, strips, tasks))
+    found = examined(basis, together, strips, plain, moved_inputs(basis.dump, strips))
     return next(iter(found.findings), None)
 
 
