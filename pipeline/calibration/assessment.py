@@ -130,11 +130,10 @@ def _sighted(
         known.update(keys)
         return np.array(rows, dtype=np.int64)
 
-    alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
     measured: Measured = (
         *map(contradicting_targets, last.matched),
         *first,
-        *alone,
+        *searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad),
         *named_alone(dump, last.sky, last.named, stars),
         *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     )

@@ -191,7 +191,7 @@ def _one_round(
         text = what_is_missing(estimate, basis, tasks, matched, known_so_far)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
         shifted = next(shifted_chips(dump, unmatched), None)
-        if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):
+        if cause := shifted or cause_of_no_result(basis, sky, seen):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known_so_far, *unmatched])
     without_targets = [

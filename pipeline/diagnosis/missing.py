@@ -140,9 +140,7 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     )
 
 
-def cause_of_no_result(
-    basis: Basis, sky: SkySide, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
-) -> Finding | None:
+def cause_of_no_result(basis: Basis, sky: SkySide, strips: Sequence[StripSightings]) -> Finding | None:
     """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
     if basis.of_attitudes:
         return basis.of_attitudes[0]

@@ -1,6 +1,6 @@
-"""Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
-attitudes and the line of sight through which it is taken, velocity of the satellite, the effects on
-light from the ground, and the unit of heights; and an estimate held against all hypotheses about inputs.
+"""Inputs whose errors no derivative of the estimate gives: clock of the exposures, aberration that is left in
+attitudes and through which line of sight, velocity of the satellite, effects on light from the ground, unit
+of heights; and an estimate held against all hypotheses about inputs.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from boresight.records.record import Floats
 __all__ = ["examined", "moved_inputs"]
 
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
+BOTH = "annual and orbital"  # parts of the aberration that a head may have removed
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
@@ -155,7 +156,7 @@ def _line_of_sight(
     The aberration that the head has left in, of velocity v, turns its attitudes by -u x v/c; with u + d they
     turn by -d x v/c more. The part of d across v turns them about u, along v it does nothing.
     """
-    left = {"none": ("annual", "orbital"), "annual": ("orbital",), "annual and orbital": ()}
+    left = {"none": ("annual", "orbital"), "annual": ("orbital",), BOTH: ()}
     parts = [_velocities(dump)[name] for name in left[source.aberration_removed]]
     if not parts:  # the line of sight is not used
         return
@@ -182,8 +183,7 @@ def _line_of_sight(
 def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Velocity of the satellite in its orbital frame: stars show it by their aberration alone."""
     source = head.source
-    removed = source.aberration_removed if isinstance(source, SolvedAttitudes) else ""
-    in_attitudes = removed != "annual and orbital"
+    in_attitudes = not (isinstance(source, SolvedAttitudes) and source.aberration_removed == BOTH)
     for axis, (name, words) in enumerate(AXES):
 
         def velocity(t_s: Floats, axis: int = axis) -> Floats:
