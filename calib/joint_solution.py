@@ -104,7 +104,7 @@ class Problem:
 class Posed:
     """A problem, and what poses it."""
 
-    strips: tuple[StripSightings, ...] = scalar("as they were given, in order of ids")
+    strips: tuple[StripSightings, ...] = scalar("as they were given")
     passes: tuple[StripSightings, ...] = array("P", "of these, about alignments of the heads")
     prepared: tuple[PreparedStrip, ...] = array("P", "the same, linearised but for the installation matrix")
     problem: Problem = scalar("all together")

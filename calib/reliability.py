@@ -326,8 +326,9 @@ def _posed(
 ) -> Posed:
     """The problem that an estimate solves, or that its strips pose with what it does not contain."""
     known = estimate.posed
-    if known and len(known.strips) == len(strips) and all(map(is_, known.strips, strips)):
-        return known
+    if known and known.problem.settings is settings and len(known.strips) == len(strips):
+        if all(map(is_, known.strips, strips)):
+            return known
     first = estimate.heads[0].R_cs
     alignment = {head.name: first.inv() * head.R_cs for head in estimate.heads}
     passes = aligned(passes_of(strips, settings.attitudes), alignment)
