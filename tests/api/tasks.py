@@ -249,9 +249,8 @@ def calibrate_several_dumps_jointly(given: Given) -> None:
 
 def calibrate_arrays_in_memory(given: Given) -> None:
     found = bs.calibrate(bs.dump_from_arrays(**given.arrays))
-    np.testing.assert_allclose(
-        found.theta, given.result.theta, rtol=0, atol=1e-4 * ARCSEC
-    )  # rounding of texts
+    # rounding of texts
+    np.testing.assert_allclose(found.theta, given.result.theta, rtol=0, atol=1e-4 * ARCSEC)
     np.testing.assert_allclose(found.cov_theta, given.result.cov_theta, rtol=1e-6)
 
 

@@ -63,9 +63,8 @@ def with_places(rng: np.random.Generator) -> Case:
     parts, tables, covariances = [], [], []
     for n in rng.choice(np.arange(10, len(STATES) - 10), int(rng.choice([1, 4])), replace=False).tolist():
         table = places_below(STATES, n, seed=int(rng.integers(2**31)))
-        moved = rng.normal(
-            0.0, PLACE_M, (len(table), 3)
-        )  # equal along all axes: of ITRF as of east, north, up
+        # equal along all axes: of ITRF as of east, north, up
+        moved = rng.normal(0.0, PLACE_M, (len(table), 3))
         v = directions_by_astropy(STATES, table, moved)
         R_ci = Rotation.align_vectors([[0.0, 0.0, 1.0]], [v.mean(axis=0)])[0]
         field = unit_vectors(np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)]))

@@ -85,9 +85,8 @@ def test_gross_errors_are_left_out_and_said_so():
     assert truth.wrong_targets <= out
     strip_of = {exposure.exposure_id: strip.strip_id for strip in strips for exposure in strip.exposures}
     stars = {(strip_of[each.exposure], each.exposure, int(each.id) - 1) for each in of_kind[Kind.STAR]}
-    assert len(truth.wrong_stars - stars) <= 0.002 * len(
-        truth.wrong_stars
-    )  # one may fall near its true place
+    # one may fall near its true place
+    assert len(truth.wrong_stars - stars) <= 0.002 * len(truth.wrong_stars)
     assert len(stars - truth.wrong_stars) <= 0.004 * 8 * 10 * 40  # false alarms: 0.1 % asked for
     for r in estimate.rejected:
         assert r.reason in (Reason.STAR_RESIDUAL, Reason.TARGET_RESIDUAL)
@@ -137,9 +136,8 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
     assert "is not observable" in result.reason
     truth = theta_between(BOLD, R_CS0)
     off = result.theta_along - result.observable_c @ truth
-    assert np.all(
-        np.abs(off) < 5 * result.sigma_along + 1e-5
-    )  # rad; second order of 3.7 mrad of an open turn
+    # rad; second order of 3.7 mrad of an open turn
+    assert np.all(np.abs(off) < 5 * result.sigma_along + 1e-5)
 
 
 def test_no_usable_strip_is_a_result_and_not_a_crash():

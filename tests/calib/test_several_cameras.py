@@ -81,9 +81,8 @@ def test_the_covariance_of_both_matrices_and_of_the_rotation_between_them_is_hon
 
 
 def test_each_matrix_is_as_well_known_as_alone_and_the_rotation_between_them_better() -> None:
-    strips = campaign(
-        0, replace(PLAN, sigma_s_px=2.0, targets=40)
-    )  # attitudes and position are the most of it
+    # attitudes and position are the most of it
+    strips = campaign(0, replace(PLAN, sigma_s_px=2.0, targets=40))
     found = estimated(strips)
     alone = [estimated([strip for strip in strips if strip.camera == name]) for name in CAMERAS]
     assert [one.cameras for one in alone] == [("",), ("",)]

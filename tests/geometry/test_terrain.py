@@ -138,9 +138,8 @@ def test_holes_and_edges_give_nan_and_only_they():
     inside = (column >= 0) & (column <= 99) & (row >= 0) & (row <= 99)
     hole = (column > 59) & (column < 70) & (row > 39) & (row < 50)
     rim = (column >= 59) & (column <= 70) & (row >= 39) & (row <= 50)
-    near_edge = (np.abs(column - 49.5) > 49.0) | (
-        np.abs(row - 49.5) > 49.0
-    )  # rounding decides on the edge itself
+    # rounding decides on the edge itself
+    near_edge = (np.abs(column - 49.5) > 49.0) | (np.abs(row - 49.5) > 49.0)
     found = np.isfinite(met[:, 0]).reshape(column.shape)
     assert not found[hole].any() and not found[~inside].any()
     assert found[inside & ~rim & ~near_edge].all()
@@ -171,9 +170,8 @@ def test_an_inclined_plane_is_met_where_algebra_says():
     lon = np.radians(14.0 + (column + 0.5) * CELL_DEG)
     met = intersect(*rays_at(lat, lon, 0.0, 0.0, 0.0), grid)
     expected = ecef_from_geodetic(lat, lon, 3.0 * column, WGS84)
-    np.testing.assert_allclose(
-        met, expected, rtol=0, atol=1e-5
-    )  # float32 heights are exact here; 1e-7 deg of place
+    # float32 heights are exact here; 1e-7 deg of place
+    np.testing.assert_allclose(met, expected, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", UTM33])

@@ -226,9 +226,8 @@ def assert_map_is_drawn(axes, cells):
     longest = np.hypot(*mean.reshape(-1, 2).T).max()
     assert longest / arrows.scale == pytest.approx(0.9 * side)  # px of the picture
     (key,) = (artist for artist in axes.artists if isinstance(artist, QuiverKey))
-    decade = float(
-        f"1e{f'{longest:e}'.partition('e')[2]}"
-    )  # the largest power of ten below the longest arrow
+    # the largest power of ten below the longest arrow
+    decade = float(f"1e{f'{longest:e}'.partition('e')[2]}")
     assert key.U == pytest.approx(decade) and float(key.label.removesuffix(" px")) == pytest.approx(decade)
     assert np.allclose(circles.get_offsets(), np.array(middles)[seen])
     assert np.allclose(circles.get_widths(), 2.0 * error.ravel()[seen] / arrows.scale)
