@@ -185,6 +185,22 @@ def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray)
         axes = result.plot()
         assert isinstance(axes, Axes)
         assert result.plot(axes) is axes
+    shown = {"stars": np.vstack([stars.xy_px, stars.misshapen_px]), "lens": lens.fit.xy_px}
+    residuals = ["residual_x_arcsec", "residual_y_arcsec"]
+    shown |= {"estimate": estimate.targets[residuals], "vectors": vectors.targets[residuals]}
+    for name, result in (("stars", stars), ("lens", lens), ("estimate", estimate), ("vectors", vectors)):
+        assert sorted(map(tuple, drawn(result.plot()))) == sorted(map(tuple, np.asarray(shown[name]))), name
+    arrows = lens.plot(magnified=7.0).collections[-1]
+    np.testing.assert_allclose(np.column_stack([arrows.U, arrows.V]), 7.0 * lens.fit.residual_px)
+    picture = match.plot().images[0].get_array()
+    np.testing.assert_array_equal(np.hsplit(picture, 2)[0], match.found)
+    np.testing.assert_allclose(np.hsplit(picture, 2)[1] - match.residual, np.median(match.found))
+
+
+def drawn(axes: Axes) -> np.ndarray:
+    """Places (N, 2) of all markers, circles and feet of arrows of a plot."""
+    parts = [line.get_xydata() for line in axes.lines] + [one.get_offsets() for one in axes.collections]
+    return np.vstack(parts)
 
 
 def test_identified_image_points_where_the_dump_says(estimate: bs.Calibration) -> None:
