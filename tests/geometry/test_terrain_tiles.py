@@ -74,13 +74,15 @@ def test_first_of_overlapping_tiles_counts_and_gaps_have_no_height():
         tile(0, 40, 40, 40, "EPSG:4258"),
         Raster(np.ones((40, 40), np.float32), (STEP, 0, WEST + 40.4 * STEP, 0, -STEP, NORTH), "EPSG:4326"),
         Raster(np.ones((40, 40), np.float32), (2 * STEP, 0, WEST + 40 * STEP, 0, -STEP, NORTH), "EPSG:4326"),
+        Raster(np.ones((40, 40), np.float32), (STEP, 0, WEST, 0, -1.004 * STEP, NORTH), "EPSG:4326"),
     ],
-    ids=["gap", "crs", "between pixels", "other pixels"],
+    ids=["gap", "crs", "between pixels", "other pixels", "off by a sixth of a pixel after forty"],
 )
 def test_rasters_that_do_not_fit_stay_apart(other):
     one = tile(0, 0, 40, 40)
-    found = joined([one, other], MOST)
-    assert len(found) == 2 and same(found[0], one) and same(found[1], other)
+    for pair in ([one, other], [other, one]):
+        found = joined(pair, MOST)
+        assert len(found) == 2 and same(found[0], pair[0]) and same(found[1], pair[1])
 
 
 def test_tiles_that_would_be_too_large_together_stay_apart():
