@@ -1,6 +1,7 @@
 """`import boresight`: its names, types, documentation and results."""
 
 import ast
+import dataclasses
 import doctest
 import importlib
 import inspect
@@ -17,11 +18,13 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 from wrong_vectors import drawn_vectors
 
 import boresight as bs
 from boresight.display import Result
 from boresight.features.planning import campaign_plan
+from boresight.geometry.constants import ARCSEC
 
 ROOT = Path(__file__).parents[2]
 MINI = ROOT / "fixtures" / "mini"
@@ -191,10 +194,35 @@ def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray)
     for name, result in (("stars", stars), ("lens", lens), ("estimate", estimate), ("vectors", vectors)):
         assert sorted(map(tuple, drawn(result.plot()))) == sorted(map(tuple, np.asarray(shown[name]))), name
     arrows = lens.plot(magnified=7.0).collections[-1]
-    np.testing.assert_allclose(np.column_stack([arrows.U, arrows.V]), 7.0 * lens.fit.residual_px)
+    drawn_px = np.column_stack([arrows.U, arrows.V]) / arrows.scale
+    np.testing.assert_allclose(drawn_px, 7.0 * lens.fit.residual_px)
     picture = match.plot().images[0].get_array()
     np.testing.assert_array_equal(np.hsplit(picture, 2)[0], match.found)
     np.testing.assert_allclose(np.hsplit(picture, 2)[1] - match.residual, np.median(match.found))
+
+
+def test_tables_of_a_matrix_and_of_several_have_their_numbers(estimate: bs.Calibration) -> None:
+    L = np.tril(np.random.default_rng(3).normal(size=(6, 6)) + 3.0 * np.eye(6)) * ARCSEC
+    both = dataclasses.replace(
+        estimate,
+        cameras=("left", "right"),
+        R_cs=Rotation.concatenate([estimate.R_cs, estimate.R_cs.inv()]),
+        theta=ARCSEC * np.array([3.0, -1.0, 4.0, -1.5, 9.0, 2.6]),
+        cov_theta=L @ L.T,
+    )
+    left, right = both.of_camera("left"), both.of_camera("right")
+    for n, (one, R_cs) in enumerate([(left, estimate.R_cs), (right, estimate.R_cs.inv())]):
+        assert (one.R_cs * R_cs.inv()).magnitude() < 1e-14
+        np.testing.assert_array_equal(one.theta, both.theta[3 * n : 3 * n + 3])
+        np.testing.assert_array_equal(one.cov_theta, both.cov_theta[3 * n : 3 * n + 3, 3 * n : 3 * n + 3])
+    for result in (estimate, left, right, both):
+        table = result.table()
+        of = [f"{camera}_{axis}".lstrip("_") for camera in result.cameras for axis in "xyz"]
+        assert table["axis"].tolist() == list("XYZ") * (len(of) // 3)
+        stated = [table.pop(f"{name}_arcsec").to_numpy() * ARCSEC for name in ("theta", "sigma")]
+        np.testing.assert_allclose(stated[0], result.theta, rtol=1e-12)
+        found = table[[f"correlation_{name}" for name in of]].to_numpy() * np.outer(stated[1], stated[1])
+        np.testing.assert_allclose(found, result.cov_theta, rtol=1e-12, atol=1e-20)
 
 
 def drawn(axes: Axes) -> np.ndarray:

@@ -148,6 +148,21 @@ def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
     assert found >= 7
 
 
+def test_the_walk_goes_on_before_the_first_result_and_after_the_last():
+    rng, t_s = np.random.default_rng(8), 20 * DAY_S * np.arange(20)
+    walk = np.cumsum(rng.normal(0.0, ARCSEC, (20, 3)), axis=0)
+    course = estimate_course(DrawnMission(PAIR, rng).series(t_s, walk))
+    assert course.walks and course.terms == () and not course.steps
+    at = np.array([-3.0 * DAY_S, 0.0, t_s[-1], t_s[-1] + 5.0 * DAY_S])
+    theta, covariance = course.at(at)
+    np.testing.assert_array_equal(theta[[0, 3]], theta[[1, 2]])
+    np.testing.assert_allclose(covariance[1], covariance[2], rtol=1e-6)  # results tell as much at either end
+    grown = course.density_rad2_s * DAY_S * np.array([3.0, 5.0])
+    np.testing.assert_allclose(
+        covariance[[0, 3]] - covariance[[1, 2]], grown[:, None, None] * np.eye(3), atol=1e-9 * grown[0]
+    )
+
+
 def test_one_result_has_no_course():
     rng = np.random.default_rng(7)
     with pytest.raises(ValueError, match="1 results show no course"):

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import rasterio
 from command_line import invoked, ran
 from handmade_dimap import dimap_text
 from handmade_sentinel2 import DATASTRIP, write_sentinel2
 from scipy.spatial.transform import Rotation
 
+from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
@@ -85,6 +87,28 @@ def test_check_against_a_grid_has_a_verdict_and_an_exit_status(sentinel2, tmp_pa
     told = ran(*asked, "--grid", tmp_path / "grid.csv", status=status)
     assert ("agrees with" in told.output) == (status == 0)
     assert ("line 3 of the grid: detector 2" in told.output) == (status == 4)
+
+
+def test_places_of_a_dimap_are_compared_with_each_node_of_a_location_grid(tmp_path):
+    (tmp_path / "DIM.XML").write_text(dimap_text())
+    strip = operator_model(tmp_path / "DIM.XML")
+    row, column = (axis.ravel() for axis in np.indices((3, 5)))
+    bands, moved_m = [], {0.0: np.zeros(15), 800.0: 3.0 * (np.arange(15) == 7)}
+    for altitude, off in moved_m.items():
+        ground = ConstantHeight(altitude)
+        lat, lon, _ = geodetic_from_ecef(
+            strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground), WGS84
+        )
+        bands += [np.degrees(lon), np.degrees(lat + off / 6.37e6)]
+    nodes = np.reshape(bands, (4, 3, 5))
+    placed = rasterio.Affine(4e3, 0.0, 0.5, 0.0, 3e3, 0.5)  # (0.5, 0.5): the centre of the first pixel
+    form = {"driver": "GTiff", "count": 4, "height": 3, "width": 5, "dtype": "float64", "transform": placed}
+    with rasterio.open(tmp_path / "GRID.tif", "w", **form) as grid:
+        grid.write(nodes)
+        grid.update_tags(ALTITUDE_B0="0", ALTITUDE_B2="800")
+    found = np.array(dimap_grid_differences(strip, tmp_path / "GRID.tif"))
+    expected = [[0.0, 0.0, 0.0], [800.0, 3.0 / np.sqrt(15.0), 3.0]]
+    assert found == pytest.approx(np.array(expected), abs=0.03)  # m: 1 % of a meridian's radius
 
 
 def test_rows_of_an_imported_strip_are_counted_from_the_earliest(sentinel2):
