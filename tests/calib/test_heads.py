@@ -178,12 +178,12 @@ def blinded(
 def test_another_head_carries_strips_in_which_the_reference_head_is_blind(compared: bool) -> None:
     nees, gain = 0.0, []
     for seed in range(RUNS):
-        strips = flown(seed, 2)
+        strips = flown(seed, 2, step_s=0.2)
         ids = [strip.strip_id for strip in strips]
         estimate = estimated(blinded(strips, set(ids[1::2]), set() if compared else {"B"}))
         assert [one.name for one in estimate.heads] == ["", "B"] and estimate.n_strips == len(ids)
         nees += nees_of_heads(estimate)
-        if compared:
+        if compared and seed < 10:
             gain.append(estimate.sigma_theta / estimated(strips[::2]).sigma_theta)
     assert_chi_square(nees, 6 * RUNS)
     if compared:  # A's own errors, which make X and Y here, average over its own strips only
