@@ -10,6 +10,10 @@ from scipy.spatial.transform import Rotation
 DATASTRIP = "S2A_OPER_MTD_L1B_DS_TEST.xml"
 SPAMOD = "S2A_OPER_GIP_SPAMOD_TEST_B00"
 VIEDIR = "S2A_OPER_GIP_VIEDIR_TEST_B04"
+POINT = (  # a row of points.csv, in the picture of the second detector
+    "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
+    "sigma_east_m,sigma_north_m,sigma_up_m\na,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n"
+)
 _REFINING = """<Refined_Corrections_List><Refined_Corrections><MSI_State>
 <Rotation><X><DEGREE>1</DEGREE><COEFFICIENTS>2e-6 -4e-8</COEFFICIENTS></X>
 <Y><DEGREE>0</DEGREE><COEFFICIENTS>3e-6</COEFFICIENTS></Y><Z><DEGREE>0</DEGREE><COEFFICIENTS>1e-6</COEFFICIENTS></Z>

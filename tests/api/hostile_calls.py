@@ -124,12 +124,7 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("open_dump", bs.open_dump, {"root": nowhere}),
         Door("read_result", bs.read_result, {"folder": nowhere}),
         Door("validate", bs.validate, {"result": nowhere, "dump": nowhere}),
-        Door(
-            "geolocate",
-            bs.geolocate,
-            {"result": result, **places, "sample": 3.0, "line": 9.0},
-            share=0.3,
-        ),
+        Door("geolocate", bs.geolocate, {"result": result, **places, "sample": 3.0, "line": 9.0}, share=0.3),
         Door("compare", bs.compare, {"first": nowhere, "second": nowhere}, share=0.5),
         Door("what_if", bs.what_if, {"result": result, "factors": {"s01": 2.0}}, share=0.3),
         Door("forecast", bs.forecast, {"plan": nowhere}),

@@ -8,9 +8,10 @@ import pandas as pd
 from astropy.coordinates import GCRS, ITRS, CartesianRepresentation, EarthLocation
 from astropy.time import Time
 from astropy.utils import iers
-from wrong_vectors import unit_vectors
+from scipy.spatial.transform import Rotation
+from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, unit_vectors
 
-__all__ = ["axes_of_gcrs", "directions_by_astropy", "ground_of", "places_below", "states_of"]
+__all__ = ["axes_of_gcrs", "directions_by_astropy", "frame_of", "ground_of", "places_below", "states_of"]
 
 OMEGA_E, C = np.array([0.0, 0.0, 7.292115e-5]), 299792458.0  # rad/s, m/s
 STATE = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -42,6 +43,16 @@ def ground_of(table: pd.DataFrame) -> np.ndarray:
     """Places (N, 3), ITRF, m."""
     place = EarthLocation.from_geodetic(table["lon_deg"], table["lat_deg"], table["height_m"])
     return np.column_stack([one.to_value(u.m) for one in (place.x, place.y, place.z)])
+
+
+def frame_of(v_targets: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Measured and known directions of 20 stars, and measured ones of targets (N, 3), of a frame that looks
+    at them."""
+    R_ci = Rotation.align_vectors([[0.0, 0.0, 1.0]], [v_targets.mean(axis=0)])[0]
+    field = unit_vectors(np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)]))
+    u_s = unit_vectors(field + rng.normal(0.0, SIGMA_S, field.shape))
+    w_c = unit_vectors(R_ci.apply(v_targets) + rng.normal(0.0, SIGMA_C, v_targets.shape))
+    return u_s, R_ci.inv().apply(R_TRUE.apply(field)), w_c
 
 
 def directions_by_astropy(

@@ -1,6 +1,7 @@
 """`import boresight`: its names, types, documentation and results."""
 
 import ast
+import dataclasses
 import doctest
 import importlib
 import inspect
@@ -17,10 +18,13 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 from wrong_vectors import drawn_vectors
 
 import boresight as bs
 from boresight.display import Result
+from boresight.features.planning import campaign_plan
+from boresight.geometry.constants import ARCSEC
 
 ROOT = Path(__file__).parents[2]
 MINI = ROOT / "fixtures" / "mini"
@@ -126,8 +130,13 @@ WITH_EXAMPLES = sorted(
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
-def test_examples_of_the_docstrings_run(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_of_the_docstrings_run(module: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of `calibrate` itself calibrate the example; the others begin with its result."""
     monkeypatch.chdir(ROOT)
+    if module != bs.calibrate.__module__:
+        monkeypatch.setattr(bs, "calibrate", lambda dump: bs.read_result(demo / "demo-result"))
+    monkeypatch.setattr(campaign_plan, "DRAWS", 1)  # how often a strip is drawn is not what is shown
+    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
     done = doctest.testmod(importlib.import_module(module))
     assert done.failed == 0
     assert done.attempted >= 2
@@ -179,6 +188,47 @@ def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray)
         axes = result.plot()
         assert isinstance(axes, Axes)
         assert result.plot(axes) is axes
+    shown = {"stars": np.vstack([stars.xy_px, stars.misshapen_px]), "lens": lens.fit.xy_px}
+    residuals = ["residual_x_arcsec", "residual_y_arcsec"]
+    shown |= {"estimate": estimate.targets[residuals], "vectors": vectors.targets[residuals]}
+    for name, result in (("stars", stars), ("lens", lens), ("estimate", estimate), ("vectors", vectors)):
+        assert sorted(map(tuple, drawn(result.plot()))) == sorted(map(tuple, np.asarray(shown[name]))), name
+    arrows = lens.plot(magnified=7.0).collections[-1]
+    drawn_px = np.column_stack([arrows.U, arrows.V]) / arrows.scale
+    np.testing.assert_allclose(drawn_px, 7.0 * lens.fit.residual_px)
+    picture = match.plot().images[0].get_array()
+    np.testing.assert_array_equal(np.hsplit(picture, 2)[0], match.found)
+    np.testing.assert_allclose(np.hsplit(picture, 2)[1] - match.residual, np.median(match.found))
+
+
+def test_tables_of_a_matrix_and_of_several_have_their_numbers(estimate: bs.Calibration) -> None:
+    L = np.tril(np.random.default_rng(3).normal(size=(6, 6)) + 3.0 * np.eye(6)) * ARCSEC
+    both = dataclasses.replace(
+        estimate,
+        cameras=("left", "right"),
+        R_cs=Rotation.concatenate([estimate.R_cs, estimate.R_cs.inv()]),
+        theta=ARCSEC * np.array([3.0, -1.0, 4.0, -1.5, 9.0, 2.6]),
+        cov_theta=L @ L.T,
+    )
+    left, right = both.of_camera("left"), both.of_camera("right")
+    for n, (one, R_cs) in enumerate([(left, estimate.R_cs), (right, estimate.R_cs.inv())]):
+        assert (one.R_cs * R_cs.inv()).magnitude() < 1e-14
+        np.testing.assert_array_equal(one.theta, both.theta[3 * n : 3 * n + 3])
+        np.testing.assert_array_equal(one.cov_theta, both.cov_theta[3 * n : 3 * n + 3, 3 * n : 3 * n + 3])
+    for result in (estimate, left, right, both):
+        table = result.table()
+        of = [f"{camera}_{axis}".lstrip("_") for camera in result.cameras for axis in "xyz"]
+        assert table["axis"].tolist() == list("XYZ") * (len(of) // 3)
+        stated = [table.pop(f"{name}_arcsec").to_numpy() * ARCSEC for name in ("theta", "sigma")]
+        np.testing.assert_allclose(stated[0], result.theta, rtol=1e-12)
+        found = table[[f"correlation_{name}" for name in of]].to_numpy() * np.outer(stated[1], stated[1])
+        np.testing.assert_allclose(found, result.cov_theta, rtol=1e-12, atol=1e-20)
+
+
+def drawn(axes: Axes) -> np.ndarray:
+    """Places (N, 2) of all markers, circles and feet of arrows of a plot."""
+    parts = [line.get_xydata() for line in axes.lines] + [one.get_offsets() for one in axes.collections]
+    return np.vstack(parts)
 
 
 def test_identified_image_points_where_the_dump_says(estimate: bs.Calibration) -> None:

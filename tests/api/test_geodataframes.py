@@ -1,5 +1,8 @@
 """Targets as points of a GeoDataFrame, in and out; geopandas is not loaded before it is asked for."""
 
+import dataclasses
+import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +15,7 @@ from tasks import arrays_of
 from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, drawn_vectors, unit_vectors
 
 import boresight as bs
+from boresight.pipeline.results.folder import DUMPS
 
 geopandas = pytest.importorskip("geopandas", reason="GEOPANDAS IS NOT INSTALLED: no table was tried")
 MINI = bs.example("mini")
@@ -72,6 +76,25 @@ def test_a_result_folder_gives_the_points_of_its_evidence(finished: tuple[Path, 
     out = bs.read_result(finished[1]).geodataframe()
     known = pd.read_csv(finished[0] / "targets.csv").set_index("id").loc[out["target_id"]]
     np.testing.assert_allclose(out.geometry.x, known["lon_deg"], rtol=0, atol=1e-8)
+
+
+def test_a_result_of_several_dumps_gives_the_points_and_stars_of_each(
+    finished: tuple[Path, Path], tmp_path: Path
+) -> None:
+    alone, names = bs.read_result(finished[1]), ["first", "second"]
+    for name in names:
+        for part in ("evidence", "sightings"):
+            shutil.copytree(finished[1] / part, tmp_path / name / part)
+    ground = pd.read_parquet(path := tmp_path / "second/evidence/ground.parquet")
+    ground.assign(lon_deg=ground["lon_deg"] + 1.0).to_parquet(path)
+    (tmp_path / DUMPS).write_text(json.dumps({"dumps": names}))
+    rows = [alone.targets.assign(strip_id=f"{name}/" + alone.targets["strip_id"]) for name in names]
+    joint = dataclasses.replace(alone, folder=tmp_path, targets=pd.concat(rows, ignore_index=True))
+    lon, lat = alone.geodataframe().geometry.x, alone.geodataframe().geometry.y
+    np.testing.assert_array_equal(joint.geodataframe().geometry.x, [*lon, *(lon + 1.0)])
+    np.testing.assert_array_equal(joint.geodataframe().geometry.y, [*lat, *lat])
+    stars = [alone.residuals("stars").assign(dump=name) for name in names]
+    pd.testing.assert_frame_equal(joint.residuals("stars"), pd.concat(stars, ignore_index=True))
 
 
 def test_directions_have_no_places() -> None:

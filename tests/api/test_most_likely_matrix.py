@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from seen_by_astropy import directions_by_astropy, ground_of, places_below, states_of
-from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors, unit_vectors
+from seen_by_astropy import directions_by_astropy, frame_of, ground_of, places_below, states_of
+from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors
 
 import boresight as bs
 
@@ -63,15 +63,9 @@ def with_places(rng: np.random.Generator) -> Case:
     parts, tables, covariances = [], [], []
     for n in rng.choice(np.arange(10, len(STATES) - 10), int(rng.choice([1, 4])), replace=False).tolist():
         table = places_below(STATES, n, seed=int(rng.integers(2**31)))
-        moved = rng.normal(
-            0.0, PLACE_M, (len(table), 3)
-        )  # equal along all axes: of ITRF as of east, north, up
-        v = directions_by_astropy(STATES, table, moved)
-        R_ci = Rotation.align_vectors([[0.0, 0.0, 1.0]], [v.mean(axis=0)])[0]
-        field = unit_vectors(np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)]))
-        u_s = unit_vectors(field + rng.normal(0.0, SIGMA_S, field.shape))
-        w_c = unit_vectors(R_ci.apply(v) + rng.normal(0.0, SIGMA_C, v.shape))
-        parts.append((u_s, R_ci.inv().apply(R_TRUE.apply(field)), w_c))
+        # equal along all axes: of ITRF as of east, north, up
+        moved = rng.normal(0.0, PLACE_M, (len(table), 3))
+        parts.append(frame_of(directions_by_astropy(STATES, table, moved), rng))
         p_e = STATES.loc[n, ["x_m", "y_m", "z_m"]].to_numpy(float)
         range_m = np.linalg.norm(ground_of(table) - p_e, axis=1)
         covariances.append((PLACE_M / range_m)[:, None, None] ** 2 * np.eye(3))

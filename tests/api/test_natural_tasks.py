@@ -19,8 +19,8 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
-from seen_by_astropy import directions_by_astropy, places_below, states_of
-from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors, nees_of, unit_vectors
+from seen_by_astropy import directions_by_astropy, frame_of, places_below, states_of
+from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors, nees_of
 
 import boresight as bs
 
@@ -69,14 +69,8 @@ def one_frame(given: Given) -> Given:
 
 def calibrated_places(at: At, tables: list[pd.DataFrame], given: object = None) -> bs.Calibration:
     """The matrix from frames that see places (of `tables`, and so stated where none are `given`)."""
-    rng, parts = np.random.default_rng(8), []
-    for table in tables:
-        v = directions_by_astropy(at.orbit, table)
-        R_ci = Rotation.align_vectors([[0.0, 0.0, 1.0]], [v.mean(axis=0)])[0]
-        field = unit_vectors(np.column_stack([rng.uniform(-0.15, 0.15, (20, 2)), np.ones(20)]))
-        u_s = unit_vectors(field + rng.normal(0.0, SIGMA_S, field.shape))
-        w_c = unit_vectors(R_ci.apply(v) + rng.normal(0.0, SIGMA_C, v.shape))
-        parts.append((u_s, R_ci.inv().apply(R_TRUE.apply(field)), w_c))
+    rng = np.random.default_rng(8)
+    parts = [frame_of(directions_by_astropy(at.orbit, table), rng) for table in tables]
     u_s, v_stars, w_c = (list(part) for part in zip(*parts))
     places = tables if given is None else given
     return bs.calibrate_vectors(u_s, v_stars, SIGMA_S, w_c, places, SIGMA_C, R_TRUE, orbit=at.orbit)

@@ -101,9 +101,9 @@ def test_installed_wheel_runs_the_demo_outside_the_repository(
 ) -> None:
     shutil.copytree(demo, tmp_path, dirs_exist_ok=True)
     for unit in sorted((tmp_path / "demo-result" / "work" / "exposures").iterdir())[::4]:
-        unit.unlink()  # these exposures and all strips are the wheel's, the others the checkout's
+        unit.unlink()  # these exposures and the first strip are the wheel's, the others the checkout's
     for matching in (tmp_path / "demo-result" / "work").glob("matching-*"):
-        shutil.rmtree(matching)
+        min(matching.iterdir()).unlink()
     run(installed, "-m", "boresight", *DEMO, "--workers", "1", cwd=tmp_path)
     validation = (installed, "-m", "boresight", "validate", "demo-result", "--dump", MINI)
     told = run(*validation, cwd=tmp_path)

@@ -62,11 +62,6 @@ def test_a_task_takes_few_lines_of_public_names() -> None:
     assert used - {"__file__"} <= set(bs.__all__)
 
 
-def test_a_joint_result_without_a_folder_has_no_report(may: Path, june: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="out=FOLDER"):
-        bs.calibrate([may, june]).report(tmp_path / "report.html")
-
-
 @pytest.mark.parametrize(
     "name, value, message",
     [

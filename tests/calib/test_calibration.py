@@ -4,24 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from drawn_campaigns import BOLD, CAMERAS, R_CS0, TABLE_1, assert_chi_square, nees_of_estimate
 from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.calib.information import solve_total
 from boresight.calib.settings import CalibrationSettings
-from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.records.ledger import Kind, Reason
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
-R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD  # the paper's (28)
-TABLE_1 = StripPlan(
-    sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC, sigma_distortion_rad=3e-7
-)
+from boresight.simulator.campaign import StripPlan, draw_strips
 
 
 def normalised_errors(plan, settings, runs, seed):
@@ -31,16 +23,14 @@ def normalised_errors(plan, settings, runs, seed):
         strips, _ = draw_strips(plan, CAMERAS, rng)
         estimate = calibrate_strips(strips, R_CS0, settings)
         assert isinstance(estimate, InstallationEstimate) and estimate.converged_covariance
-        error = theta_between(estimate.R_cs, BOLD)
-        out.append(error @ np.linalg.solve(estimate.cov_theta, error))
+        out.append(nees_of_estimate(estimate))
     return np.array(out)
 
 
 def test_stated_covariance_holds_with_every_error_of_table_1():
     plan = replace(TABLE_1, strips=2, exposures=5, stars=15, targets=8)
     nees = normalised_errors(plan, CalibrationSettings(), 200, seed=11)
-    low, high = chi2(df=3 * 200).ppf([0.0005, 0.9995]) / 200
-    assert low < nees.mean() < high  # 2.46 to 3.60
+    assert_chi_square(nees, 3)  # 2.46 to 3.60 a run
     assert np.mean(nees > chi2(3).ppf(0.9)) == pytest.approx(0.1, abs=0.07)  # 3.3 sigma of 200 runs
 
 
@@ -58,8 +48,7 @@ def test_targets_that_all_strips_see_are_one_point_each():
     )
     settings = replace(settings, sigma_position_m=0.0)
     nees = normalised_errors(plan, settings, 20, seed=21)
-    low, high = chi2(df=3 * 20).ppf([0.0005, 0.9995])
-    assert low < nees.sum() < high
+    assert_chi_square(nees, 3)
     apart = normalised_errors(plan, replace(settings, most_shared_targets=0), 5, seed=21)
     assert apart.mean() > 15  # expected 3: 5 m of 6 points do not average over 20 strips
 
@@ -77,17 +66,15 @@ def test_gross_errors_are_left_out_and_said_so():
     strips, truth = draw_strips(plan, CAMERAS, np.random.default_rng(5))
     estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert isinstance(estimate, InstallationEstimate)
-    error = theta_between(estimate.R_cs, BOLD)
-    assert error @ np.linalg.solve(estimate.cov_theta, error) < chi2(3).ppf(0.999)
+    assert nees_of_estimate(estimate) < chi2(3).ppf(0.999)
     of_kind = {kind: [r.subject for r in estimate.rejected if r.subject.kind is kind] for kind in Kind}
     out = {(each.strip, int(each.id.split("/")[1])) for each in of_kind[Kind.TARGET]}
     assert len(truth.wrong_targets) > 10
     assert truth.wrong_targets <= out
     strip_of = {exposure.exposure_id: strip.strip_id for strip in strips for exposure in strip.exposures}
     stars = {(strip_of[each.exposure], each.exposure, int(each.id) - 1) for each in of_kind[Kind.STAR]}
-    assert len(truth.wrong_stars - stars) <= 0.002 * len(
-        truth.wrong_stars
-    )  # one may fall near its true place
+    # one may fall near its true place
+    assert len(truth.wrong_stars - stars) <= 0.002 * len(truth.wrong_stars)
     assert len(stars - truth.wrong_stars) <= 0.004 * 8 * 10 * 40  # false alarms: 0.1 % asked for
     for r in estimate.rejected:
         assert r.reason in (Reason.STAR_RESIDUAL, Reason.TARGET_RESIDUAL)
@@ -137,9 +124,8 @@ def test_targets_in_one_spot_leave_one_turn_open_and_it_is_named():
     assert "is not observable" in result.reason
     truth = theta_between(BOLD, R_CS0)
     off = result.theta_along - result.observable_c @ truth
-    assert np.all(
-        np.abs(off) < 5 * result.sigma_along + 1e-5
-    )  # rad; second order of 3.7 mrad of an open turn
+    # rad; second order of 3.7 mrad of an open turn
+    assert np.all(np.abs(off) < 5 * result.sigma_along + 1e-5)
 
 
 def test_no_usable_strip_is_a_result_and_not_a_crash():
@@ -167,8 +153,7 @@ def test_degrees_of_freedom_are_two_a_target_less_the_three_angles():
         estimate = calibrate_strips(draw_strips(plan, CAMERAS, rng)[0], BOLD, settings)
         assert estimate.dof == 13 and estimate.dof_stars == 2 * 8 * (2 * 15 - 3)
         found.append(estimate.chi2)
-    low, high = chi2(df=13 * 60).ppf([0.0005, 0.9995]) / 60
-    assert low < np.mean(found) < high  # 10.9 to 15.3; without the three angles 16 would be expected
+    assert_chi_square(found, 13)  # 10.9 to 15.3 a run; without the three angles 16 would be expected
 
 
 def test_one_step_from_far_away_has_not_converged():
@@ -193,6 +178,5 @@ def test_nearly_half_of_the_targets_wrong_in_one_direction_do_not_decide():
         u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
         wrong.append(replace(strip, ground=replace(strip.ground, u_c=u_c)))
     estimate = calibrate_strips(wrong, R_CS0, CalibrationSettings())
-    error = theta_between(estimate.R_cs, BOLD)
     # 12 without the start by least absolute residuals, which leaves two more of the wrong ones in.
-    assert error @ np.linalg.solve(estimate.cov_theta, error) < 8.0
+    assert nees_of_estimate(estimate) < 8.0

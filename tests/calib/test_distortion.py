@@ -46,9 +46,8 @@ def test_drawn_curves_have_the_correlation_that_the_prior_states():
             for _ in range(4000)
         ]
     )
-    np.testing.assert_allclose(
-        drawn.T @ drawn / 4000, correlation(knots), atol=0.09
-    )  # 4 / sqrt(4000) and waves' own
+    # 4 / sqrt(4000) and waves' own
+    np.testing.assert_allclose(drawn.T @ drawn / 4000, correlation(knots), atol=0.09)
 
 
 def test_simulated_curve_of_the_field_runs_on_from_ccd_to_ccd():

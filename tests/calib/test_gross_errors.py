@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from drawn_campaigns import BOLD, CAMERAS, TABLE_1
 
 from boresight.calib import gross_errors
 from boresight.calib.calibration import calibrate_strips
@@ -20,20 +20,11 @@ from boresight.calib.joint_solution import (
 )
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
-from boresight.geometry.constants import ARCSEC
 from boresight.records.ledger import Kind, Reason
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
 PIXEL_RAD = CAMERAS.pixel_rad
-TABLE_1 = StripPlan(
-    strips=3,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-)
+PLAN = replace(TABLE_1, strips=3)
 SETTINGS = CalibrationSettings()
 
 
@@ -57,7 +48,7 @@ def rejected(estimate):
 def test_rejected_targets_depend_neither_on_order_nor_on_the_iteration_limit():
     rng, found = np.random.default_rng(6), 0
     for trial in range(12):
-        strips = draw_strips(replace(TABLE_1, gross_targets=0.06, gross_reach_px=4.0), CAMERAS, rng)[0]
+        strips = draw_strips(replace(PLAN, gross_targets=0.06, gross_reach_px=4.0), CAMERAS, rng)[0]
         strips = shifted(strips, 1, trial, PIXEL_RAD * rng.uniform(-1.5, 1.5, 2))
         one = rejected(calibrate_strips(strips, BOLD, SETTINGS))
         found += len(one)
@@ -75,7 +66,7 @@ def criterion(problem, about, kept, limit):
 @pytest.mark.parametrize("seed", range(4))
 def test_search_ends_where_no_single_change_is_better_from_any_start(seed):
     rng = np.random.default_rng(seed)
-    plan = replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0)
+    plan = replace(PLAN, gross_targets=0.1, gross_reach_px=3.0)
     strips, _ = draw_strips(plan, CAMERAS, rng)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, limit = linearised(problem, BOLD), rejection_test(1e-3).limit
@@ -92,7 +83,7 @@ def test_search_ends_where_no_single_change_is_better_from_any_start(seed):
 
 
 def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
-    noisy_stars = replace(TABLE_1, strips=1, sigma_s_px=2.0)
+    noisy_stars = replace(PLAN, strips=1, sigma_s_px=2.0)
     (strip,) = draw_strips(noisy_stars, CAMERAS, np.random.default_rng(3))[0]
     strip = reordered(strip, np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9]))  # three at one place and instant
     ids = np.array([f"t{n:02d}" for n in range(12)])
@@ -108,7 +99,7 @@ def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
 
 
 def test_minimal_detectable_bias_has_the_stated_power():
-    strips, _ = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(8))
+    strips, _ = draw_strips(PLAN, CAMERAS, np.random.default_rng(8))
     plain = replace(SETTINGS, robust=False)
     at = calibrate_strips(strips, BOLD, plain)
     test = rejection_test(SETTINGS.probability_false_alarm)
@@ -138,7 +129,7 @@ def test_where_neighbours_look_alike_the_shifted_target_is_rejected_or_named():
     """4 px is little more than what is detectable here. Of 40 000 such cases drawn with the same design, a
     neighbour that shares exposures is rejected in 1.7 %: more than 3 of 36 have a chance of 0.3 %. From 20 px
     on there is no doubt."""
-    strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
+    strips = draw_strips(PLAN, CAMERAS, np.random.default_rng(34))[0]
     assert not rejected(calibrate_strips(strips, BOLD, SETTINGS))
     rng, doubtful, others = np.random.default_rng(2), 0, 0
     for s, j in [(s, j) for s in range(3) for j in range(12)]:
@@ -180,7 +171,7 @@ def likelihood_of_any_error(problem, about, whole, row):
 def test_targets_that_contradict_each_other_have_the_weight_that_their_probabilities_give():
     """The error of a target looks like that of its neighbour, which less controls: whatever its size, the
     neighbour explains the residuals better than the likelihoods of the best errors say."""
-    strips = draw_strips(TABLE_1, CAMERAS, np.random.default_rng(34))[0]
+    strips = draw_strips(PLAN, CAMERAS, np.random.default_rng(34))[0]
     axis = PIXEL_RAD * np.array([np.cos(np.pi / 3), np.sin(np.pi / 3)])
     wrong = shifted(strips, 1, 3, 4.0 * axis)
     estimate, (first, other) = calibrate_strips(wrong, BOLD, SETTINGS), (15, 16)
@@ -203,7 +194,7 @@ def test_targets_that_contradict_each_other_have_the_weight_that_their_probabili
 
 def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
     rng = np.random.default_rng(1)
-    strips, _ = draw_strips(replace(TABLE_1, gross_targets=0.1, gross_reach_px=3.0), CAMERAS, rng)
+    strips, _ = draw_strips(replace(PLAN, gross_targets=0.1, gross_reach_px=3.0), CAMERAS, rng)
     problem = Problem.of([prepare_strip(strip, SETTINGS) for strip in strips], SETTINGS)
     about, kept = linearised(problem, BOLD), rng.random(36) < 0.7
     step, rows = solve_weighted(problem, about, kept.astype(float)), np.flatnonzero(~kept)
@@ -216,7 +207,7 @@ def test_statistics_with_a_target_re_admitted_are_those_of_a_new_solution():
 
 def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
     rng = np.random.default_rng(5)
-    strips, _ = draw_strips(replace(TABLE_1, targets=60, sigma_target_m=0.0), CAMERAS, rng)
+    strips, _ = draw_strips(replace(PLAN, targets=60, sigma_target_m=0.0), CAMERAS, rng)
     stated = [replace(one, ground=replace(one.ground, cov_c=one.ground.cov_c / 400.0)) for one in strips]
     settings = CalibrationSettings(
         sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0

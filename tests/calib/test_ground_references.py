@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, CAMERAS, assert_chi_square, nees_of_estimate
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
@@ -14,13 +14,10 @@ from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict, assess
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import GroundReferences, StripSightings
 from boresight.records.record import Floats
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import StripPlan, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
 PLAN = StripPlan(
     exposures=6,
     exposure_margin_s=0.3,
@@ -81,15 +78,13 @@ def squared_errors(strips: int, runs: int, stated: bool) -> list[float]:
         sigma_m = SIGMA_M if stated else np.zeros(3)
         names = ["mosaic"] * PLAN.targets
         estimate = estimated([referenced(strip, offset_m, names, sigma_m) for strip in drawn])
-        off = theta_between(estimate.R_cs, BOLD)
-        found.append(float(off @ np.linalg.solve(estimate.cov_theta, off)))
+        found.append(nees_of_estimate(estimate))
     return found
 
 
 @pytest.mark.parametrize(("strips", "runs"), [(1, 40), (3, 20), (10, 8)])
 def test_a_common_offset_that_is_stated_gives_an_honest_covariance(strips: int, runs: int) -> None:
-    low, high = chi2(df=3 * runs).ppf([0.0005, 0.9995])
-    assert low < sum(squared_errors(strips, runs, stated=True)) < high
+    assert_chi_square(squared_errors(strips, runs, stated=True), 3)
     assert sum(squared_errors(strips, runs // 2, stated=False)) > 2.0 * 3 * (runs // 2)  # twice too small
 
 
@@ -108,10 +103,8 @@ def test_offsets_that_change_over_correlation_lengths_are_honest() -> None:
         names = ["mosaic"] * PLAN.targets
         stated = [referenced(s, o, names, place=p) for s, o, p in zip(strips, offset_m, place)]
         estimate = estimated(stated)
-        off = theta_between(estimate.R_cs, BOLD)
-        found.append(float(off @ np.linalg.solve(estimate.cov_theta, off)))
-    low, high = chi2(df=3 * runs).ppf([0.0005, 0.9995])
-    assert low < sum(found) < high
+        found.append(nees_of_estimate(estimate))
+    assert_chi_square(found, 3)
 
 
 def test_the_offset_of_one_of_two_references_is_estimated_with_its_sigma() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drawn_campaigns import squared
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
@@ -49,7 +50,7 @@ def nees(size: float, *, with_a_gyro: bool) -> float:
             strips = with_gyro(strips, truth, CAMERAS.R_cs, GYRO, np.arange(-0.4, 2.25, 0.05), rng)
         found = calibrate_strips(strips, R_CS0, SETTINGS)
         error = theta_between(found.R_cs, CAMERAS.R_cs)
-        total += float(error @ np.linalg.solve(found.cov_theta, error))
+        total += squared(error, found.cov_theta)
     return total / RUNS
 
 

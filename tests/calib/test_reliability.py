@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from drawn_campaigns import BOLD, TABLE_1
 from scipy.stats import binom, kstest
 
 from boresight.calib.calibration import calibrate_strips
@@ -17,22 +17,11 @@ from boresight.calib.reliability import PROBABILITY_FOUND, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)
-PLAN = StripPlan(
-    strips=3,
-    exposures=5,
-    stars=15,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-    sigma_target_m=0.5,
-)
+PLAN = replace(TABLE_1, strips=3, exposures=5, stars=15, sigma_target_m=0.5)
 SETTINGS = CalibrationSettings(robust=False)
 DRAWS = 8
 

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from drawn_campaigns import CAMERAS, R_CS0, TABLE_1
 from rounding import assert_unmoved, nudged
-from test_calibration import R_CS0, TABLE_1
-from test_strips import CAMERAS
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.settings import CalibrationSettings

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import TABLE_1
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
@@ -14,19 +15,10 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, draw_strips
 
 CAMERAS = CameraPair(Rotation.from_euler("xyz", [40, -65, 110], degrees=True), n_ccds=2, ccd_px=12288)
-PLAN = StripPlan(
-    strips=9,
-    exposures=5,
-    stars=15,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-    sigma_target_m=0.5,
-)
+PLAN = replace(TABLE_1, strips=9, exposures=5, stars=15, sigma_target_m=0.5)
 SETTINGS = CalibrationSettings()
 DAYS = np.array([0, 31, 70, 118, 163, 201, 246, 290, 342])  # of the strips
 

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from drawn_campaigns import TABLE_1, assert_chi_square, squared
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips, strip_pairs
 from boresight.calib.estimate import InstallationEstimate, NotObservable
@@ -14,7 +14,6 @@ from boresight.calib.information import InformationPairs
 from boresight.calib.reliability import examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Outcome, Verdict, assess
-from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.records.ledger import Subject
@@ -28,17 +27,7 @@ OBLIQUE = CameraPair(
 CAMERAS = {"nadir": NADIR, "oblique": OBLIQUE}
 R_CS = {name: camera.R_cs for name, camera in CAMERAS.items()}
 PIXELS = {name: camera.pixel_rad for name, camera in CAMERAS.items()}
-PLAN = StripPlan(
-    strips=3,
-    exposures=8,
-    exposure_margin_s=0.3,
-    targets=12,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-    sigma_target_m=0.3,
-)
+PLAN = replace(TABLE_1, strips=3, exposures=8, exposure_margin_s=0.3, targets=12, sigma_target_m=0.3)
 MODEL = CalibrationSettings()
 
 
@@ -71,19 +60,17 @@ def test_the_covariance_of_both_matrices_and_of_the_rotation_between_them_is_hon
         found = estimated(campaign(seed))
         assert found.cameras == ("nadir", "oblique")
         off = theta_between(found.R_cs, Rotation.concatenate(list(R_CS.values()))).ravel()
-        of_both.append(off @ np.linalg.solve(found.cov_theta, off))
+        of_both.append(squared(off, found.cov_theta))
         (between,) = found.between()
         off = theta_between(between.R_ab, NADIR.R_cs * OBLIQUE.R_cs.inv())
-        of_between.append(off @ np.linalg.solve(between.covariance, off))
+        of_between.append(squared(off, between.covariance))
     for squares, dof in ((of_both, 6), (of_between, 3)):
-        low, high = chi2(df=dof * runs).ppf([0.0005, 0.9995])
-        assert low < sum(squares) < high
+        assert_chi_square(squares, dof)
 
 
 def test_each_matrix_is_as_well_known_as_alone_and_the_rotation_between_them_better() -> None:
-    strips = campaign(
-        0, replace(PLAN, sigma_s_px=2.0, targets=40)
-    )  # attitudes and position are the most of it
+    # attitudes and position are the most of it
+    strips = campaign(0, replace(PLAN, sigma_s_px=2.0, targets=40))
     found = estimated(strips)
     alone = [estimated([strip for strip in strips if strip.camera == name]) for name in CAMERAS]
     assert [one.cameras for one in alone] == [("",), ("",)]

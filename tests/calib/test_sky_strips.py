@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, CAMERAS, R_CS0, TABLE_1, assert_chi_square, nees_of_estimate, squared
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -14,30 +15,14 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.calib.verdict import CheckKind, assess
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import isotropic_covariance
 from boresight.records.ledger import Kind, Reason, Subject
-from boresight.simulator.campaign import CameraPair, DistortionCurve, StripPlan, draw_sky_strips, draw_strips
+from boresight.simulator.campaign import DistortionCurve, draw_sky_strips, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
-R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD  # the paper's (28)
-SKY = StripPlan(
-    strips=2,
-    sigma_c_px=0.05,
-    sigma_position_m=2.0,  # of no consequence to stars
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-)
+SKY = replace(TABLE_1, strips=2, sigma_c_px=0.05)
 NONE = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
-
-
-def nees_of(estimate):
-    error = theta_between(estimate.R_cs, BOLD)
-    return error @ np.linalg.solve(estimate.cov_theta, error)
 
 
 def test_stated_covariance_holds_from_the_sky_alone():
@@ -47,9 +32,8 @@ def test_stated_covariance_holds_from_the_sky_alone():
             draw_sky_strips(SKY, CAMERAS, rng, sigma_star_rad=0.02 * ARCSEC), R_CS0, CalibrationSettings()
         )
         assert isinstance(estimate, InstallationEstimate) and estimate.converged_covariance
-        nees.append(nees_of(estimate))
-    low, high = chi2(df=3 * 40).ppf([0.0005, 0.9995]) / 40
-    assert low < np.mean(nees) < high  # 1.89 to 4.45
+        nees.append(nees_of_estimate(estimate))
+    assert_chi_square(nees, 3)  # 1.89 to 4.45 a run
 
 
 def test_no_position_of_the_satellite_moves_a_star():
@@ -91,7 +75,7 @@ def test_a_star_in_several_strips_is_one_star(most, honest):
         (strip,) = draw_sky_strips(replace(exact, strips=1, sigma_s_px=0.001), CAMERAS, rng)
         ground = replace(strip.ground, cov_c=isotropic_covariance(strip.ground.u_c, 5e-8))
         strips = list(copies(replace(strip, ground=ground), 8, 2e-6, rng))
-        nees.append(nees_of(calibrate_strips(strips, BOLD, settings)))
+        nees.append(nees_of_estimate(calibrate_strips(strips, BOLD, settings)))
     low, high = chi2(df=3 * 20).ppf([0.0005, 0.9995]) / 20
     assert (low < np.mean(nees) < high) == honest  # eight times as many stars as there are: far too sure
 
@@ -124,17 +108,15 @@ def test_an_orbit_bias_of_5_m_is_recovered_beside_the_sky_though_2_m_were_stated
     for seed in range(8):  # forty in benchmarks/sky_campaigns.py
         strips = mixed(seed)
         estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
-        nees.append(nees_of(estimate))
+        nees.append(nees_of_estimate(estimate))
         found = estimate.bias
         assert {"along", "across"} <= set(found.names)
         error = found.value - [true[name] for name in found.names]
-        bias.append(error @ np.linalg.solve(found.covariance, error) * 2.0 / len(error))
+        bias.append(squared(error, found.covariance) * 2.0 / len(error))
         refuted = [check.kind for check in assess(estimate, strips).refuted_by]
         named += refuted == [CheckKind.ORBIT_BIAS]
-    low, high = chi2(df=3 * 8).ppf([0.0005, 0.9995]) / 8
-    assert low < np.mean(nees) < high  # 0.9 to 6.7
-    low, high = chi2(df=2 * 8).ppf([0.0005, 0.9995]) / 8
-    assert low < np.mean(bias) < high  # 0.4 to 5.2
+    assert_chi_square(nees, 3)  # 0.9 to 6.7 a run
+    assert_chi_square(bias, 2)  # 0.4 to 5.2 a run
     assert named >= 7
 
 

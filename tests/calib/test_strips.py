@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, CAMERAS
 from scipy.spatial.transform import Rotation
 
 from boresight.calib import strips as strips_module
@@ -19,10 +20,8 @@ from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings, VectorSets
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import StripPlan, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
 NONE = CalibrationSettings(
     sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
 )
@@ -73,9 +72,8 @@ def test_with_one_exposure_at_the_targets_instant_it_is_the_papers_frame():
     by_frames = calibrate_frames(frames, BOLD)
     by_strips = calibrate_strips(strips, BOLD, replace(NONE, robust=False))
     assert isinstance(by_strips, InstallationEstimate)
-    np.testing.assert_allclose(
-        by_strips.cov_theta, by_frames.solution.covariance, rtol=1e-4, atol=0
-    )  # relative; 1e-5 rad of noise moves the vectors at which information is taken
+    # relative; 1e-5 rad of noise moves the vectors at which information is taken
+    np.testing.assert_allclose(by_strips.cov_theta, by_frames.solution.covariance, rtol=1e-4, atol=0)
     apart = theta_between(by_strips.R_cs, by_frames.R_cs)
     assert np.linalg.norm(apart) < 2e-3 * ARCSEC  # second order in 5 arcsec of noise about Z
 
@@ -85,9 +83,8 @@ def test_exposures_doubled_a_millisecond_apart_tell_nothing_more_and_nothing_les
     by_each = calibrate_strips(strips, BOLD, NONE)
     by_double = calibrate_strips([doubled(strip) for strip in strips], BOLD, NONE)
     assert isinstance(by_each, InstallationEstimate) and isinstance(by_double, InstallationEstimate)
-    np.testing.assert_allclose(
-        np.diag(by_double.cov_theta), np.diag(by_each.cov_theta), rtol=0.02, atol=0
-    )  # relative: nodes lie 0.5 ms later, in steps of 200 ms; a polynomial through each makes it 40 times
+    # relative: nodes lie 0.5 ms later, in steps of 200 ms; a polynomial through each makes it 40 times
+    np.testing.assert_allclose(np.diag(by_double.cov_theta), np.diag(by_each.cov_theta), rtol=0.02, atol=0)
     apart = theta_between(by_double.R_cs, by_each.R_cs)
     assert apart @ np.linalg.solve(by_each.cov_theta, apart) < 0.1**2 * 3  # a tenth of 1 sigma
 
@@ -108,9 +105,8 @@ def test_errors_of_a_pass_move_the_targets_as_the_physics_says(unknown):
     column = of_pass(before, settings)[:, :, unknown]
     size = np.abs(column).max()
     assert size > 1e-6  # rad
-    np.testing.assert_allclose(
-        after.v_s - before.v_s, column, rtol=0, atol=5e-4 * size
-    )  # second order, and the rate by stars
+    # second order, and the rate by stars
+    np.testing.assert_allclose(after.v_s - before.v_s, column, rtol=0, atol=5e-4 * size)
 
 
 @pytest.fixture

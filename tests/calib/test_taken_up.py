@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_heads import NOISE_A, NOISE_B, R_A, R_B, SHAKEN
+from test_heads import NOISE_A, NOISE_B, R_A, R_B, SHAKEN, seen_by
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
@@ -15,18 +15,16 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.records.record import Floats
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-from boresight.simulator.head_attitudes import HeadPlan, with_heads
+from boresight.simulator.campaign import StripPlan
+from boresight.simulator.head_attitudes import HeadPlan
 
 PLAN = StripPlan(strips=4, sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC)
 SETTINGS = CalibrationSettings(robust=False)
 
 
 def flown() -> list[StripSightings]:
-    rng = np.random.default_rng(3)
-    strips, truth = draw_strips(PLAN, CameraPair(R_A), rng)
     plans = [HeadPlan("A", R_A, NOISE_A), HeadPlan("B", R_B, NOISE_B, shift_s=0.033)]
-    return with_heads(strips, truth, plans, [SHAKEN * R_A.inv() * R_B], PLAN.duration_s, rng)
+    return seen_by(plans, PLAN, np.random.default_rng(3))
 
 
 def with_error(strip: StripSightings, error: Floats) -> StripSightings:

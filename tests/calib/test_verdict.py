@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, CAMERAS, TABLE_1
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm
 
@@ -15,20 +16,9 @@ from boresight.calib.reliability import Reliability
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import CheckKind, Outcome, Suspect, VerdictSettings, assess, p_residuals
 from boresight.geometry.attitude_estimate import with_attitudes
-from boresight.geometry.constants import ARCSEC
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
-PLAN = StripPlan(
-    strips=3,
-    exposures=8,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-    sigma_target_m=0.5,
-)
+PLAN = replace(TABLE_1, strips=3, exposures=8, sigma_target_m=0.5)
 SIGMA_START = np.full(3, 3e-3)
 
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from drawn_campaigns import BOLD
 from scipy.stats import binom
 
 from boresight.calib.calibration import calibrate_strips
@@ -17,7 +17,6 @@ from boresight.geometry.sightings import StripSightings
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 DRAWS = 400_000
 # Square roots of covariances in which every element differs and the correlations are 0.5 to 0.9.
 ROOT_THETA = np.array([[3.0, 0.0, 0.0], [-2.0, 1.0, 0.0], [4.0, 1.5, 2.5]]) * 1e-5  # rad

@@ -33,20 +33,27 @@ def journeys(page: str) -> Mapping[str, list[Stop]]:
     }
 
 
-def code_of_name(name: str) -> CodeType | type:
-    """The code that runs when a dotted name below `boresight` is called; of a class its `__init__`, of a
-    record the class, as all records have one.
-    """
+def thing_of_name(name: str) -> object:
+    """The object that a dotted name below `boresight` means: modules as far as they go, then attributes."""
     parts = name.split(".")
     for cut in range(len(parts), 0, -1):
         path = ROOT.joinpath(*parts[:cut])
         if path.is_dir() or path.with_suffix(".py").is_file():
             thing = importlib.import_module(f"boresight.{'.'.join(parts[:cut])}")
             for part in parts[cut:]:
+                assert hasattr(thing, part), f"boresight.{name}: {thing} has no {part}"
                 thing = getattr(thing, part)
-            made = thing.__init__ if inspect.isclass(thing) else thing
-            return thing if made is _assign else inspect.unwrap(made).__code__
+            return thing
     raise AssertionError(f"boresight.{name} is not there")
+
+
+def code_of_name(name: str) -> CodeType | type:
+    """The code that runs when a function is called; of a class its `__init__`, of a record the class, as all
+    records have one.
+    """
+    thing = thing_of_name(name)
+    made = thing.__init__ if inspect.isclass(thing) else thing
+    return thing if made is _assign else inspect.unwrap(made).__code__
 
 
 @dataclass(frozen=True)

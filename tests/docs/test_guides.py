@@ -37,8 +37,8 @@ def test_places_that_a_guide_names_are_there(page: str) -> None:
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_a_readme_names_every_module_of_its_folder(folder: str) -> None:
     text = (ROOT / folder / "README.md").read_text(encoding="utf-8")
-    modules = [path.stem for path in (ROOT / folder).glob("*.py")]
-    assert len(modules) > 10 and [name for name in modules if name not in text] == []
+    modules = [path.name for path in (ROOT / folder).glob("*.py")]
+    assert len(modules) > 10 and [name for name in modules if f"`{name}`" not in text] == []
 
 
 def test_every_room_and_feature_has_its_tests_named() -> None:

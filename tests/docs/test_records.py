@@ -103,9 +103,3 @@ sys.exit(exit_status())
     assert "| tiny broken | failed: ValueError: broken |" in text
     assert "| tiny beside | not run: no interpreter given with --rugged-python |" in text
     assert "1 figures of 4 benchmarks: 1 miss their limits, 2 benchmarks were not run, 1 failed" in text
-
-
-@pytest.mark.parametrize("folder", ["benchmarks", "scripts"])
-def test_the_readme_of_a_folder_names_every_file(folder):
-    text = (ROOT / folder / "README.md").read_text(encoding="utf-8")
-    assert [path.name for path in (ROOT / folder).glob("*.py") if f"`{path.name}`" not in text] == []

@@ -24,9 +24,8 @@ from refresh_tutorial import (  # noqa: E402
 )
 
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
-TIMES = re.compile(
-    r"\d+\.\d+ s(?= ->)|\d+ bytes(?= ->)|\b[0-9a-f]{16,32}\b"
-)  # a file's length and digest are those of its numbers' last digits
+# a file's length and digest are those of its numbers' last digits
+TIMES = re.compile(r"\d+\.\d+ s(?= ->)|\d+ bytes(?= ->)|\b[0-9a-f]{16,32}\b")
 
 
 @pytest.fixture(scope="module")

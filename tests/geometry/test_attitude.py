@@ -6,12 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import (
-    AttitudeTrack,
-    ConstantRate,
-    EarthFixedAttitude,
-    interpolation_weights,
-)
+from boresight.geometry.attitude import AttitudeTrack, ConstantRate, EarthFixedAttitude, interpolation_weights
 from boresight.geometry.constants import ARCSEC
 
 MOUNTING = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)

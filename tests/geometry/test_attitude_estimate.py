@@ -7,11 +7,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from boresight.geometry.attitude_estimate import (
-    AttitudeSettings,
-    fit_attitudes,
-    wahba_matrices,
-)
+from boresight.geometry.attitude_estimate import AttitudeSettings, fit_attitudes, wahba_matrices
 from boresight.geometry.sightings import isotropic_covariance
 
 SIGMA = 4e-6  # rad

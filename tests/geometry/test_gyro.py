@@ -38,10 +38,7 @@ def test_a_gyro_between_attitudes_is_as_in_full_matrices() -> None:
         noise=NO_NOISE,
     )
     gyro = GyroRows(
-        t_s=STEPS,
-        R_sz=Rotation.from_rotvec(summed),
-        R_oi=Rotation.identity(len(STEPS)),
-        noise=NOISE,
+        t_s=STEPS, R_sz=Rotation.from_rotvec(summed), R_oi=Rotation.identity(len(STEPS)), noise=NOISE
     )
     found = SmoothedAttitude.of([head], np.full(3, Q), gyro)
     free = (1e3 * SIGMA) ** 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from boresight.geometry.terrain import TerrainGrid, _local_map, fit_local_map
+from boresight.geometry.terrain import TerrainGrid, fit_local_map
 
 
 def projection(crs, pixel_m=30.0):
@@ -75,27 +75,3 @@ def test_a_terrain_answers_alike_inside_and_outside_the_region_of_its_polynomial
     with_one_outside = grid.pixels_from_geodetic(np.append(lat, 0.5), np.append(lon, 0.2))  # all by PROJ
     assert np.abs(np.array(inside) - np.array(with_one_outside)[:, :-1]).max() < 1e-7
     assert np.isnan(grid.height_m(np.array([0.5]), np.array([0.2]))).all()
-
-
-@pytest.mark.parametrize(
-    "transform",
-    [
-        (30.0, 0.0, 471_200.0, 0.0, -30.0, 5_310_400.0),
-        (21.0, 17.0, 655_800.0, 15.0, -26.0, 5_150_300.0),  # a raster that is turned on its map
-    ],
-)
-def test_the_map_of_a_raster_in_a_projection_is_that_of_proj_over_all_of_it(transform):
-    shape = 900, 2300  # wide, so that rows and columns cannot stand for one another
-    quick = _local_map(transform, shape, "EPSG:32633")
-    assert quick is not None
-    rng = np.random.default_rng(8)
-    inside = rng.uniform(0.0, 1.0, (400, 2)) * [shape[1], shape[0]] - 0.5
-    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]]) - 0.5
-    pixels = np.concatenate([inside, corners])
-    a, b, c, d, e, f = transform
-    x, y = (pixels + 0.5).T
-    to_degrees = Transformer.from_crs(32633, 4326, always_xy=True)
-    lon, lat = np.radians(to_degrees.transform(a * x + b * y + c, d * x + e * y + f))
-    assert quick.covers(lat, lon).all()
-    found = np.column_stack(quick.at(lat, lon))
-    assert np.abs(found - pixels).max() < 1e-3  # px; the polynomial is asked for less

@@ -204,11 +204,6 @@ def test_rows_outside_orbit_or_attitude_are_refused():
         model.ground_points(0, [10.0], [1e6], ConstantHeight(0.0))
 
 
-def test_attitudes_far_off_the_earth_meet_no_ground():
-    model = strip(80.0, 0.0)
-    assert np.isnan(model.ground_points(0, [10.0, 3000.0], [5.0, 9.0], ConstantHeight(0.0))).all()
-
-
 def test_the_track_of_exposures_is_what_the_model_was_given():
     path = orbit()
     track = attitude(path)

@@ -138,9 +138,8 @@ def test_holes_and_edges_give_nan_and_only_they():
     inside = (column >= 0) & (column <= 99) & (row >= 0) & (row <= 99)
     hole = (column > 59) & (column < 70) & (row > 39) & (row < 50)
     rim = (column >= 59) & (column <= 70) & (row >= 39) & (row <= 50)
-    near_edge = (np.abs(column - 49.5) > 49.0) | (
-        np.abs(row - 49.5) > 49.0
-    )  # rounding decides on the edge itself
+    # rounding decides on the edge itself
+    near_edge = (np.abs(column - 49.5) > 49.0) | (np.abs(row - 49.5) > 49.0)
     found = np.isfinite(met[:, 0]).reshape(column.shape)
     assert not found[hole].any() and not found[~inside].any()
     assert found[inside & ~rim & ~near_edge].all()
@@ -171,9 +170,8 @@ def test_an_inclined_plane_is_met_where_algebra_says():
     lon = np.radians(14.0 + (column + 0.5) * CELL_DEG)
     met = intersect(*rays_at(lat, lon, 0.0, 0.0, 0.0), grid)
     expected = ecef_from_geodetic(lat, lon, 3.0 * column, WGS84)
-    np.testing.assert_allclose(
-        met, expected, rtol=0, atol=1e-5
-    )  # float32 heights are exact here; 1e-7 deg of place
+    # float32 heights are exact here; 1e-7 deg of place
+    np.testing.assert_allclose(met, expected, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", UTM33])
@@ -212,14 +210,17 @@ def test_paths_in_pixels_are_those_of_their_points(crs):
 )
 @pytest.mark.parametrize("count", [1, 400])
 def test_pixels_of_a_raster_in_a_projection_are_those_of_the_places_that_proj_gives_them(transform, count):
-    shape = 90, 230  # wide, so that rows and columns cannot stand for one another
+    shape = 900, 2300  # wide, so that rows and columns cannot stand for one another
     grid = TerrainGrid.from_raster(np.zeros(shape), transform, UTM33, None)
-    pixels = np.random.default_rng(8).uniform(0.0, 1.0, (count, 2)) * [shape[1], shape[0]] - 0.5
+    inside = np.random.default_rng(8).uniform(0.0, 1.0, (count, 2))
+    corners = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
+    pixels = np.concatenate([inside, corners]) * [shape[1], shape[0]] - 0.5
     a, b, c, d, e, f = transform
     x, y = (pixels + 0.5).T.tolist()
     to_degrees = Transformer.from_crs(UTM33, "EPSG:4326", always_xy=True)
     places = [to_degrees.transform(a * u + b * v + c, d * u + e * v + f) for u, v in zip(x, y)]
     lon, lat = np.radians(places).T
+    assert grid.local_map is not None and grid.local_map.covers(lat, lon).all()
     found = np.column_stack(grid.pixels_from_geodetic(lat, lon))
     assert np.abs(found - pixels).max() < 1e-6  # px of 30 m: PROJ's inverse is good to 1e-9 m
     assert np.isnan(grid.height_m(lat + 0.5, lon)).all()

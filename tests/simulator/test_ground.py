@@ -153,9 +153,8 @@ def test_a_user_s_image_is_mirrored_beyond_its_borders():
 
 
 def test_an_image_out_of_reach_is_told_with_the_place_of_its_middle():
-    image = np.arange(30.0 * 70.0).reshape(
-        30, 70
-    )  # 30 rows of 70 columns, turned: rows run east, columns south
+    # 30 rows of 70 columns, turned: rows run east, columns south
+    image = np.arange(30.0 * 70.0).reshape(30, 70)
     affine = (11.0, 5000.0, 40_000.0, -3000.0, 700.0, -90_000.0)
     crs = "+proj=ortho +lat_0=-33 +lon_0=-70 +a=6371000"  # half of the Earth has no place in its plane
     ortho = ImageGround(GroundImage(image, affine, crs), 1.0, 32648)

@@ -76,9 +76,8 @@ def test_background_noise_is_read_and_photon_noise():
         SkySettings(), background_gradient_dn=(0.0, 0.0), background_bow_dn=0.0, cosmic_rays=0.0, hot_pixels=0
     )
     image = expose(np.zeros((0, 1, 2)), np.zeros(0), (600, 500), sky, NO_HOT, np.random.default_rng(4))
-    expected = (
-        sky.read_noise_dn**2 + sky.background_dn / sky.e_per_dn + 1.0 / 12.0
-    )  # and rounding to integers
+    # and rounding to integers
+    expected = sky.read_noise_dn**2 + sky.background_dn / sky.e_per_dn + 1.0 / 12.0
     # 3e5 pixels: the variance is known to 0.26 %, the mean to 0.004 DN; five standard errors.
     assert image.astype(float).var() == pytest.approx(expected, rel=0.013)
     assert image.mean() == pytest.approx(sky.background_dn, abs=0.02)

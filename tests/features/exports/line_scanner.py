@@ -5,6 +5,7 @@ nothing of ours but the numbers in the file goes in.
 import json
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 class LineScanner:
@@ -29,7 +30,7 @@ class LineScanner:
         p, q = self.lagrange(self.p, t), self.lagrange(self.q, t)
         x, y = self.undistorted(*self.focal_plane(sample))
         look = np.array([-x, -y, -self.isd["focal_length_model"]["focal_length"]])
-        return p, self.matrix(q / np.linalg.norm(q)) @ (look / np.linalg.norm(look))
+        return p, Rotation.from_quat(q).apply(look / np.linalg.norm(look))
 
     def focal_plane(self, sample):
         """Real image point, mm, of a sample; the line within the detector is 0."""
@@ -63,14 +64,3 @@ class LineScanner:
         nodes = self.t[first : first + 8]
         weights = [np.prod([(t - m) / (n - m) for m in nodes if m != n]) for n in nodes]
         return np.array(weights) @ values[first : first + 8]
-
-    @staticmethod
-    def matrix(q):
-        x, y, z, w = q
-        return np.array(
-            [
-                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-            ]
-        )

@@ -34,9 +34,8 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 
 
-OF_ANY_DUMP = [
-    name for name in FORMATS if name not in ("dimap", "gipp")
-]  # test_dimap_product.py, test_gipp_product.py
+# test_dimap_product.py, test_gipp_product.py
+OF_ANY_DUMP = [name for name in FORMATS if name not in ("dimap", "gipp")]
 
 
 @pytest.fixture(scope="module")

@@ -39,9 +39,8 @@ POINTS = GroundPoints(
 
 
 def test_geojson_says_longitude_first_and_keeps_every_digit():
-    content = json.loads(
-        points_geojson([POINTS], NOTES)
-    )  # RFC 7946: position = longitude, latitude, height above WGS84
+    # RFC 7946: position = longitude, latitude, height above WGS84
+    content = json.loads(points_geojson([POINTS], NOTES))
     assert content["type"] == "FeatureCollection"
     for n, feature in enumerate(content["features"]):
         assert feature["geometry"] == {

@@ -161,9 +161,8 @@ def test_every_virtual_pixel_finds_the_ground_in_the_real_image(scene):
     for ccd, begin, end in strip.seams(1200.0):
         at = np.linspace(max(begin, 0.0), min(end, strip.width_px - 1.0), 20), np.full(20, 1200.0)
         sample, line = strip.source_pixels(ccd, *at)
-        assert (
-            sample.min() > -12.0 and sample.max() < WIDTH + 12.0
-        )  # the Earth turns by 10 px between the rows
+        # the Earth turns by 10 px between the rows
+        assert sample.min() > -12.0 and sample.max() < WIDTH + 12.0
         ground = strip.virtual.ground_points(0, *at, ConstantHeight(HEIGHT_M))
         real = model.ground_points(ccd, sample, line, ConstantHeight(HEIGHT_M))
         assert np.abs(real - ground).max() < 1e-5  # m

@@ -110,10 +110,7 @@ def only(calibrated, part):
     return replace(
         calibrated,
         result=replace(
-            calibrated.result,
-            cov_theta=cov_theta,
-            covariance_s=np.tile(covariance, (n, 1, 1)),
-            taken_up={},
+            calibrated.result, cov_theta=cov_theta, covariance_s=np.tile(covariance, (n, 1, 1)), taken_up={}
         ),
         dump=replace(calibrated.dump, errors=errors),
         sigma_terrain_m=5.0 if part == "terrain" else 0.0,

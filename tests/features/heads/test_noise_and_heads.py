@@ -12,8 +12,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from command_line import ran
+from drawn_campaigns import squared
 from drawn_pictures import kept_figures, numbers
-from handmade_sentinel2 import write_sentinel2
+from handmade_sentinel2 import POINT, write_sentinel2
 from scipy.linalg import toeplitz
 from scipy.signal import freqz, lfilter, periodogram
 from scipy.spatial.transform import Rotation
@@ -47,13 +48,8 @@ def drawn_errors(head: int, rows: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.fixture(scope="module")
 def dump(tmp_path_factory):
     root = tmp_path_factory.mktemp("heads")
-    write_imported(
-        root / "dump", sentinel2_mission([read_sentinel2(write_sentinel2(root), root, "B04")], "by hand")
-    )
-    (root / "dump" / "points.csv").write_text(
-        "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
-        "sigma_east_m,sigma_north_m,sigma_up_m\na,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n"
-    )
+    datastrip = read_sentinel2(write_sentinel2(root), root, "B04")
+    write_imported(root / "dump", sentinel2_mission([datastrip], "by hand"), POINT)
     one, two = open_dump(root / "dump").heads
     rng = np.random.default_rng(5)
     for n, (head, mount) in enumerate(zip((one, two), (None, MOVED * one.R_cs0.inv() * two.R_cs0))):
@@ -233,7 +229,7 @@ def test_alignment_clock_and_angle_are_the_drawn_ones_within_their_errors(dump, 
     assert [head["name"] for head in told["noise"]["heads"]] == ["STR1", "STR2"]
     R_found, C = Rotation.from_quat(found["quaternion_sh"]), np.array(found["covariance_rad2"])
     off = (R_found * R_sh.inv()).as_rotvec()
-    assert 0.05 < off @ np.linalg.solve(C, off) < chi2(3).isf(1e-3)
+    assert 0.05 < squared(off, C) < chi2(3).isf(1e-3)
     assert np.all(np.sqrt(np.diag(C)) < 4.0 * ARCSEC)
     assert abs(found["time_offset_s"] - LATE_S) < 3.5 * found["sigma_time_offset_s"] < 8.75e-3
     (term,) = found["terms"]  # the second tracker does not move against the first

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handmade_sentinel2 import write_sentinel2
+from handmade_sentinel2 import POINT, write_sentinel2
 
 from boresight.features.operators.imported_mission import write_imported
 from boresight.features.operators.sentinel2_import import sentinel2_mission
@@ -31,10 +31,8 @@ PARTS = ("white_rad", "correlated_rad", "correlation_time_s", "constant_rad")
 
 @pytest.fixture
 def dump(tmp_path):
-    points = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
-    points += "sigma_east_m,sigma_north_m,sigma_up_m\na,B04,1,3,100,1,1,10.0,20.0,50.0,ellipsoidal,1,1,1\n"
     strip = read_sentinel2(write_sentinel2(tmp_path), tmp_path, "B04")
-    write_imported(tmp_path / "dump", sentinel2_mission([strip], "test"), points)
+    write_imported(tmp_path / "dump", sentinel2_mission([strip], "test"), POINT)
     return tmp_path / "dump"
 
 

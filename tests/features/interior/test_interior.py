@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, assert_chi_square
 from four_ccds import four_ccds
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import (
@@ -21,7 +21,6 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_sky_strips, draw_strips
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 NODES = np.linspace(0.0, 6143.0, 9)
 
 
@@ -129,8 +128,7 @@ def test_a_wrong_camera_is_found_with_an_honest_covariance(kind):
         np.testing.assert_allclose(sigma.ravel() ** 2, np.diag(covariance), rtol=1e-9)
         values, vectors = np.linalg.eigh(covariance)  # the widest ten: beyond, the curves' knots have few
         nees += np.sum((vectors[:, -10:].T @ error.ravel()) ** 2 / values[-10:])
-    low, high = chi2(df=10 * RUNS).ppf([0.0005, 0.9995]) / (10 * RUNS)
-    assert low < nees / (10 * RUNS) < high  # 0.55 to 1.59: a factor of 1.4 in sigma is 2.0 or 0.5
+    assert_chi_square(nees, 10 * RUNS)  # 0.55 to 1.59: a factor of 1.4 in sigma is 2.0 or 0.5
 
 
 def test_a_delay_of_a_ccds_rows_is_found_from_scans_in_both_directions():

@@ -85,6 +85,17 @@ class DrawnMission:
         return dataclasses.replace(like, **(values | changes))
 
 
+def joint_information(series):
+    """Information (3 K, 3 K) on theta of all results, shared unknowns integrated out, and right-hand side."""
+    K = len(series.t_s)
+    cross = series.F_shared.reshape(3 * K, -1)
+    L = np.zeros((3 * K, 3 * K))
+    for k in range(K):
+        L[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = series.F[k]
+    L -= cross @ np.linalg.solve(series.shared_F, cross.T)
+    return L, series.right.ravel() - cross @ np.linalg.solve(series.shared_F, series.shared_right)
+
+
 def bare_result(pair=None):
     """A result without files, as the first of a mission."""
     pair = lopsided_pair() if pair is None else pair
@@ -138,3 +149,7 @@ class Truth:
         """(N, 3), rad."""
         later = (t_s[:, None] >= self.t_s[list(self.rows)]).astype(float)
         return (annual_columns(t_s) @ self.annual + cos_sin @ self.orbit + later @ self.steps) * ARCSEC
+
+    def series(self, pair, rng):
+        """What results at all instants say, drawn from their information."""
+        return DrawnMission(pair, rng).series(self.t_s, self.theta(self.t_s, self.cos_sin), self.cos_sin)

@@ -6,6 +6,7 @@ import sqlite3
 import numpy as np
 import pytest
 from command_line import invoked, ran
+from drawn_campaigns import squared
 from drawn_mission import DrawnMission, Truth, bare_result, lopsided_pair
 from killed_writers import kill_writers
 
@@ -146,7 +147,7 @@ def test_trends_tell_step_prediction_and_alarm(tmp_path):
         deviation_from_theta(truth.theta(np.array([last + YEAR_S / 12]), np.zeros((1, 2)))[0]) * PAIR.R_cs_ref
     )
     error = theta_between(type(R_true).from_matrix(np.array(calibration["R_cs"])), R_true)
-    assert error @ np.linalg.solve(np.array(calibration["covariance_rad2"]), error) < 16.3  # chi2(3), 0.1 %
+    assert squared(error, np.array(calibration["covariance_rad2"])) < 16.3  # chi2(3), 0.1 %
     page = (tmp_path / "t" / "trends.html").read_text()
     assert page.count("<a href=") >= 3 * 59 and "refuted" in page and "report.html" in page
     assert "does not reach what is required" in ran(*asked, "--require-arcsec", 0.001, status=4).output

@@ -11,10 +11,10 @@ from functools import reduce
 
 import numpy as np
 import pytest
-from drawn_mission import DrawnMission, lopsided_pair
+from drawn_campaigns import BOLD, TABLE_1, assert_chi_square, squared
+from drawn_mission import DrawnMission, joint_information, lopsided_pair
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
-from scipy.stats import binom, chi2
+from scipy.stats import binom
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
@@ -29,7 +29,7 @@ from boresight.features.mission.mounting_course import (
 )
 from boresight.geometry.constants import ARCSEC, DAY_S
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
+from boresight.simulator.campaign import CameraPair, draw_strips
 
 PAIR = lopsided_pair()
 MONTHS = np.array([0, 29, 62, 88, 121, 155, 180, 214, 240, 273, 300, 336.0]) * DAY_S
@@ -75,9 +75,8 @@ def test_the_step_itself_and_its_covariance_are_honest():
         one = against_rest(drawn(np.where(np.arange(12)[:, None] > 4, step, 0.0), rng)).step
         assert one.row == 5
         error = one.theta - step
-        nees += error @ np.linalg.solve(one.covariance, error)
-    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
-    assert low < nees < high
+        nees += squared(error, one.covariance)
+    assert_chi_square(nees, 3 * runs)
 
 
 def test_an_orbit_term_is_not_accepted_beside_a_step_that_it_could_follow():
@@ -89,17 +88,6 @@ def test_an_orbit_term_is_not_accepted_beside_a_step_that_it_could_follow():
         found = estimate_course(drawn(course, rng, cos_sin=np.column_stack([np.cos(u), np.sin(u)])))
         accepted += "orbit phase" in found.terms
     assert accepted <= binom(25, 0.01).ppf(0.999)
-
-
-def joint_information(series):
-    """Information (3 K, 3 K) on theta of all results, shared unknowns integrated out, and right-hand side."""
-    K = len(series.t_s)
-    cross = series.F_shared.reshape(3 * K, -1)
-    L = np.zeros((3 * K, 3 * K))
-    for k in range(K):
-        L[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = series.F[k]
-    L -= cross @ np.linalg.solve(series.shared_F, cross.T)
-    return L, series.right.ravel() - cross @ np.linalg.solve(series.shared_F, series.shared_right)
 
 
 def test_the_course_with_a_walk_is_the_dense_gaussian_posterior():
@@ -144,16 +132,9 @@ def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
 
 # --- Strips of one camera with one distortion
 
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 SETTINGS = CalibrationSettings(robust=False)  # the same targets in months and in all
 N_MONTHS, STRIPS = 6, 4
-PLAN = StripPlan(
-    strips=N_MONTHS * STRIPS,
-    sigma_position_m=2.0,
-    sigma_clock_s=1e-4,
-    sigma_vibration_rad=0.1 * ARCSEC,
-    sigma_distortion_rad=3e-7,
-)
+PLAN = replace(TABLE_1, strips=N_MONTHS * STRIPS)
 
 
 def series_of_pairs(pairs, prior):

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from drawn_mission import DrawnMission, Truth, lopsided_pair
+from drawn_campaigns import assert_chi_square, squared
+from drawn_mission import DrawnMission, Truth, joint_information, lopsided_pair
 from scipy.stats import binom, chi2
 
 from boresight.features.mission.mounting_course import (
@@ -23,10 +24,7 @@ def test_terms_and_steps_of_three_years_are_recovered_and_the_prediction_is_hone
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         truth = Truth(rng)
-        series = DrawnMission(PAIR, rng).series(
-            truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin
-        )
-        course = estimate_course(series)
+        course = estimate_course(truth.series(PAIR, rng))
         assert course.terms == ("annual", "orbit phase")
         dated += any(abs(step.row - truth.rows[0]) <= 1 for step in course.steps)
         for term, expected in (("annual", truth.annual), ("orbit phase", truth.orbit)):
@@ -36,12 +34,11 @@ def test_terms_and_steps_of_three_years_are_recovered_and_the_prediction_is_hone
         at = np.array([[np.cos(u), np.sin(u)]])
         theta, covariance = course.at(t_s, {"orbit phase": at})
         error = theta[0] - truth.theta(t_s, at)[0]
-        nees += error @ np.linalg.solve(covariance[0], error)
+        nees += squared(error, covariance[0])
     # of 96 coefficients beyond 2.5 sigma: 1.2 % by chance
     assert np.sum(np.abs(errors) > 2.5) <= binom(96, 0.0124).ppf(0.999)
     assert dated >= binom(runs, 0.95).ppf(0.001)
-    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
-    assert low < nees < high
+    assert_chi_square(nees, 3 * runs)
 
 
 @pytest.mark.parametrize("seasons", [0.0, 3.0])
@@ -50,10 +47,7 @@ def test_a_mounting_without_steps_has_none(seasons):
     for seed in range(runs):
         rng = np.random.default_rng(100 + seed)
         truth = Truth(rng, results=60, annual=seasons, orbit=0.0, steps=(0.0, 0.0))
-        series = DrawnMission(PAIR, rng).series(
-            truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin
-        )
-        course = estimate_course(series)
+        course = estimate_course(truth.series(PAIR, rng))
         false += len(course.steps)
         assert ("annual" in course.terms) == (seasons > 0.0) or seasons == 0.0
     assert false <= binom(runs, 0.03).ppf(0.999)  # 1 % a year, three years each
@@ -62,7 +56,7 @@ def test_a_mounting_without_steps_has_none(seasons):
 def test_the_gain_of_a_step_is_that_of_fitting_it():
     rng = np.random.default_rng(3)
     truth = Truth(rng, results=20)
-    series = DrawnMission(PAIR, rng).series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+    series = truth.series(PAIR, rng)
     ones, rows = np.ones((20, 1)), np.arange(1, 20)
     for density in (0.0, (0.1 * ARCSEC) ** 2 / DAY_S):
         rest, (gains, _) = fit_columns(series, ones, density), step_gains(series, ones, density, rows)
@@ -79,12 +73,7 @@ def test_the_fit_is_generalised_least_squares_with_the_shared_unknowns_integrate
     X = np.column_stack([np.ones(9), t_s / YEAR_S])
     found = fit_columns(series, X)
     # the results' own best theta with their joint covariance: each its own noise, the distortion of all
-    L = np.zeros((27, 27))
-    cross = series.F_shared.reshape(27, -1)
-    for k in range(9):
-        L[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = series.F[k]
-    L -= cross @ np.linalg.solve(series.shared_F, cross.T)
-    right = series.right.ravel() - cross @ np.linalg.solve(series.shared_F, series.shared_right)
+    L, right = joint_information(series)
     theta, A = np.linalg.solve(L, right), np.kron(X, np.eye(3))
     covariance = np.linalg.inv(A.T @ L @ A)
     best = covariance @ A.T @ L @ theta
@@ -118,7 +107,7 @@ def test_an_exchange_is_a_step_at_a_known_date():
     (step,) = course.steps
     assert step.is_exchange and step.row == 12
     error = step.theta - [0.0, 2e-4, 0.0]
-    assert error @ np.linalg.solve(step.covariance, error) < chi2(3).ppf(0.999)
+    assert squared(error, step.covariance) < chi2(3).ppf(0.999)
 
 
 def test_what_one_side_of_an_orbit_cannot_tell_is_said():
@@ -145,8 +134,7 @@ def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
     for seed in range(8, 16):
         rng = np.random.default_rng(seed)
         truth = Truth(rng, results=110, one_sided=True, annual=0.0, steps=(0.0, 0.0))
-        drawn = DrawnMission(PAIR, rng)
-        series = drawn.series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+        series = truth.series(PAIR, rng)
         course = estimate_course(series)
         assert course.terms in ((), ("orbit phase",)) and not course.steps
         assert any(text.startswith("orbit phase: seen in part only") for text in aliases(series))
@@ -156,8 +144,23 @@ def test_an_orbit_term_seen_in_part_is_fitted_in_the_direction_that_is_told():
         assert course.of_term("orbit phase")[0].shape == (1, 3)
         theta, covariance = course.at(truth.t_s[:1], {"orbit phase": truth.cos_sin[:1]})
         error = theta[0] - truth.theta(truth.t_s[:1], truth.cos_sin[:1])[0]
-        assert error @ np.linalg.solve(covariance[0], error) < chi2(3).ppf(0.9999)
+        assert squared(error, covariance[0]) < chi2(3).ppf(0.9999)
     assert found >= 7
+
+
+def test_the_walk_goes_on_before_the_first_result_and_after_the_last():
+    rng, t_s = np.random.default_rng(8), 20 * DAY_S * np.arange(20)
+    walk = np.cumsum(rng.normal(0.0, ARCSEC, (20, 3)), axis=0)
+    course = estimate_course(DrawnMission(PAIR, rng).series(t_s, walk))
+    assert course.walks and course.terms == () and not course.steps
+    at = np.array([-3.0 * DAY_S, 0.0, t_s[-1], t_s[-1] + 5.0 * DAY_S])
+    theta, covariance = course.at(at)
+    np.testing.assert_array_equal(theta[[0, 3]], theta[[1, 2]])
+    np.testing.assert_allclose(covariance[1], covariance[2], rtol=1e-6)  # results tell as much at either end
+    grown = course.density_rad2_s * DAY_S * np.array([3.0, 5.0])
+    np.testing.assert_allclose(
+        covariance[[0, 3]] - covariance[[1, 2]], grown[:, None, None] * np.eye(3), atol=1e-9 * grown[0]
+    )
 
 
 def test_one_result_has_no_course():

@@ -5,6 +5,7 @@ import stat
 import tarfile
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,9 @@ from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
 
 from boresight.features.operators.sentinel2_product import Sentinel2, read_sentinel2
 from boresight.pipeline.errors import RawDataError
+
+Files = dict[str, bytes]
+Plain = tuple[Path, Files]  # the folder with the plain files, and what they hold
 
 
 def tar_of(members: dict[str, bytes], mode: str) -> bytes:
@@ -34,34 +38,34 @@ def in_data_block(raw: bytes) -> bytes:
 HEADER = b"<Earth_Explorer_Header/>"
 
 
-def as_dbl(place: Path, files: dict[str, bytes]) -> Path:
+def as_dbl(place: Path, files: Files) -> Path:
     for name, raw in files.items():
         (place / f"{name}.DBL").write_bytes(raw)
         (place / f"{name}.HDR").write_bytes(HEADER)
     return place
 
 
-def as_data_blocks_in_folders(place: Path, files: dict[str, bytes]) -> Path:
+def as_data_blocks_in_folders(place: Path, files: Files) -> Path:
     for name, raw in files.items():
         (place / name).mkdir()
         (place / name / f"{name}.DBL").write_bytes(in_data_block(raw))
     return place
 
 
-def as_archives(place: Path, files: dict[str, bytes]) -> Path:
+def as_archives(place: Path, files: Files) -> Path:
     for suffix, (name, raw) in zip(("tar.gz", "TGZ"), files.items()):
         inside = {f"{name}/{name}.HDR": HEADER, f"{name}/{name}.DBL": raw}
         (place / f"{name}.{suffix}").write_bytes(tar_of(inside, "gz"))
     return place
 
 
-def as_one_archive(place: Path, files: dict[str, bytes]) -> Path:
+def as_one_archive(place: Path, files: Files) -> Path:
     inside = {f"GIPP/{name}.tgz": tar_of({f"{name}.DBL": raw}, "gz") for name, raw in files.items()}
     (place / "gipp.tar").write_bytes(tar_of(inside | {"GIPP/README": b"all"}, ""))
     return place / "gipp.tar"
 
 
-def as_other_encodings(place: Path, files: dict[str, bytes]) -> Path:
+def as_other_encodings(place: Path, files: Files) -> Path:
     """The same text in UTF-16, and in ISO 8859-1 with a letter beyond ASCII in a comment."""
     for n, (name, raw) in enumerate(files.items()):
         body = raw.decode().partition("?>")[2] or raw.decode()
@@ -78,14 +82,14 @@ def zip_of(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -
     return stream.getvalue()
 
 
-def as_zips(place: Path, files: dict[str, bytes]) -> Path:
+def as_zips(place: Path, files: Files) -> Path:
     for n, (name, raw) in enumerate(files.items()):
         inside = {f"{name}/{name}.HDR": HEADER, f"{name}/{name}.DBL": raw}
         (place / f"{name}.ZIP").write_bytes(zip_of(inside, (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)[n % 2]))
     return place
 
 
-def as_one_zip(place: Path, files: dict[str, bytes]) -> Path:
+def as_one_zip(place: Path, files: Files) -> Path:
     (spamod, first), (viedir, second) = files.items()
     inside = {f"GIPP/{spamod}.tgz": tar_of({f"{spamod}.DBL": first}, "gz")}
     inside |= {f"GIPP/{viedir}.zip": zip_of({f"{viedir}.DBL": second}), "GIPP/README": b"all"}
@@ -94,7 +98,7 @@ def as_one_zip(place: Path, files: dict[str, bytes]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Plain:
     folder = tmp_path_factory.mktemp("plain")
     write_sentinel2(folder)
     return folder, {name: (folder / f"{name}.xml").read_bytes() for name in (SPAMOD, VIEDIR)}
@@ -109,21 +113,25 @@ def assert_same(found: Sentinel2, expected: Sentinel2) -> None:
         assert np.array_equal(there, here)
 
 
+def assert_refused(datastrip: Path, place: Path, raw: bytes, complaint: str) -> None:
+    place.write_bytes(raw)
+    with pytest.raises(RawDataError, match=complaint):
+        read_sentinel2(datastrip, place, "B04")
+
+
 @pytest.mark.parametrize(
     "packed",
     [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip, as_other_encodings],
 )
 def test_every_packing_is_read_as_the_plain_files_are(
-    packed: Callable[[Path, dict[str, bytes]], Path], plain: tuple[Path, dict[str, bytes]], tmp_path: Path
+    packed: Callable[[Path, Files], Path], plain: Plain, tmp_path: Path
 ) -> None:
     folder, files = plain
     expected = read_sentinel2(folder / DATASTRIP, folder, "B04")
     assert_same(read_sentinel2(folder / DATASTRIP, packed(tmp_path, files), "B04"), expected)
 
 
-def test_nothing_is_written_and_links_are_no_members(
-    plain: tuple[Path, dict[str, bytes]], tmp_path: Path
-) -> None:
+def test_nothing_is_written_and_links_are_no_members(plain: Plain, tmp_path: Path) -> None:
     folder, files = plain
     stream = io.BytesIO()
     with tarfile.open(fileobj=stream, mode="w:gz") as archive:
@@ -133,15 +141,12 @@ def test_nothing_is_written_and_links_are_no_members(
         outside = tarfile.TarInfo(f"../../{VIEDIR}.DBL")
         outside.size = len(files[VIEDIR])
         archive.addfile(outside, io.BytesIO(files[VIEDIR]))
-    (tmp_path / "gipp.tgz").write_bytes(stream.getvalue())
-    with pytest.raises(RawDataError, match=f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}"):
-        read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+    none = f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}"
+    assert_refused(folder / DATASTRIP, tmp_path / "gipp.tgz", stream.getvalue(), none)
     assert [path.name for path in tmp_path.iterdir()] == ["gipp.tgz"]
 
 
-def test_damage_and_bombs_are_told(
-    plain: tuple[Path, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damage_and_bombs_are_told(plain: Plain, tmp_path: Path) -> None:
     folder, files = plain
     whole = tar_of({f"{name}.DBL": raw for name, raw in files.items()}, "gz")
     for raw, complaint in (
@@ -154,23 +159,13 @@ def test_damage_and_bombs_are_told(
         ),
         (tar_of({f"{SPAMOD}.DBL": b"\xff\xfe", f"{VIEDIR}.DBL": b"<a/>"}, ""), "XML: found .*well-formed"),
     ):
-        (tmp_path / "gipp.tgz").write_bytes(raw)
-        with pytest.raises(RawDataError, match=complaint):
-            read_sentinel2(folder / DATASTRIP, tmp_path / "gipp.tgz", "B04")
+        assert_refused(folder / DATASTRIP, tmp_path / "gipp.tgz", raw, complaint)
 
 
-def test_damaged_zips_links_and_bombs_are_told(
-    plain: tuple[Path, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_zips_links_and_bombs_are_told(plain: Plain, tmp_path: Path) -> None:
     folder, files = plain
-    place = tmp_path / "gipp.zip"
+    refused = partial(assert_refused, folder / DATASTRIP, tmp_path / "gipp.zip")
     whole = zip_of({f"{name}.DBL": raw for name, raw in files.items()})
-
-    def refused(raw: bytes, complaint: str) -> None:
-        place.write_bytes(raw)
-        with pytest.raises(RawDataError, match=complaint):
-            read_sentinel2(folder / DATASTRIP, place, "B04")
-
     refused(whole[: len(whole) // 2], r"gipp\.zip: archive: found File is not a zip file, expected a whole")
     broken = bytearray(whole)
     broken[200] ^= 0xFF
@@ -199,9 +194,7 @@ OLD, NEW, LATE = (
 )
 
 
-def test_of_several_mountings_the_one_valid_at_the_date_is_taken(
-    plain: tuple[Path, dict[str, bytes]], tmp_path: Path
-) -> None:
+def test_of_several_mountings_the_one_valid_at_the_date_is_taken(plain: Plain, tmp_path: Path) -> None:
     folder, files = plain
     as_dbl(tmp_path, {OLD: b"<damaged", NEW: files[SPAMOD], VIEDIR: files[VIEDIR]})
     text = (folder / DATASTRIP).read_text()

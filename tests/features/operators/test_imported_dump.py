@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from handmade_sentinel2 import write_sentinel2
+from handmade_sentinel2 import POINT, write_sentinel2
 from scipy.spatial.transform import Rotation
 
 from boresight.features.operators.imported_mission import white_noise_rad, write_imported
@@ -12,11 +12,6 @@ from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.pipeline.files.dump import open_dump
-
-POINT = (
-    "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
-    "sigma_east_m,sigma_north_m,sigma_up_m\na,B04,1,3,100,1,1,10,20,50,ellipsoidal,1,1,1\n"
-)
 
 
 def test_white_noise_is_that_about_each_axis_of_the_head():

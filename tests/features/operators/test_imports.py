@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from command_line import app
+import rasterio
+from command_line import invoked, ran
 from handmade_dimap import dimap_text
-from handmade_sentinel2 import write_sentinel2
+from handmade_sentinel2 import DATASTRIP, write_sentinel2
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
+from boresight.features.operators.dimap_grid import dimap_grid_differences
 from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
@@ -22,12 +23,6 @@ from boresight.pipeline.files.star_side import SolvedAttitudes
 POINTS = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 POINTS += "sigma_east_m,sigma_north_m,sigma_up_m\n"
 POINTS += "a,{strip},{ccd},3,100,0.1,0.1,10.0,20.0,50.0,ellipsoidal,1,1,1\n"
-
-
-def invoked(*arguments: object) -> str:
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def model_of(dump: Dump, head: int = 0) -> Pushbroom:
@@ -54,14 +49,14 @@ def sentinel2(tmp_path_factory):
     datastrip = write_sentinel2(root)
     (root / "points.csv").write_text(POINTS.format(strip="B04", ccd=1))
     options = ("--gipp", root, "--band", "B04", "--points", root / "points.csv")
-    said = invoked("import", "sentinel2", datastrip, root / "corrected", *options, "--attitudes", "corrected")
-    assert "2 CCDs, 1 points" in said
-    invoked("import", "sentinel2", datastrip, root / "raw", *options)
+    said = ran("import", "sentinel2", datastrip, root / "corrected", *options, "--attitudes", "corrected")
+    assert "2 CCDs, 1 points" in said.output
+    ran("import", "sentinel2", datastrip, root / "raw", *options)
     return root
 
 
 def test_places_of_an_imported_datastrip_are_the_operators(sentinel2):
-    strip = read_sentinel2(sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2, "B04")
+    strip = read_sentinel2(sentinel2 / DATASTRIP, sentinel2, "B04")
     orbit = operator_orbit(strip, strip.earth_orientation)
     dump = open_dump(sentinel2 / "corrected")
     ours = model_of(dump)
@@ -77,7 +72,7 @@ def test_places_of_an_imported_datastrip_are_the_operators(sentinel2):
 
 @pytest.mark.parametrize(("east_m", "status"), [(0.0, 0), (1.0, 4)])
 def test_check_against_a_grid_has_a_verdict_and_an_exit_status(sentinel2, tmp_path, east_m, status):
-    strip = read_sentinel2(sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2, "B04")
+    strip = read_sentinel2(sentinel2 / DATASTRIP, sentinel2, "B04")
     orbit = operator_orbit(strip, strip.earth_orientation)
     rows = ["granule,detector,band,line,sample,lon,lat,alt\n"]
     for ccd in (0, 1):
@@ -88,11 +83,32 @@ def test_check_against_a_grid_has_a_verdict_and_an_exit_status(sentinel2, tmp_pa
         place = f"{float(np.degrees(lon))!r},{float(np.degrees(lat))!r},{height!r}"
         rows.append(f"G,{ccd + 1},B04,1201,6,{place}\n")
     (tmp_path / "grid.csv").write_text("".join(rows))
-    asked = ["sentinel2", sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", "--gipp", sentinel2, "--band", "B04"]
-    told = CliRunner().invoke(app, [str(word) for word in (*asked, "--grid", tmp_path / "grid.csv")])
-    assert told.exit_code == status, told.output
+    asked = ("sentinel2", sentinel2 / DATASTRIP, "--gipp", sentinel2, "--band", "B04")
+    told = ran(*asked, "--grid", tmp_path / "grid.csv", status=status)
     assert ("agrees with" in told.output) == (status == 0)
     assert ("line 3 of the grid: detector 2" in told.output) == (status == 4)
+
+
+def test_places_of_a_dimap_are_compared_with_each_node_of_a_location_grid(tmp_path):
+    (tmp_path / "DIM.XML").write_text(dimap_text())
+    strip = operator_model(tmp_path / "DIM.XML")
+    row, column = (axis.ravel() for axis in np.indices((3, 5)))
+    bands, moved_m = [], {0.0: np.zeros(15), 800.0: 3.0 * (np.arange(15) == 7)}
+    for altitude, off in moved_m.items():
+        ground = ConstantHeight(altitude)
+        lat, lon, _ = geodetic_from_ecef(
+            strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground), WGS84
+        )
+        bands += [np.degrees(lon), np.degrees(lat + off / 6.37e6)]
+    nodes = np.reshape(bands, (4, 3, 5))
+    placed = rasterio.Affine(4e3, 0.0, 0.5, 0.0, 3e3, 0.5)  # (0.5, 0.5): the centre of the first pixel
+    form = {"driver": "GTiff", "count": 4, "height": 3, "width": 5, "dtype": "float64", "transform": placed}
+    with rasterio.open(tmp_path / "GRID.tif", "w", **form) as grid:
+        grid.write(nodes)
+        grid.update_tags(ALTITUDE_B0="0", ALTITUDE_B2="800")
+    found = np.array(dimap_grid_differences(strip, tmp_path / "GRID.tif"))
+    expected = [[0.0, 0.0, 0.0], [800.0, 3.0 / np.sqrt(15.0), 3.0]]
+    assert found == pytest.approx(np.array(expected), abs=0.03)  # m: 1 % of a meridian's radius
 
 
 def test_rows_of_an_imported_strip_are_counted_from_the_earliest(sentinel2):
@@ -122,7 +138,7 @@ def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
     product.write_text(dimap_text())
     strip = operator_model(product)
     (tmp_path / "points.csv").write_text(POINTS.format(strip="PAN", ccd=0))
-    invoked("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
+    ran("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
     dump = open_dump(tmp_path / "dump")
     sample = np.array([0.0, 0.4 * strip.width_px, strip.width_px - 1.0])
     line = np.array([0.0, 0.3 * strip.height_px, strip.height_px - 1.0])
@@ -133,12 +149,10 @@ def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
 
 
 def test_wrong_usage_is_told(sentinel2, tmp_path):
-    arguments = ["import", "sentinel2", sentinel2 / "S2A_OPER_MTD_L1B_DS_TEST.xml", sentinel2 / "raw"]
-    options = ["--gipp", sentinel2, "--band", "B04"]
+    asked = ("import", "sentinel2", sentinel2 / DATASTRIP)
+    options = ("--gipp", sentinel2, "--band", "B04")
     choices = "'raw', 'corrected', 'refined'"
-    for extra, said in (([], "not an empty folder"), (["--attitudes", "best"], choices)):
-        result = CliRunner().invoke(app, [str(one) for one in (*arguments, *options, *extra)])
-        assert result.exit_code == 2 and said in result.output
-    arguments[3] = tmp_path / "new"
-    result = CliRunner().invoke(app, [str(one) for one in (*arguments, "--gipp", tmp_path, "--band", "B04")])
-    assert result.exit_code == 1 and "none of kind VIEDIR" in str(result.exception)
+    for extra, said in (((), "not an empty folder"), (("--attitudes", "best"), choices)):
+        assert said in ran(*asked, sentinel2 / "raw", *options, *extra, status=2).output
+    refused = invoked(*asked, tmp_path / "new", "--gipp", tmp_path, "--band", "B04")
+    assert refused.exit_code == 1 and "none of kind VIEDIR" in str(refused.exception)

@@ -4,18 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_campaigns import BOLD, CAMERAS, R_CS0, assert_chi_square
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.geometry.constants import ARCSEC
-from boresight.geometry.installation import deviation_from_theta, theta_between
+from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import VectorSets
-from boresight.simulator.campaign import CameraPair, draw_frames, noisy_frames
-
-BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-CAMERAS = CameraPair(BOLD)
-R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD
+from boresight.simulator.campaign import draw_frames, noisy_frames
 
 
 def drawn(n, seed, stars=30, targets=10):
@@ -64,8 +60,7 @@ def test_errors_are_at_the_bound_and_unbiased():
     off = np.array([theta_between(f.R_cs, BOLD) for f in found])
     covariance = found[0].solution.covariance
     nees = np.einsum("ra,ab,rb->", off, np.linalg.inv(covariance), off)
-    low, high = chi2(3 * runs).ppf([0.0005, 0.9995])
-    assert low < nees < high
+    assert_chi_square(nees, 3 * runs)
     assert np.all(np.abs(off.mean(axis=0)) < 3.3 * np.sqrt(np.diag(covariance) / runs))
 
 

@@ -25,9 +25,8 @@ def test_closed_form_equals_the_estimator_s_covariance(zenith, azimuth, roll):
     stated = np.sqrt(np.diag(calibrate_frames(frames, cameras.R_cs).solution.covariance)) / ARCSEC
     noise, numbers = (0.07**2, 0.5**2), np.array([200.0 * 60, 200.0 * 40])
     found = predicted_sigma(cameras.R_cs, covariance_shapes(cameras), noise, *numbers[:, None])[0]
-    np.testing.assert_allclose(
-        found, stated, rtol=0.03
-    )  # a frame's 60 stars and 40 targets fill fields unevenly
+    # a frame's 60 stars and 40 targets fill fields unevenly
+    np.testing.assert_allclose(found, stated, rtol=0.03)
 
 
 def test_information_of_a_direction_is_the_mean_over_the_field():

@@ -42,19 +42,24 @@ def all_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, pd.Data
 
 
 @pytest.fixture(scope="module")
+def tables(all_run: tuple[dict[str, pd.DataFrame], Path]) -> dict[str, pd.DataFrame]:
+    return all_run[0]
+
+
+@pytest.fixture(scope="module")
+def folder(all_run: tuple[dict[str, pd.DataFrame], Path]) -> Path:
+    return all_run[1].parent
+
+
+@pytest.fixture(scope="module")
 def page(all_run: tuple[dict[str, pd.DataFrame], Path]) -> str:
     return all_run[1].read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_an_experiment_leaves_a_table_a_plot_and_a_record(
-    all_run: tuple[dict[str, pd.DataFrame], Path], name: str
-) -> None:
-    tables, folder = all_run[0], all_run[1].parent
+def test_an_experiment_leaves_a_table_a_plot_and_a_record(tables, folder, name: str) -> None:
     assert set(tables) == set(EXPERIMENTS)
-    assert {path.name for path in folder.glob(f"{name}.*")} == {
-        f"{name}.{kind}" for kind in ("csv", "png", "txt")
-    }
+    assert {path.suffix for path in folder.glob(f"{name}.*")} == {".csv", ".png", ".txt"}
     assert len(pd.read_csv(folder / f"{name}.csv")) == len(tables[name])
     assert any(shows_curves(folder / f"{name}.png", colour) for colour in (OURS, *SERIES_COLOURS))
     record = (folder / f"{name}.txt").read_text(encoding="utf-8")
@@ -64,7 +69,7 @@ def test_an_experiment_leaves_a_table_a_plot_and_a_record(
     assert gaps <= ({"at", "paper", "expected"} if name == "inputs" else set())  # not every input has them
 
 
-def test_the_page_holds_every_experiment_with_table_and_picture(page: str):
+def test_the_page_holds_every_experiment_and_the_paper_s_figures_and_needs_no_other_file(page: str):
     for name in EXPERIMENTS:
         section = re.search(rf'<section id="{name}">(.*?)</section>', page, re.DOTALL)
         assert section is not None
@@ -72,25 +77,21 @@ def test_the_page_holds_every_experiment_with_table_and_picture(page: str):
         assert section[1].count('<th scope="row">') >= 3
         assert "paper" in section[1]
     assert all(f">{word}</th>" in page for word in ("commit", "date", "machine", "versions", "command"))
-
-
-def test_the_page_holds_the_paper_s_figures(page: str):
     cells = set(re.findall(r"<td>([^<]*)</td>", page))
     printed = [f"{value:.4f}" for who in TABLE_4_RMS_ARCSEC.values() for value in who]
     printed += [f"{value:.2f}" for row in TABLE_5.values() for value in row]
     printed += ["0.0159", "0.0105", "0.0927", "0.2", "0.5"]
     assert not [value for value in printed if value not in cells]
-
-
-def test_the_page_needs_no_other_file(page: str):
     assert not re.search(r"https?:|@import|<script|<link (?!rel=\"icon\" href=\"data:,\")", page)
     assert all(source.startswith("data:") for source in re.findall(r'src="([^"]*)"', page))
 
 
-def test_tables_on_the_console_keep_to_80_columns(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
-    for name, table in all_run[0].items():
-        text = "\n".join(COMPARISONS[name](table))
-        assert not wide_rows(text), name
+def test_tables_on_the_console_keep_to_80_columns_and_are_those_recorded(tables, folder) -> None:
+    for name, table in tables.items():
+        assert not wide_rows("\n".join(COMPARISONS[name](table))), name
+        text = (folder / f"{name}.txt").read_text(encoding="utf-8")
+        printed = numbers_in(text.partition("CPU")[2].partition("\n")[2])
+        assert_recorded(f"experiment_{name}", columns_of(table) | {"printed": printed})
 
 
 @pytest.mark.parametrize(
@@ -101,22 +102,13 @@ def test_a_verdict_compares_sizes(ours: float, paper: float, verdict: str):
     assert verdict_of(ours, paper) == verdict
 
 
-def test_tables_are_those_recorded(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
-    tables, page = all_run
-    for name, table in tables.items():
-        text = (page.parent / f"{name}.txt").read_text(encoding="utf-8")
-        printed = numbers_in(text.partition("CPU")[2].partition("\n")[2])
-        assert_recorded(f"experiment_{name}", columns_of(table) | {"printed": printed})
-
-
 def pooled(table: pd.DataFrame, method: str) -> float:
     """rms over bound, over all cells and axes of a method."""
     rows = table[table["method"] == method]
     return float(np.sqrt(np.mean((rows["rms_arcsec"] / rows["bound_arcsec"]) ** 2)))
 
 
-def test_errors_are_as_large_as_their_bounds(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
-    tables, _ = all_run
+def test_errors_are_as_large_as_their_bounds(tables) -> None:
     # 24 to 48 squares: the root of their mean is within 0.65 and 1.4 but once in 1000
     for name, method in (("grid", "information"), ("table4", "information"), ("table4", "strips")):
         assert 0.65 < pooled(tables[name], method) < 1.4, name
@@ -137,10 +129,7 @@ def test_errors_are_as_large_as_their_bounds(all_run: tuple[dict[str, pd.DataFra
     assert np.allclose(frames["rms_arcsec"], expected, rtol=1e-9)
 
 
-def test_waves_are_those_stated_and_their_residuals_those_of_a_polynomial(
-    all_run: tuple[dict[str, pd.DataFrame], Path],
-) -> None:
-    tables, _ = all_run
+def test_waves_are_those_stated_and_their_residuals_those_of_a_polynomial(tables) -> None:
     shown, fitted = tables["figure4"], tables["figure8"]
     off = (shown["measured_arcsec"] - shown["attitude_arcsec"]) / shown["sigma_arcsec"]
     assert np.std(off) == pytest.approx(1.0, abs=0.13)  # 363 of them: 3.5 standard errors
@@ -159,9 +148,8 @@ def test_waves_are_those_stated_and_their_residuals_those_of_a_polynomial(
         assert np.allclose(part["residual_arcsec"], wave - poly(part["t_s"].to_numpy()), atol=1e-6)
 
 
-def test_printed_table_4_has_the_rms_of_its_rows(all_run: tuple[dict[str, pd.DataFrame], Path]) -> None:
-    tables, page = all_run
-    table, text = tables["table4"], (page.parent / "table4.txt").read_text(encoding="utf-8")
+def test_printed_table_4_has_the_rms_of_its_rows(tables, folder) -> None:
+    table, text = tables["table4"], (folder / "table4.txt").read_text(encoding="utf-8")
 
     def rms(method: str, axis: str, column: str) -> float:
         rows = table[(table["method"] == method) & (table["axis"] == axis)]
@@ -183,11 +171,8 @@ def test_printed_table_4_has_the_rms_of_its_rows(all_run: tuple[dict[str, pd.Dat
         assert [float(one) for one in re.findall(r"\d+\.\d+", line)] == pytest.approx(ratio, abs=0.051)
 
 
-def test_printed_table_5_has_its_rows_and_their_mean_gain(
-    all_run: tuple[dict[str, pd.DataFrame], Path],
-) -> None:
-    tables, page = all_run
-    table, text = tables["table5"], (page.parent / "table5.txt").read_text(encoding="utf-8")
+def test_printed_table_5_has_its_rows_and_their_mean_gain(tables, folder) -> None:
+    table, text = tables["table5"], (folder / "table5.txt").read_text(encoding="utf-8")
     rows = table.pivot_table(index=["sigma_s_px", "direction"], columns="method", values=["rms_m", "paper_m"])
     floor = table.groupby(["sigma_s_px", "direction"])["floor_m"].first()
     printed = re.findall(r"^  (0\.\d+)  (\w+) +(\S+) +(\S+) +(\S+) \| +(\S+) +(\S+)$", text, re.MULTILINE)

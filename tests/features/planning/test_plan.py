@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from boresight.features.planning.campaign_plan import (
     read_plan,
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.forecast import campaigns
 
 
 @pytest.fixture
@@ -35,8 +37,10 @@ def one_draw(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def few_draws(one_draw: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten example strips of each campaign that is compared, where only their order counts."""
+    """Ten example strips of each campaign, where only the order of their errors counts."""
     monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaigns, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaign_plan, "forecast_of_plan", partial(campaigns.forecast_of_plan, draws=10))
 
 
 def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
@@ -101,7 +105,7 @@ def test_strips_of_the_sky_are_forecast_as_they_are_planned(
     assert (strip.targets, strip.sigma_c_px, strip.duration_s, strip.exposures) == (37, 0.07, 6.25, 13)
 
 
-def test_campaigns_of_ground_and_sky_are_compared(one_draw: None):
+def test_campaigns_of_ground_and_sky_are_compared(few_draws: None):
     found = forecast_plan(Plan(strips=PlannedStrips(count=3, stars=128), sky=PlannedSky(count=2)))
     sigma = found.campaigns.pivot(index="campaign", columns="axis", values="sigma_arcsec")
     assert sigma.loc["sky", "X"] < 0.2 * sigma.loc["ground", "X"]  # no position error

@@ -19,9 +19,8 @@ from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
 
-CAMERA = StarCamera(
-    focal_m=0.035, pixel_m=9e-6, width_px=1280, height_px=960, principal_px=(639.5, 479.5)
-)  # 18.7° wide
+# 18.7° wide
+CAMERA = StarCamera(focal_m=0.035, pixel_m=9e-6, width_px=1280, height_px=960, principal_px=(639.5, 479.5))
 BETELGEUSE, BELLATRIX, ALNILAM = 27989, 25336, 26311
 
 

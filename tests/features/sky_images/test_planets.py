@@ -47,9 +47,8 @@ def test_a_planet_among_the_stars_is_told():
     index = build_index(PLACES, PLACES.epoch_jyear, (np.radians(40.0), np.radians(60.0)))
     stars = listed_stars(WIDE, towards, PLACES, rng, brightest=2000.0).take(np.arange(150))
     xy = WIDE.pixels_from_directions(towards.apply(u_i[[names.index("Jupiter")]]))
-    bright = np.vstack(
-        [xy + np.array([40.0, -25.0]), xy]
-    )  # px: something else beside it, as bright, and listed before
+    # px: something else beside it, as bright, and listed before
+    bright = np.vstack([xy + np.array([40.0, -25.0]), xy])
     rows = np.concatenate([[0, 0], np.arange(len(stars.snr))])
     stars = replace(stars.take(rows), xy_px=np.vstack([bright, stars.xy_px]))
     found = solve_list(stars, (2048, 2048), index, StarSettings())

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import tomlkit
 from command_line import invoked, ran
+from drawn_campaigns import assert_chi_square, squared
 from frames import Sensor, star_frame
 from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, places_of, sequence
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 import boresight as bs
 from boresight.features.sky_images.identify_images import sky_index
@@ -46,8 +46,7 @@ def test_every_frame_of_a_slew_with_a_gap_and_glare_is_right_or_lost(slew) -> No
     assert set(np.flatnonzero(~known)) == set(simulated.glare)
     # 30 arcsec: a fifth of a pixel is 10, and roll is ten times less well known than direction
     assert np.abs(error[known]).max() < 30.0 * ARCSEC
-    low, high = chi2(3 * known.sum()).ppf([0.0005, 0.9995]) / (3 * known.sum())
-    assert low < square[known].mean() < high
+    assert_chi_square(3.0 * square[known], 3)
 
 
 def test_frames_are_tracked_and_recovery_takes_one_frame(slew) -> None:
@@ -123,9 +122,8 @@ def test_the_filter_of_known_motion_states_its_errors() -> None:
             motion = with_fix(predicted, measured(R, scale))
         turned = (R * motion.R_si.inv()).as_rotvec()
         error = np.concatenate([turned, rate - motion.rate_s, [scale - motion.log_scale]])
-        squares.append(error @ np.linalg.solve(motion.covariance, error) / 7.0)
-    low, high = chi2(700).ppf([0.0005, 0.9995]) / 700
-    assert low < np.mean(squares) < high
+        squares.append(squared(error, motion.covariance))
+    assert_chi_square(squares, 7)
 
 
 def test_a_wrong_focal_length_is_refined_and_its_error_is_as_stated() -> None:
@@ -141,8 +139,7 @@ def test_a_wrong_focal_length_is_refined_and_its_error_is_as_stated() -> None:
         squares.append(((found.focal_px[-1] - true_px) / found.focal_sigma_px[-1]) ** 2)
         # px: 14 frames, each of some 0.05 px by 48 stars; before 2 px wrong
         assert abs(found.focal_px[-1] - true_px) < 0.1 and found.focal_sigma_px[-1] < 0.03
-    low, high = chi2(4).ppf([0.0005, 0.9995]) / 4
-    assert low < np.mean(squares) < high
+    assert_chi_square(squares, 1)
 
 
 def test_a_focal_length_that_is_exact_is_kept() -> None:
@@ -188,6 +185,5 @@ def test_frames_of_a_fisheye_are_tracked() -> None:
     found = bs.track(images, camera=fisheye, exposure_s=0.0)
     assert found.state[2:] == ("tracked",) * 3
     error, square = errors_of(found, Rotation.concatenate(truth))
-    low, high = chi2(3 * 5).ppf([0.0005, 0.9995]) / (3 * 5)
-    assert low < square.mean() < high
+    assert_chi_square(3.0 * square, 3)
     assert np.abs(error).max() < 60.0 * ARCSEC  # a pixel is 260 arcsec

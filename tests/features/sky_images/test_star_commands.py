@@ -15,6 +15,7 @@ from astropy.coordinates import GCRS, SkyCoord, get_sun
 from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
+from drawn_campaigns import squared
 from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
 from matplotlib.quiver import QuiverKey
 from recorded_numbers import assert_recorded, columns_of
@@ -226,9 +227,8 @@ def assert_map_is_drawn(axes, cells):
     longest = np.hypot(*mean.reshape(-1, 2).T).max()
     assert longest / arrows.scale == pytest.approx(0.9 * side)  # px of the picture
     (key,) = (artist for artist in axes.artists if isinstance(artist, QuiverKey))
-    decade = float(
-        f"1e{f'{longest:e}'.partition('e')[2]}"
-    )  # the largest power of ten below the longest arrow
+    # the largest power of ten below the longest arrow
+    decade = float(f"1e{f'{longest:e}'.partition('e')[2]}")
     assert key.U == pytest.approx(decade) and float(key.label.removesuffix(" px")) == pytest.approx(decade)
     assert np.allclose(circles.get_offsets(), np.array(middles)[seen])
     assert np.allclose(circles.get_widths(), 2.0 * error.ravel()[seen] / arrows.scale)
@@ -340,8 +340,8 @@ def test_a_star_camera_is_calibrated_by_the_exposures_of_a_dump(tmp_path):
     truth = np.array([0.1, 512.0, 384.0, 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9])
     assert content["parameters"][7:] == ["q3"] and content["values"][7] == 0.0
     error = np.array(content["values"][:7]) - truth
-    squared = error @ np.linalg.solve(np.array(content["covariance"])[:7, :7], error)
-    assert 0.4 < squared < 27.0  # chi2 of 7 degrees: 2e-4 on either side
+    # chi2 of 7 degrees: 2e-4 on either side
+    assert 0.4 < squared(error, np.array(content["covariance"])[:7, :7]) < 27.0
     assert abs(content["focal_drift_per_s"]) < 4.0 * content["focal_drift_sigma_per_s"]
     assert len(content["frames_used"]) == 42 and "drift of the focal length" in done.stdout
 

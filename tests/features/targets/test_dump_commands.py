@@ -37,7 +37,7 @@ def test_a_skeleton_lacks_only_what_is_to_be_filled_in(tmp_path: Path) -> None:
     read_toml(folder / "installation.toml", InstallationFile, "installation.toml")
     camera, _ = read_remote_camera(folder, folder / "remote_camera.toml", "remote_camera.toml")
     # The middle of three lines of 8 mm lies on the axis.
-    assert camera.n_ccds == 3
+    assert [ccd.principal_sample for ccd in camera.ccds] == [499.5, 499.5, 499.5]
     assert camera.directions_from_pixels(1, [499.5])[0, 1] == pytest.approx(0.0, abs=1e-12)
     assert camera.directions_from_pixels(2, [-0.5])[0, 1] == pytest.approx(-4e-3 / 2.5, rel=1e-4)
     assert files_with_faults(folder) == {"orbit.oem", "exposures.csv", "strips.csv", "targets.csv"}

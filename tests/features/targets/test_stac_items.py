@@ -173,9 +173,8 @@ def test_stores_and_disks_give_the_same_targets(
     for source in ("s3://archive/c/catalog.json", f"{store}/archive/c/catalog.json"):
         stored, _ = stac_images(StacQuery(source=dump_folder(source)))
         for one, other in zip(local, stored, strict=True):
-            windows = [
-                file.window(100, 0, 60, SIDE) for file in (one, other)
-            ]  # of the newest 20 columns clouded
+            # of the newest 20 columns clouded
+            windows = [file.window(100, 0, 60, SIDE) for file in (one, other)]
             np.testing.assert_array_equal(*(window.values for window in windows))
             assert one.day == other.day and np.isnan(windows[0].values).mean() in (0.0, 1.0 / 3.0)
 

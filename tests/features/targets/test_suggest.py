@@ -19,9 +19,8 @@ def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):
     image = invented[:600, :900].copy()
     image[:, :300] = 20.0  # a lake
     rows, columns = np.mgrid[0:600, 0:300]
-    image[:, 600:] = 90.0 + 40.0 * np.sign(np.sin(rows * 0.4)) * np.sign(
-        np.sin(columns * 0.4)
-    )  # a plantation
+    # a plantation
+    image[:, 600:] = 90.0 + 40.0 * np.sign(np.sin(rows * 0.4)) * np.sign(np.sin(columns * 0.4))
     image += np.random.default_rng(1).normal(0.0, 1.0, image.shape)
     found = suggest_targets(image, TRANSFORM, np.ones(image.shape, dtype=bool), size_px=64, most=6)
     assert len(found) >= 3

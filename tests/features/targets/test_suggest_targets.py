@@ -162,10 +162,17 @@ def test_heights_of_another_place_are_named_with_the_image(tmp_path: Path) -> No
     assert len(suggested(tmp_path / "both", ortho, "--dem", elsewhere, "--dem", dem(tmp_path / "d.tif"))) == 6
 
 
-def test_sigma_has_what_two_dates_differ_by(tmp_path: Path) -> None:
+def test_chips_lie_about_their_targets_and_sigma_has_what_two_dates_differ_by(tmp_path: Path) -> None:
     rows = suggested(tmp_path / "t", write(tmp_path / "o.tif", texture(1)), "--height-m", 1, "--sigma-m", 0)
     # 0.07 px of 2 m; the part of the texture, 0.002 px, adds 4 % of a millimetre
     assert {row["sigma_east_m"] for row in rows} == {row["sigma_north_m"] for row in rows} == {"0.140"}
+    to_degrees = Transformer.from_crs(EPSG, 4326, always_xy=True)
+    for row in rows:
+        with rasterio.open(tmp_path / "t" / row["chip"]) as chip:
+            assert chip.shape == (64, 64)
+            expected = to_degrees.transform(*(chip.transform @ (32.5, 32.5)))
+        # the list has nine decimals of a degree: 0.1 mm
+        assert (float(row["lon_deg"]), float(row["lat_deg"])) == pytest.approx(expected, abs=2e-9)
 
 
 def test_heights_are_needed_and_one_kind_of_them(tmp_path: Path) -> None:
