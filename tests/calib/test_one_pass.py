@@ -275,7 +275,7 @@ def vector_sets(frames: Sequence[tuple[Floats, ...]]) -> VectorSets:
 def test_the_estimate_is_that_of_the_whole_however_it_is_cut_into_strips(
     kind: str, model: CalibrationSettings
 ) -> None:
-    @settings(max_examples=10, derandomize=True, deadline=None, database=None)
+    @settings(max_examples=20, derandomize=True, deadline=None, database=None)
     @given(st.lists(CUTS, min_size=6, max_size=6), st.integers(0, 999))
     def law(cuts: list[Cut], seed: int) -> None:
         rng = np.random.default_rng(seed)
