@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -124,6 +125,10 @@ class Posed:
         prepared = prepare_strips(of_heads, settings, cameras)
         problem = Problem.of(prepared, settings, further, cameras, prior)
         return cls(strips=tuple(strips), passes=tuple(of_heads), prepared=tuple(prepared), problem=problem)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """None in another process: columns of errors are functions."""
+        return type(None), ()
 
 
 def _agreement(strips: Sequence[PreparedStrip], names: tuple[str, ...]) -> HeadAgreement:
