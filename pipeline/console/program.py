@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_args
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from boresight.pipeline.console.feature import Command, Feature, Job
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, with_messages
@@ -106,12 +108,49 @@ def _named(command: Command, words: Sequence[str]) -> bool:
 def _add(app: typer.Typer, name: str, command: Command, place: str) -> None:
     if place:  # else it is only listed
         function = with_messages(function_at(place), command.name, with_json=command.with_json)
-        app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
+        form: dict[str, Any] = {"short_help": command.summary, "rich_help_panel": command.job}
+        app.command(name, cls=_Command, **form)(function)
     else:
         app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)
 
 
-class _ByJob(TyperGroup):
+class _Simple:
+    """A command or group that converts simple values itself: for any, given or not, Typer loads pydantic."""
+
+    callback: Any
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        hints = getattr(self.callback, "__annotations__", {})
+        for one in parameters:
+            if "process_value" not in vars(one):
+                one.process_value = partial(_converted, one, hints.get(one.name), one.process_value)
+        return parameters
+
+
+def _converted(one: Any, hint: Any, by_typer: Callable[..., Any], context: Any, value: Any) -> Any:
+    """The value of a parameter annotated `hint`; `by_typer` that of one with a parser or limits."""
+    if value is None:
+        none = () if one.multiple or one.nargs == -1 else None
+        return by_typer(context, value) if one.required else none
+    kind, info = get_args(hint)[:2] or (None, None)
+    is_limited = info and isinstance(value, str) and (info.min, info.max) != (None, None)
+    if info and not (info.parser or info.exists or is_limited):
+        if kind == list[Path] and value:
+            return [Path(item) for item in value]
+        for plain in (Path, str, float, int):
+            if kind in (plain, plain | None):
+                with suppress(ValueError, TypeError):  # Typer has the words for it
+                    return plain(value)
+    return by_typer(context, value)
+
+
+class _Command(_Simple, TyperCommand):
+    """A command of simple values."""
+
+
+class _ByJob(_Simple, TyperGroup):
     """Help that lists commands under their jobs, those of groups too, with their whole summaries."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
