@@ -37,7 +37,7 @@ from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.joint import calibrate_jointly, named_cameras
+from boresight.pipeline.calibration.joint import calibrate_jointly
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import open_cameras, open_dump
 from boresight.pipeline.files.orbit_and_earth import read_earth_orientation
@@ -45,6 +45,7 @@ from boresight.pipeline.files.stated_noise import state_noise
 from boresight.pipeline.head_noise.of_dump import noise_of_heads
 from boresight.pipeline.head_noise.spectrum import NoiseFit, Signal, fit_noise
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.several_dumps import named_cameras
 
 # IERS Bulletin A of 24 October 2019, which the operator's software used
 BULLETIN = """mjd_utc,ut1_utc_s,x_arcsec,y_arcsec

@@ -42,7 +42,6 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.joint import named_cameras, open_dumps
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
@@ -63,6 +62,7 @@ from boresight.pipeline.results.validate import validation_of as against_truth
 from boresight.pipeline.results.writing import write_result, write_run
 from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import Settings, read_settings
+from boresight.pipeline.run.several_dumps import named_cameras, open_dumps
 from boresight.records.record import Floats, array, inner, record, scalar
 from boresight.version import __version__
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,14 +17,11 @@ from scipy.special import chdtrc
 
 from boresight.calib.error_table import BIASES, SharedError, common_bias
 from boresight.calib.estimate import (
-    HeadAgreement,
     HeadInstallation,
     InstallationEstimate,
-    Iteration,
     NotObservable,
     RejectionTest,
     TargetResiduals,
-    WithoutHead,
 )
 from boresight.calib.gross_errors import (
     detectable_bias,
@@ -36,17 +32,19 @@ from boresight.calib.gross_errors import (
     weigh,
 )
 from boresight.calib.heads import (
+    HeadAgreement,
+    WithoutHead,
     aligned,
     alignment_names,
-    carried,
     largest_turn,
     measured_alignment,
     periodic_errors,
     unknown_heads,
     without_head,
 )
-from boresight.calib.information import InformationPairs, Solution, corrected, theta_of
+from boresight.calib.information import InformationPairs, Iteration, Solution, corrected, theta_of
 from boresight.calib.joint_solution import (
+    Posed,
     Problem,
     Step,
     linearised,
@@ -56,9 +54,9 @@ from boresight.calib.joint_solution import (
 from boresight.calib.rejection import rejected_observations
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
-from boresight.calib.strips import PreparedStrip, prepare_strips
+from boresight.calib.strips import PreparedStrip
 from boresight.calib.taken_up import taken_up
-from boresight.geometry.attitude_estimate import GROSS, with_attitudes
+from boresight.geometry.attitude_estimate import GROSS
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.records.ledger import Entry, Reason
 from boresight.records.record import Floats, Ints, record
@@ -90,7 +88,8 @@ def calibrate_strips(
     The result is the same, bit for bit, for any order of the strips. `ValueError` if two strips share one id,
     list exposures of one instant that differ, or are of unknown cameras.
     """
-    passes, start = _passes(strips, settings), _Start(*_matrices(strips, R_cs0), settings, further, prior)
+    passes = passes_of(strips, settings.attitudes)
+    start = _Start(tuple(strips), *_matrices(strips, R_cs0), settings, further, prior)
     found = _calibrated(passes, start)
     if isinstance(found, NotObservable) or not _contradict(found.agreement):
         return found
@@ -100,6 +99,7 @@ def calibrate_strips(
 
 @record
 class _Start:
+    strips: tuple[StripSightings, ...]
     cameras: tuple[str, ...]
     R_cs0: Rotation  # (C,) of several
     settings: CalibrationSettings
@@ -122,16 +122,6 @@ def _matrices(
     if len(names) < 2:
         return ("",), R_cs0[names[0] if names else next(iter(R_cs0))]
     return names, Rotation.concatenate([R_cs0[name] for name in names])
-
-
-def _passes(strips: Sequence[StripSightings], settings: CalibrationSettings) -> list[StripSightings]:
-    """Passes of strips in any order, with attitudes."""
-    strips = sorted(strips, key=lambda strip: strip.strip_id)
-    ids = [strip.strip_id for strip in strips]
-    if len(set(ids)) != len(ids):
-        twice = next(a for a, b in pairwise(ids) if a == b)
-        raise ValueError(f"two strips have the id {twice!r}")
-    return passes_of(with_attitudes(strips, settings.attitudes))
 
 
 def _contradict(agreement: HeadAgreement) -> bool:
@@ -172,9 +162,8 @@ def _calibrated(strips: Sequence[StripSightings], start: _Start) -> Installation
 def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstimate | NotObservable:
     """The estimate about the alignments of heads that the strips assume."""
     R_cs0, settings = start.R_cs0, start.settings
-    of_heads = [carried(strip) for strip in strips]
-    prepared = prepare_strips(of_heads, settings, start.cameras)
-    problem = Problem.of(prepared, settings, start.further, start.cameras, start.prior)
+    posed = Posed.of(start.strips, strips, settings, start.further, start.cameras, start.prior)
+    of_heads, prepared, problem = posed.passes, posed.prepared, posed.problem
     test = rejection_test(settings.probability_false_alarm)
     if not problem.groups:
         none = np.zeros((0, 3))
@@ -230,6 +219,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
         heads=heads,
         cov_heads=cov_heads,
         prior=problem.prior,
+        posed=posed,
         taken_up=taken_up(problem, step, prepared, [head.name for head in heads[1:]]),
     )
 
@@ -240,9 +230,8 @@ def strip_pairs(
     """Normal equations of each pass about `R_cs`, no target rejected, and the prior information (G, G) of
     the unknowns that passes share. `ValueError` where no strip has a target that exposures cover.
     """
-    fitted = [carried(one) for one in _passes(strips, settings)]
     cameras, about = _matrices(strips, R_cs)
-    problem = Problem.of(prepare_strips(fitted, settings, cameras), settings, (), cameras)
+    problem = Posed.of(strips, passes_of(strips, settings.attitudes), settings, (), cameras).problem
     if not problem.groups:
         raise ValueError(f"{len(strips)} strips, none with a target between usable star exposures")
     step = solve_weighted(problem, linearised(problem, about), problem.inside.astype(float))
@@ -285,7 +274,7 @@ def _iterated(
 
 
 def _residuals(
-    prepared: list[PreparedStrip],
+    prepared: Sequence[PreparedStrip],
     problem: Problem,
     step: Step,
     all_rivals: dict[int, Ints],

@@ -10,35 +10,23 @@ from scipy.special import chdtrc
 
 from boresight.calib.error_table import CommonBias
 from boresight.calib.ground_references import ReferenceOffset
-from boresight.calib.heads import PeriodicError
-from boresight.calib.information import InformationPairs
+from boresight.calib.heads import HeadAgreement, PeriodicError
+from boresight.calib.information import InformationPairs, Iteration
+from boresight.calib.joint_solution import Posed
 from boresight.geometry.installation import theta_between
 from boresight.records.ledger import Entry, Kind, Subject
 from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "CameraRotation",
-    "HeadAgreement",
     "HeadInstallation",
     "InstallationEstimate",
-    "Iteration",
     "NotObservable",
     "RejectionTest",
     "TargetResiduals",
-    "WithoutHead",
 ]
 
 PROBABILITY_MOVED = 1e-3  # that a rotation which is as stated is said not to be
-
-
-@record
-class Iteration:
-    """One Gauss-Newton step."""
-
-    theta_step: Floats = array("T", "rad, frame c; of several cameras camera after camera, as all of theta")
-    sigma: Floats = array("T", "1-sigma predicted at this step, rad, frame c")
-    chi2: float = scalar("weighted sum of squares after the step, priors included")
-    targets: float = scalar("sum of the targets' weights")
 
 
 @record(kw_only=True)
@@ -92,28 +80,6 @@ class RejectionTest:
 
     limit: float = scalar("rejected above this statistic, chi-square of 2 degrees of freedom")
     noncentrality: float = scalar("of the chi-square of a bias that is found with the power of the test, 0.8")
-
-
-@record(kw_only=True)
-class WithoutHead:
-    """What is left of the contradictions if one head is not used."""
-
-    head: str = scalar("name of the head; empty for the reference head")
-    chi2: float = scalar(
-        "of targets and remaining heads, with the limit of the test for each target rejected"
-    )
-    dof: int = scalar("degrees of freedom of `chi2`")
-
-
-@record(kw_only=True)
-class HeadAgreement:
-    """Differences between the attitudes of several heads, one alignment a head estimated."""
-
-    chi2: float = scalar("squared differences over their variances")
-    dof: int = scalar("degrees of freedom of `chi2`; 0 for a single head")
-    gain: float = scalar("decrease of `chi2` if each strip had alignments of its own")
-    dof_gain: int = scalar("degrees of freedom of `gain`")
-    without: tuple[WithoutHead, ...] = scalar("each head left out; only if they differ too much", default=())
 
 
 @record(kw_only=True)
@@ -183,6 +149,7 @@ class InstallationEstimate:
     heads: tuple[HeadInstallation, ...] = array("H", "of all heads, the reference head first")
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
     prior: InformationPairs | None = scalar("on theta, about `R_cs0`; None: none", default=None)
+    posed: Posed | None = scalar("the problem that it solves; None: not kept", default=None)
 
     def with_reference(self, name: str) -> InstallationEstimate:
         """The estimate with the reference head's name."""

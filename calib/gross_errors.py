@@ -31,8 +31,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, chndtr, softmax
 
-from boresight.calib.estimate import Iteration, RejectionTest
-from boresight.calib.information import corrected
+from boresight.calib.estimate import RejectionTest
+from boresight.calib.information import Iteration, corrected
 from boresight.calib.joint_solution import (
     Linearised,
     Problem,

@@ -30,8 +30,10 @@ from boresight.geometry.sightings import (
 from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
+    "HeadAgreement",
     "HeadTie",
     "PeriodicError",
+    "WithoutHead",
     "aligned",
     "alignment_names",
     "carried",
@@ -44,6 +46,28 @@ __all__ = [
     "unknowns_of_head",
     "without_head",
 ]
+
+
+@record(kw_only=True)
+class WithoutHead:
+    """What is left of the contradictions if one head is not used."""
+
+    head: str = scalar("name of the head; empty for the reference head")
+    chi2: float = scalar(
+        "of targets and remaining heads, with the limit of the test for each target rejected"
+    )
+    dof: int = scalar("degrees of freedom of `chi2`")
+
+
+@record(kw_only=True)
+class HeadAgreement:
+    """Differences between the attitudes of several heads, one alignment a head estimated."""
+
+    chi2: float = scalar("squared differences over their variances")
+    dof: int = scalar("degrees of freedom of `chi2`; 0 for a single head")
+    gain: float = scalar("decrease of `chi2` if each strip had alignments of its own")
+    dof_gain: int = scalar("degrees of freedom of `gain`")
+    without: tuple[WithoutHead, ...] = scalar("each head left out; only if they differ too much", default=())
 
 
 @record(kw_only=True)

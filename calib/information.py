@@ -24,6 +24,7 @@ from boresight.records.record import array, record, scalar
 
 __all__ = [
     "InformationPairs",
+    "Iteration",
     "Solution",
     "corrected",
     "exact_sum",
@@ -194,6 +195,16 @@ def _two_sum(a: Array, b: Array) -> tuple[Array, Array]:
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
+
+
+@record
+class Iteration:
+    """One Gauss-Newton step."""
+
+    theta_step: Array = array("T", "rad, frame c; of several cameras camera after camera, as all of theta")
+    sigma: Array = array("T", "1-sigma predicted at this step, rad, frame c")
+    chi2: float = scalar("weighted sum of squares after the step, priors included")
+    targets: float = scalar("sum of the targets' weights")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,15 +16,23 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.correlated_passes import correlated_passes
 from boresight.calib.error_table import SharedError, SharedUnknowns, find_shared, prior_of
-from boresight.calib.estimate import HeadAgreement, Iteration
-from boresight.calib.heads import of_heads
-from boresight.calib.information import InformationPairs, Solution, solve_total, theta_of
+from boresight.calib.heads import HeadAgreement, carried, of_heads
+from boresight.calib.information import InformationPairs, Iteration, Solution, solve_total, theta_of
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.strips import LinearStrips, PreparedStrip, StripGroup, group_strips, linearise
+from boresight.calib.strips import (
+    LinearStrips,
+    PreparedStrip,
+    StripGroup,
+    group_strips,
+    linearise,
+    prepare_strips,
+)
+from boresight.geometry.sightings import StripSightings
 from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
 
 __all__ = [
     "Linearised",
+    "Posed",
     "Problem",
     "Step",
     "absorbed",
@@ -90,6 +98,32 @@ class Problem:
             agreement=_agreement(carrying, heads),
             prior=prior,
         )
+
+
+@record(kw_only=True)
+class Posed:
+    """A problem, and what poses it."""
+
+    strips: tuple[StripSightings, ...] = scalar("as they were given")
+    passes: tuple[StripSightings, ...] = array("P", "of these, about alignments of the heads")
+    prepared: tuple[PreparedStrip, ...] = array("P", "the same, linearised but for the installation matrix")
+    problem: Problem = scalar("all together")
+
+    @classmethod
+    def of(
+        cls,
+        strips: Sequence[StripSightings],
+        passes: Sequence[StripSightings],
+        settings: CalibrationSettings,
+        further: Sequence[SharedError] = (),
+        cameras: tuple[str, ...] = ("",),
+        prior: InformationPairs | None = None,
+    ) -> Posed:
+        """The problem that `passes` of `strips` pose; further parameters as `Problem.of`."""
+        of_heads = [carried(strip) for strip in passes]
+        prepared = prepare_strips(of_heads, settings, cameras)
+        problem = Problem.of(prepared, settings, further, cameras, prior)
+        return cls(strips=tuple(strips), passes=tuple(of_heads), prepared=tuple(prepared), problem=problem)
 
 
 def _agreement(strips: Sequence[PreparedStrip], names: tuple[str, ...]) -> HeadAgreement:

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import is_
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +35,7 @@ from scipy.special import chdtrc, chdtri
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.gross_errors import noncentrality_of
-from boresight.calib.heads import aligned, carried
+from boresight.calib.heads import aligned
 from boresight.calib.hypotheses import (
     POSITION,
     STABILITY,
@@ -46,6 +47,7 @@ from boresight.calib.hypotheses import (
     hypotheses,
 )
 from boresight.calib.joint_solution import (
+    Posed,
     Problem,
     Step,
     absorbed,
@@ -59,8 +61,6 @@ from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
 from boresight.calib.star_camera_error import star_effects, summed
-from boresight.calib.strips import prepare_strips
-from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.sightings import StripSightings
 from boresight.geometry.star_camera import StarCamera
@@ -271,15 +271,11 @@ def examine(
     of the targets, as findings name them; true standard deviations may be `sigma_understated` times the
     stated ones; `table_of` gives the hypotheses.
     """
-    passes = passes_of(with_attitudes(strips, settings.attitudes))
-    moved = [moved_in_passes(one, strips, passes) for one in inputs]
-    first, names = estimate.heads[0].R_cs, estimate.cameras
-    passes = aligned(passes, {head.name: first.inv() * head.R_cs for head in estimate.heads})
-    passes = [carried(strip) for strip in passes]
-    prepared = prepare_strips(passes, settings, names)
-    problem = Problem.of(prepared, settings, (), names, estimate.prior)
-    passes, prepared = [passes[n] for n in problem.members], [prepared[n] for n in problem.members]
-    found, limit = estimate.targets, estimate.rejection.limit
+    posed = _posed(estimate, strips, settings)
+    moved = [moved_in_passes(one, strips, posed.passes) for one in inputs]
+    problem, found, limit, names = posed.problem, estimate.targets, estimate.rejection.limit, estimate.cameras
+    passes = [posed.passes[n] for n in problem.members]
+    prepared = [posed.prepared[n] for n in problem.members]
     effects = star_effects(passes, star_camera, limit) if star_camera else []
     of = HypothesisInputs(
         prepared,
@@ -323,6 +319,20 @@ def examine(
     rest = last.rest(limit, int(problem.inside.sum())) if chosen and noise is None else None
     scatter = findings[-1] if noise is not None else None
     return Reliability(tuple(tests), tuple(findings), suspects, of_bias, rest, scatter)
+
+
+def _posed(
+    estimate: InstallationEstimate, strips: Sequence[StripSightings], settings: CalibrationSettings
+) -> Posed:
+    """The problem that an estimate solves, or that its strips pose with what it does not contain."""
+    known = estimate.posed
+    if known and known.problem.settings is settings and len(known.strips) == len(strips):
+        if all(map(is_, known.strips, strips)):
+            return known
+    first = estimate.heads[0].R_cs
+    alignment = {head.name: first.inv() * head.R_cs for head in estimate.heads}
+    passes = aligned(passes_of(strips, settings.attitudes), alignment)
+    return Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
 
 
 def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:

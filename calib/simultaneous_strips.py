@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
+from boresight.geometry.attitude_estimate import AttitudeSettings, with_attitudes
 from boresight.geometry.gyro import GyroRows, longest_without_gap
 from boresight.geometry.sightings import (
     ExposureAttitudes,
@@ -35,13 +37,18 @@ INSTANT_S = 1e-9  # exposures of one instant: two dumps count seconds from epoch
 Span = tuple[float, float]
 
 
-def passes_of(strips: Sequence[StripSightings]) -> list[StripSightings]:
-    """The passes of strips with attitudes, each with the id of its first strip, in order of ids. A strip by
-    itself stays what it is.
+def passes_of(strips: Sequence[StripSightings], limits: AttitudeSettings) -> list[StripSightings]:
+    """The passes of strips in any order, each with the id of its first strip, in order of ids; attitudes are
+    fitted by `limits` where strips have none. A strip by itself stays what it is.
 
-    Raises `ValueError` where strips of one pass list exposures of one instant that differ.
+    Raises `ValueError` if two strips share one id, or list exposures of one instant that differ.
     """
-    return sorted(map(_joined, groups_of(strips)), key=lambda strip: strip.strip_id)
+    strips = sorted(strips, key=lambda strip: strip.strip_id)
+    for one, after in pairwise(strips):
+        if one.strip_id == after.strip_id:
+            raise ValueError(f"two strips have the id {one.strip_id!r}")
+    groups = groups_of(with_attitudes(strips, limits))
+    return sorted(map(_joined, groups), key=lambda strip: strip.strip_id)
 
 
 def groups_of(strips: Sequence[StripSightings]) -> list[list[StripSightings]]:

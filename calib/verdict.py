@@ -21,8 +21,9 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.special import bdtrc, chdtr, chdtrc
 
-from boresight.calib.estimate import HeadAgreement, InstallationEstimate, WithoutHead
+from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
+from boresight.calib.heads import HeadAgreement, WithoutHead
 from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of

@@ -29,18 +29,20 @@ Appl. Opt. 35, 1566, eq. 1) at 0.6 um. Weather changes the displacement by a few
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.geometry.geodesy import columns_at_height, geodetic_from_ecef, verticals
+from boresight.geometry.geodesy import columns_at_height, ecef_from_geodetic, geodetic_from_ecef, verticals
 from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
+    "EFFECTS",
     "Atmosphere",
     "LightEffects",
     "OrbitLike",
@@ -51,10 +53,13 @@ __all__ = [
     "emission_rays_e",
     "layered_atmosphere",
     "lines_of_sight_e",
+    "moves_by_light",
     "refractivity_of_air",
     "standard_atmosphere",
 ]
 
+EFFECTS = ("light_time", "aberration", "refraction")  # fields of `LightEffects`, keys of `[conventions]`
+HIGHER = 1e-2  # of itself, by which a height is moved
 
 _EARTH_RADIUS_M = 6_371_000.0  # mean; the curvature term is a thousandth of the whole
 _TOP_M = 84_852.0  # top of the 1976 layers used here
@@ -158,6 +163,29 @@ def apparent_ground_directions(
     satellite_e, v_e, R_ie = _states_e(t_s, orbit, earth)
     u_e, range_m = apparent_directions_e(p_e, satellite_e, v_e, earth.omega_e, effects)
     return np.einsum("nij,nj->ni", R_ie, u_e), range_m
+
+
+def moves_by_light(
+    p_e: Floats, t_s: Floats, orbit: OrbitLike, earth: EarthRotation, effects: LightEffects
+) -> Floats:
+    """Change (N, 3, 4) of apparent directions by each of `EFFECTS` once, modelled or not, and by heights that
+    are larger by `HIGHER`; parameters and axes as in `apparent_ground_directions`.
+    """
+    satellite_e, v_e, R_ie = _states_e(t_s, orbit, earth)
+
+    def seen(at_e: Floats, effects: LightEffects) -> Floats:
+        u_e, _ = apparent_directions_e(at_e, satellite_e, v_e, earth.omega_e, effects)
+        return np.asarray(np.einsum("nij,nj->ni", R_ie, u_e))
+
+    stated, moves = seen(p_e, effects), list[Floats]()
+    for name in EFFECTS:
+        is_modelled = getattr(effects, name)
+        switched: dict[str, Any] = {name: not is_modelled}
+        change = stated - seen(p_e, replace(effects, **switched))
+        moves.append(change if is_modelled else -change)
+    lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
+    higher = seen(ecef_from_geodetic(lat, lon, (1.0 + HIGHER) * height_m, WGS84), effects) - stated
+    return np.stack([*moves, higher], axis=2)
 
 
 def apparent_directions_e(

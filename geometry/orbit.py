@@ -9,7 +9,7 @@ approximately along the velocity.
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Literal
 
 import erfa
@@ -98,6 +98,21 @@ class Orbit:
     def span_s(self) -> tuple[float, float]:
         """Instants of the first and the last node; there may be gaps between them."""
         return float(self.t_s[0]), float(self.t_s[-1])
+
+    def around(self, t_first_s: float, t_last_s: float) -> Orbit:
+        """The part that interpolation between two instants depends on, with two nodes to spare."""
+        spare = self.nodes_needed + 2
+        first = max(int(np.searchsorted(self.t_s, t_first_s)) - spare, 0)
+        last = min(int(np.searchsorted(self.t_s, t_last_s)) + spare, len(self.t_s))
+        usual_step = float(np.median(np.diff(self.t_s)))
+        return replace(
+            self,
+            t_s=self.t_s[first:last],
+            positions_m=self.positions_m[first:last],
+            velocities_m_s=None if self.velocities_m_s is None else self.velocities_m_s[first:last],
+            max_step_s=self.max_step_s if self.max_step_s is not None else _GAP_FACTOR * usual_step,
+            begins=tuple(n - first for n in self.begins if first < n < last),
+        )
 
     def positions_i(self, t_s: ArrayLike) -> Floats:
         """Positions (N, 3) in GCRS, m, at instants (N,). `OrbitGapError` where not covered."""

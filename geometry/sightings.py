@@ -133,6 +133,9 @@ class GroundSightings(RowRecord):
         "change of u_i (columns) by rotations of the Earth about the axes of e, each of the 1-sigma of "
         "predicted Earth orientation, rad; zero for measured values and for a star",
     )
+    light_i: Floats = array(
+        "N, 3, 4", "change of u_i (columns) by effects on light and by heights (`groundlight.moves_by_light`)"
+    )
     references: GroundReferences | None = scalar("references of the targets; None: none", default=None)
 
     @property

@@ -19,7 +19,7 @@ from typing import Any
 
 from boresight.calib.verdict import Outcome
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
-from boresight.pipeline.calibration.joint import NamedDump, calibrate_jointly
+from boresight.pipeline.calibration.joint import calibrate_jointly
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
@@ -58,6 +58,7 @@ from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.several_dumps import NamedDump
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.records.record import record, scalar

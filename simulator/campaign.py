@@ -466,6 +466,7 @@ def _draw_targets(
         v_rel_i=motion.velocity_i(t),
         cov_target_i=np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
         earth_i=np.zeros((J, 3, 3)),
+        light_i=np.zeros((J, 3, 4)),
     )
     return ground, wrong.tolist(), look_c, error_m
 
@@ -565,6 +566,7 @@ def _draw_sky_strip(
         v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
         earth_i=np.zeros((len(catalogue_i), 3, 3)),
+        light_i=np.zeros((len(catalogue_i), 3, 4)),
     )
     return StripSightings(
         strip_id=name,

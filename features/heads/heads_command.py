@@ -9,11 +9,11 @@ import typer
 
 from boresight.features.heads.alignment import heads_alone
 from boresight.features.heads.head_files import heads_json, heads_lines, write_heads
-from boresight.pipeline.calibration.joint import dump_names
 from boresight.pipeline.console.arguments import DumpsArgument, SettingsFile
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.several_dumps import dump_names
 
 __all__ = ["heads_command"]
 

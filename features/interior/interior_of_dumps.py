@@ -12,7 +12,7 @@ from boresight.features.interior.interior_parameters import InteriorPriors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.joint import calibrate_jointly, dump_names, open_dumps
+from boresight.pipeline.calibration.joint import calibrate_jointly
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.folder import store_of
@@ -20,6 +20,7 @@ from boresight.pipeline.results.ownership import MARKER, dump_folder_of
 from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.several_dumps import dump_names, open_dumps
 from boresight.records.record import array, record, scalar
 
 __all__ = ["InteriorCalibration", "calibrate_remote_camera"]

@@ -317,6 +317,7 @@ def _strip(
         v_rel_i=np.zeros((len(star), 3)),
         cov_target_i=isotropic_covariance(u_i[star], known.sigma_at_rad(year)[star]),
         earth_i=np.zeros((len(star), 3, 3)),
+        light_i=np.zeros((len(star), 3, 4)),
     )
     R_c = _attitude(R_ci, rate, t_stars)
     strip = StripSightings(

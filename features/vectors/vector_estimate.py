@@ -103,6 +103,7 @@ def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
             v_rel_i=np.zeros((J, 3)),
             cov_target_i=np.zeros((J, 3, 3)) if frames.cov_targets is None else frames.cov_targets[own],
             earth_i=np.zeros((J, 3, 3)),
+            light_i=np.zeros((J, 3, 4)),
         )
         strips.append(
             StripSightings(

@@ -15,7 +15,7 @@ from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.sightings import StripSightings
-from boresight.pipeline.calibration.rounds import Round
+from boresight.pipeline.calibration.rounds import Measured, Round
 from boresight.pipeline.diagnosis.input_findings import (
     EarthTableCheck,
     assumed_motion,
@@ -68,14 +68,14 @@ class Assessment:
 
 
 def assessed(
-    basis: Basis, first: Round, last: Round, found: InstallationEstimate, omissions: Sequence[Entry]
+    basis: Basis, first: Measured, last: Round, found: InstallationEstimate, omissions: Sequence[Entry]
 ) -> Assessment:
     """The verdict on the estimate `found` of the last round. `omissions` are all of the calibration."""
     dump = basis.dump
     targets = ground_ledger(last.tasks, last.matched, found.R_cs)
     stars = star_ledger(dump, last.sky, last.named, found.R_cs)
     sighted = _sighted(basis, first, last, targets, stars)
-    inputs = moved_inputs(dump, sighted, last.tasks)
+    inputs = moved_inputs(dump, sighted)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
     of_attitudes = basis.of_attitudes
     of_inputs = [*of_attitudes, *input_findings(basis, last.tasks, last.matched, omissions)]
@@ -111,7 +111,7 @@ def assessed(
 
 
 def _sighted(
-    basis: Basis, first: Round, last: Round, targets: Ledger, stars: Ledger
+    basis: Basis, first: Measured, last: Round, targets: Ledger, stars: Ledger
 ) -> tuple[StripSightings, ...]:
     """The strips of the last round, with all that was measured in them by any search, each by itself too.
     The ledgers hold the `targets` and the bright `stars` that they must show.
@@ -130,15 +130,13 @@ def _sighted(
         known.update(keys)
         return np.array(rows, dtype=np.int64)
 
-    alone = searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad)
-    measured: list[MatchedTargets | NamedStars] = [
+    measured: Measured = (
         *map(contradicting_targets, last.matched),
-        *first.matched,
-        *alone,
-        *first.named,
+        *first,
+        *searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad),
         *named_alone(dump, last.sky, last.named, stars),
         *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
-    ]
+    )
     left_out = [one.take(new(one)) for one in measured]
     return with_left_out(last.strips, sighted_strips([*last.tasks, *last.sky.tasks], left_out, heads))
 

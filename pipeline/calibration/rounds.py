@@ -41,6 +41,7 @@ from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.records.record import Floats, array, record, scalar
 
 __all__ = [
+    "Measured",
     "Round",
     "first_and_last_round",
     "is_settled",
@@ -50,6 +51,7 @@ __all__ = [
     "unused_so_far",
 ]
 
+Measured = tuple[MatchedTargets | NamedStars, ...]
 Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
 
 
@@ -137,13 +139,14 @@ class Round:
         return (*self.matched, *map(as_matched, self.named))
 
 
-def first_and_last_round(basis: Basis, sky: SkySide) -> tuple[Round, Round]:
-    """The first round, from the pre-launch matrix, and the last, each from the estimate before it.
+def first_and_last_round(basis: Basis, sky: SkySide) -> tuple[Measured, Round]:
+    """What the first round measures, from the pre-launch matrix, and the last, each from the estimate before.
     `DataNotSufficientError` where the data do not determine all three angles.
     """
     start = basis.dump.R_cs0, basis.dump.sigma_installation_rad
     mountings = stated_mountings(basis.heads)
-    first = last = _one_round(1, None, basis, sky, start, mountings)
+    last = _one_round(1, None, basis, sky, start, mountings)
+    first: Measured = (*last.matched, *last.named)
     for number in range(2, basis.settings.run.rounds + 1):
         if not (last.named or any(task.targets for task in last.tasks)):
             break  # measured image points alone: no matrix moves them
@@ -188,7 +191,7 @@ def _one_round(
         text = what_is_missing(estimate, basis, tasks, matched, known_so_far)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
         shifted = next(shifted_chips(dump, unmatched), None)
-        if cause := shifted or cause_of_no_result(basis, sky, seen, tasks):
+        if cause := shifted or cause_of_no_result(basis, sky, seen):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known_so_far, *unmatched])
     without_targets = [

@@ -17,7 +17,6 @@ import typer
 
 from boresight.calib.verdict import Outcome
 from boresight.pipeline import __version__
-from boresight.pipeline.calibration.joint import named_cameras, open_dumps
 from boresight.pipeline.calibration_run import (
     RunOutcome,
     RunRequest,
@@ -52,6 +51,7 @@ from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import Executor, executor_for
 from boresight.pipeline.run.settings import read_settings
+from boresight.pipeline.run.several_dumps import named_cameras, open_dumps
 from boresight.version import commit
 
 __all__ = ["calibrate_command"]

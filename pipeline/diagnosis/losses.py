@@ -82,8 +82,8 @@ class Group:
     """Observations that one cause would take away, and those beside them that it would leave."""
 
     loss: Finding = scalar("that they are lost, without the numbers; its text: what to look at")
-    inside: Bools = scalar("(N,) mask of the ledger")
-    beside: Bools = scalar("(N,) mask of the ledger")
+    inside: Ints = scalar("rows of the ledger")
+    beside: Ints = scalar("rows of the ledger")
 
 
 def ground_ledger(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets], R_cs: Rotation) -> Ledger:
@@ -120,21 +120,22 @@ def lost_groups(ledger: Ledger, limits: LossLimits) -> Iterator[Finding]:
         if min(1.0, tested[best]) >= limits.probability:
             return
         group = groups[best]
-        kept, rest = found[group.inside & left], found[group.beside & left]
+        kept, rest = (found[rows[left[rows]]] for rows in (group.inside, group.beside))
         counts = f"{kept.sum()} of {len(kept)} {limits.what} found"
         text = f"{counts}, of the other half {rest.sum()} of {len(rest)}: {group.loss.text}."
         yield replace(group.loss, text=text, p_value=tested[best])
-        left = left & ~group.inside  # what it explains is not told again
+        left[group.inside] = False  # what it explains is not told again
 
 
 def _p_value(ledger: Ledger, group: Group, left: Bools, limits: LossLimits) -> float:
     """Of one group; 1 where not most of it is lost, or what lies beside it is, too."""
-    inside, found = group.inside & left, ledger.found
-    kept, n, rest = int(found[inside].sum()), int(inside.sum()), found[group.beside & left]
+    inside, beside = (rows[left[rows]] for rows in (group.inside, group.beside))
+    found, rest = ledger.found[inside], ledger.found[beside]
+    kept, n = int(found.sum()), len(inside)
     if 2 * kept >= n or 2 * rest.sum() <= len(rest):
         return 1.0
-    per_strip = [inside & (ledger.strip == number) for number in np.unique(ledger.strip[inside])]
-    if sum(2 * found[here].sum() < here.sum() for here in per_strip) < limits.fewest_strips:
+    counts = np.bincount(ledger.strip[inside]), np.bincount(ledger.strip[inside], found)
+    if np.sum(2 * counts[1] < counts[0]) < limits.fewest_strips:
         return 1.0
     return float(bdtrc(n - kept - 1, n, limits.share))
 
@@ -169,16 +170,18 @@ class Split:
         """Both halves of each whole."""
         value = self.value(ledger)
         for subjects, here in _wholes(self.of, ledger):
-            here = here & np.isfinite(value) if self.at_median else here
-            if self.at_median and not here.any():
+            rows = np.flatnonzero(here & np.isfinite(value))
+            if not len(rows):
                 continue
-            edge = float(np.median(value[here])) if self.at_median else 0.5
-            low = here & (value <= edge if self.at_median else value < edge)
+            edge = float(np.median(value[rows])) if self.at_median else 0.5
+            low = value[rows] <= edge if self.at_median else value[rows] < edge
+            halves = rows[low], rows[~low]
             whole = subjects[0].words if subjects else ""
-            for cause, item, text, inside in zip(self.causes, self.items, self.advice, (low, here & ~low)):
-                item = item.format(whole=whole, edge=edge)
+            for n, inside in enumerate(halves):
+                item = self.items[n].format(whole=whole, edge=edge)
                 told: dict[str, Any] = {"subjects": subjects, "file": "strips.csv", "field": "file"}
-                yield Group(Finding(cause=cause, item=item, text=text, **told), inside, here & ~inside)
+                loss = Finding(cause=self.causes[n], item=item, text=self.advice[n], **told)
+                yield Group(loss, inside, halves[1 - n])
 
 
 def _halves(cause: str, whole: str, advice: str, of: Kind, value: Callable[[Ledger], Floats]) -> Split:

@@ -140,9 +140,7 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     )
 
 
-def cause_of_no_result(
-    basis: Basis, sky: SkySide, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
-) -> Finding | None:
+def cause_of_no_result(basis: Basis, sky: SkySide, strips: Sequence[StripSightings]) -> Finding | None:
     """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
     if basis.of_attitudes:
         return basis.of_attitudes[0]
@@ -154,7 +152,7 @@ def cause_of_no_result(
     together = calibrate_strips(strips, basis.dump.R_cs0, plain) if strips else None
     if not isinstance(together, InstallationEstimate):
         return None
-    found = examined(basis, together, strips, plain, moved_inputs(basis.dump, strips, tasks))
+    found = examined(basis, together, strips, plain, moved_inputs(basis.dump, strips))
     return next(iter(found.findings), None)
 
 

@@ -1,14 +1,12 @@
-"""Inputs of a dump whose errors are found by predicting again: clock of the exposures, aberration left in
-attitudes and the line of sight through which it is taken, velocity of the satellite, the effects on
-light from the ground, and the unit of heights; and an estimate held against all hypotheses about inputs.
+"""Inputs whose errors no derivative of the estimate gives: clock of the exposures, aberration that is left in
+attitudes and through which line of sight, velocity of the satellite, effects on light from the ground, unit
+of heights; and an estimate held against all hypotheses about inputs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import erfa
 import numpy as np
@@ -19,9 +17,8 @@ from boresight.calib.hypotheses import MovedInput
 from boresight.calib.reliability import Reliability, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.attitude import ConstantRate
-from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
-from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.constants import SPEED_OF_LIGHT
+from boresight.geometry.groundlight import EFFECTS
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.geometry.starlight import earth_velocity_i
@@ -29,12 +26,12 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.head import Basis
-from boresight.pipeline.stages.strip import StripTask
 from boresight.records.record import Floats
 
 __all__ = ["examined", "moved_inputs"]
 
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
+BOTH = "annual and orbital"  # parts of the aberration that a head may have removed
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
@@ -43,13 +40,10 @@ AXES = (
     ("radial", ("too far down", "too far up")),
 )
 EQUINOXES = (1.0, 25.0, -25.0, -50.0)  # years from that of the ICRS, to which precession is taken as linear
-EFFECTS = ("light_time", "aberration", "refraction")  # of light, by their keys in `[conventions]`
 
 
-def moved_inputs(
-    dump: Dump, strips: Sequence[StripSightings], tasks: Sequence[StripTask]
-) -> tuple[MovedInput, ...]:
-    """All such inputs of a dump whose strips are `strips`; `tasks` are those of the ground."""
+def moved_inputs(dump: Dump, strips: Sequence[StripSightings]) -> tuple[MovedInput, ...]:
+    """All such inputs of a dump whose strips are `strips`."""
     head = dump.heads[0]
     found = list(_clock_of_exposures(head, strips))
     if isinstance(head.source, SolvedAttitudes):
@@ -58,9 +52,8 @@ def moved_inputs(
     if sky := [strip for strip in strips if strip.ground.is_star.any()]:
         found += _velocity(dump, head, sky)
         found += _catalogue(dump, sky)
-    by_id = {task.strip.strip_id: task for task in tasks}
-    if ground := [strip for strip in strips if strip.strip_id in by_id]:
-        found += _of_ground(dump, ground, by_id)
+    if ground := [strip for strip in strips if not strip.ground.is_star.any()]:
+        found += _of_ground(dump, ground)
     return tuple(found)
 
 
@@ -163,7 +156,7 @@ def _line_of_sight(
     The aberration that the head has left in, of velocity v, turns its attitudes by -u x v/c; with u + d they
     turn by -d x v/c more. The part of d across v turns them about u, along v it does nothing.
     """
-    left = {"none": ("annual", "orbital"), "annual": ("orbital",), "annual and orbital": ()}
+    left = {"none": ("annual", "orbital"), "annual": ("orbital",), BOTH: ()}
     parts = [_velocities(dump)[name] for name in left[source.aberration_removed]]
     if not parts:  # the line of sight is not used
         return
@@ -190,8 +183,7 @@ def _line_of_sight(
 def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Velocity of the satellite in its orbital frame: stars show it by their aberration alone."""
     source = head.source
-    removed = source.aberration_removed if isinstance(source, SolvedAttitudes) else ""
-    in_attitudes = removed != "annual and orbital"
+    in_attitudes = not (isinstance(source, SolvedAttitudes) and source.aberration_removed == BOTH)
     for axis, (name, words) in enumerate(AXES):
 
         def velocity(t_s: Floats, axis: int = axis) -> Floats:
@@ -250,29 +242,10 @@ def _by_precession(years: float, ground: GroundSightings) -> Floats:
     return (ground.u_i - ground.u_i @ erfa.pmat06(erfa.DJ00, years * erfa.DJY)) / years
 
 
-def _of_ground(
-    dump: Dump, strips: Sequence[StripSightings], tasks: Mapping[str, StripTask]
-) -> Iterator[MovedInput]:
+def _of_ground(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Effects on light from the ground, modelled and not, and heights in another unit."""
-
-    def seen(p_e: Floats, strip: StripSightings, effects: LightEffects) -> Floats:
-        orbit = tasks[strip.strip_id].orbit
-        return apparent_ground_directions(p_e, strip.ground.t_s, orbit, orbit.earth, effects)[0]
-
-    light, higher = {key: dict[str, Floats]() for key in EFFECTS}, dict[str, Floats]()
-    for strip in strips:
-        place, effects = tasks[strip.strip_id].places, tasks[strip.strip_id].effects
-        p_e = np.array([place[n].p_e for n in strip.ground.target_id.tolist()], dtype=float).reshape(-1, 3)
-        stated = seen(p_e, strip, effects)
-        for key in EFFECTS:
-            is_on = getattr(effects, key)
-            switched: dict[str, Any] = {key: not is_on}
-            change = stated - seen(p_e, strip, replace(effects, **switched))
-            light[key][strip.strip_id] = change if is_on else -change
-        lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
-        above = ecef_from_geodetic(lat, lon, (1.0 + PERCENT) * height_m, WGS84)
-        higher[strip.strip_id] = seen(above, strip, effects) - stated
-    for key, directions in light.items():
+    moves = [{one.strip_id: one.ground.light_i[:, :, n] for one in strips} for n in range(len(EFFECTS) + 1)]
+    for key, directions in zip(EFFECTS, moves):
         yield MovedInput(
             cause=f"light of the targets, {key.replace('_', ' ')}",
             item="all targets",
@@ -292,5 +265,5 @@ def _of_ground(
         field="height_m (metres are expected)",
         most=400.0,
         usual=30.0,
-        directions_i=higher,
+        directions_i=moves[-1],
     )

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.heads import carried
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
-from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.sightings import StripSightings
@@ -50,7 +49,7 @@ def uncertainty_budget(
     for `STEP`. `ValueError` if no strip has a target between usable star exposures.
     """
     model = replace(settings, robust=False)
-    fitted = [carried(one) for one in passes_of(with_attitudes(strips, model.attitudes))]
+    fitted = [carried(one) for one in passes_of(strips, model.attitudes)]
 
     def covariance(these: Sequence[StripSightings], model: CalibrationSettings) -> Floats:
         return forecast_from_strips(these, R_cs, model).after(len(these)).covariance

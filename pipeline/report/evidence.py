@@ -265,7 +265,7 @@ def _convergence(calibration: DumpCalibration) -> pa.Table:
     pairs = estimate.pairs
     order = [strip.strip_id for strip in calibration.strips if strip.strip_id in set(pairs.names.tolist())]
     index = {name: n for n, name in enumerate(pairs.names.tolist())}
-    passes = passes_of(calibration.strips)
+    passes = passes_of(calibration.strips, calibration.settings.attitudes)
     count = {one.strip_id: (len(one.exposures), len(one.ground.target_id)) for one in passes}
     F, F_theta = np.zeros(pairs.F.shape[1:]), np.zeros(pairs.F_theta.shape[1:])
     rows, frames, targets = list[dict[str, Any]](), 0, 0

@@ -19,7 +19,6 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, find_sky_stars, name_sky_stars
-from boresight.pipeline.stages.strip import orbit_around
 from boresight.records.ledger import Entry
 from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
@@ -106,7 +105,7 @@ def _tasks(
                 camera=camera,
                 stages=camera.tdi_stages if isinstance(camera, LineCamera) else 1,
                 bit_depth=dump.remote_bit_depth,
-                orbit=orbit_around(dump.orbit, first - margin, last + margin),
+                orbit=dump.orbit.around(first - margin, last + margin),
                 t_attitude_s=times,
                 R_si=R_si,
                 covariance_c=covariance_c,

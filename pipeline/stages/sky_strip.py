@@ -242,6 +242,7 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
         v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(u_i, sigma),
         earth_i=np.zeros((len(u_i), 3, 3)),
+        light_i=np.zeros((len(u_i), 3, 4)),
     )
 
 

@@ -28,7 +28,7 @@ from boresight.geometry.attitude import AttitudeTrack, Interpolation
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
-from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
+from boresight.geometry.groundlight import LightEffects, apparent_ground_directions, moves_by_light
 from boresight.geometry.line_camera import LineSensor
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom
@@ -57,7 +57,6 @@ __all__ = [
     "measured_points",
     "misses",
     "no_matches",
-    "orbit_around",
     "pictures_of_match",
     "predicted_again",
     "pushbroom_of",
@@ -392,6 +391,7 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
         v_rel_i=np.einsum("nij,nj->ni", R_ie, task.orbit.velocities_e(t_s)),
         cov_target_i=(axes_i * sigma_m[:, None, :] ** 2) @ np.swapaxes(axes_i, 1, 2),
         earth_i=_by_earth_orientation(task.orbit, p_e, t_s, u_i, range_m),
+        light_i=moves_by_light(p_e, t_s, task.orbit, task.orbit.earth, task.effects),
         references=_references(rows, p_e, axes_i),
     )
 
@@ -479,19 +479,3 @@ def _along_the_ground(p_e: Floats, middle_e: Floats) -> Floats:
     length = np.linalg.norm(level, axis=1)
     way = np.linalg.norm(middle_e) * np.arctan2(length, p_e @ up)
     return np.asarray(level * (way / np.maximum(length, 1e-9))[:, None])
-
-
-def orbit_around(orbit: Orbit, t_first_s: float, t_last_s: float) -> Orbit:
-    """The part of an orbit that interpolation between two instants depends on, with two nodes to spare."""
-    spare = orbit.nodes_needed + 2
-    first = max(int(np.searchsorted(orbit.t_s, t_first_s)) - spare, 0)
-    last = min(int(np.searchsorted(orbit.t_s, t_last_s)) + spare, len(orbit.t_s))
-    usual_step = float(np.median(np.diff(orbit.t_s)))
-    return replace(
-        orbit,
-        t_s=orbit.t_s[first:last],
-        positions_m=orbit.positions_m[first:last],
-        velocities_m_s=None if orbit.velocities_m_s is None else orbit.velocities_m_s[first:last],
-        max_step_s=orbit.max_step_s if orbit.max_step_s is not None else 1.5 * usual_step,
-        begins=tuple(n - first for n in orbit.begins if first < n < last),
-    )

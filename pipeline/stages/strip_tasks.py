@@ -25,7 +25,6 @@ from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, s
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
 from boresight.pipeline.stages.strip import (
     StripTask,
-    orbit_around,
     pushbroom_of,
     targets_near,
 )
@@ -75,7 +74,7 @@ def strip_tasks(
         task = StripTask(
             strip=strip,
             camera=dump.line_camera,
-            orbit=orbit_around(dump.orbit, first - margin, last + margin),
+            orbit=dump.orbit.around(first - margin, last + margin),
             t_attitude_s=times,
             R_si=R_si,
             cov_s=cov_s,

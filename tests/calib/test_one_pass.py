@@ -251,11 +251,11 @@ def test_a_strip_without_exposures_is_of_the_pass_that_covers_it_or_is_carried()
     ends = piece(strips[0], "ends", rows[~late], (-np.inf, np.inf))
     blind = replace(piece(strips[0], "blind", rows[late], (9e9, 9e9)), others=strips[0].others)
     assert [len(group) for group in groups_of([ends, blind])] == [2]
-    (whole,) = passes_of([ends, blind])
+    (whole,) = passes_of([ends, blind], MODEL.attitudes)
     assert [name for name, _, _ in whole.parts] == ["blind", "ends"] and len(whole.exposures) == len(
         strips[0].exposures
     )
-    assert len(passes_of([ends, blind.later(600.0)])) == 2
+    assert len(passes_of([ends, blind.later(600.0)], MODEL.attitudes)) == 2
 
 
 @settings(max_examples=20, derandomize=True, deadline=None, database=None)

@@ -29,12 +29,7 @@ from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.calibration.joint import (
-    _check_nothing_twice,
-    calibrate_jointly,
-    dump_names,
-    open_dumps,
-)
+from boresight.pipeline.calibration.joint import calibrate_jointly
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.tiff import write_tiff
@@ -46,6 +41,7 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.executor import InOrder
 from boresight.pipeline.run.settings import Settings
+from boresight.pipeline.run.several_dumps import _check_nothing_twice, dump_names, open_dumps
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 from boresight.simulator.head_attitudes import with_gyro

@@ -19,7 +19,6 @@ from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import covered_by, joined_segments, read_oem, read_segments
-from boresight.pipeline.stages.strip import orbit_around
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
 RADIUS_KM, RATE = 6908.0, 7.5963 / 6908.0
@@ -370,7 +369,7 @@ def test_strips_in_any_of_several_segments_have_an_orbit(tmp_path: Path) -> None
     for t_s in ([3.4, 20.2, begin - 1.5], [begin + 0.3, begin + 33.3]):
         # 1e-5 m: seven neighbours of 1 s, at the ends of segments one-sided
         assert np.abs(orbit.positions_i(t_s) - whole.positions_i(t_s)).max() < 1e-5
-        part = orbit_around(orbit, t_s[0], t_s[-1])
+        part = orbit.around(t_s[0], t_s[-1])
         assert np.array_equal(part.positions_i(t_s), orbit.positions_i(t_s))
     with pytest.raises(OrbitGapError, match="in a gap of the ephemeris"):  # between the segments
         orbit.positions_i([begin - 0.5])

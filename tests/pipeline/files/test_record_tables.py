@@ -115,8 +115,9 @@ def test_columns_of_sightings_are_those_of_the_format() -> None:
     assert list(columns_of(stars)) == ["hip", "xy_px", "u_s", "u_i", "cov_s", "snr"]
     expected = "target_id ccd xy_px t_s u_c u_i cov_c range_m v_rel_i cov_target_i"
     of_targets = list(columns_of(empty(GroundSightings)))
-    assert of_targets == [*expected.split(), "earth_i"]  # the last is not written: the orbit's date gives it
-    assert "earth_i" not in COLUMNS["targets"]
+    from_states = ["earth_i", "light_i"]  # are not written: date, orbit and settings give them
+    assert of_targets == [*expected.split(), *from_states]
+    assert not {*from_states} & {*COLUMNS["targets"]}
 
 
 @pytest.mark.parametrize(
