@@ -23,7 +23,8 @@ __all__ = ["SPINE", "errors_reported", "function_at", "program"]
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
 # Types of values, or None, that are converted without pydantic.
-SIMPLE = {kind: one for one in (Path, str, float, int) for kind in (one, one | None)}
+SIMPLE: dict[Any, Callable[[Any], Any]] = {list[Path]: lambda paths: [Path(one) for one in paths]}
+SIMPLE |= {kind: one for one in (Path, str, float, int) for kind in (one, one | None)}
 # The message where the system refuses a thread or process; the command ends with it.
 NO_PROCESS = "error: the system starts no further thread or process; use --workers 1, or raise `ulimit -u`"
 
@@ -136,12 +137,10 @@ def _converted(one: Any, hint: Any, by_typer: Callable[..., Any], context: Any, 
     if value is None and not one.required:
         return () if one.multiple or one.nargs == -1 else None
     kind, info = get_args(hint)[:2] or (None, None)
-    if value is not None and info and not (info.parser or info.exists):
-        if kind == list[Path] and value:
-            return [Path(item) for item in value]
-        if kind in SIMPLE and (not isinstance(value, str) or info.min is info.max is None):
-            with suppress(ValueError, TypeError):  # Typer has the words for it
-                return SIMPLE[kind](value)
+    is_free = kind in SIMPLE and not (info.parser or info.exists) and value not in (None, ())
+    if is_free and (not isinstance(value, str) or info.min is info.max is None):
+        with suppress(ValueError, TypeError):  # Typer has the words for it
+            return SIMPLE[kind](value)
     return by_typer(context, value)
 
 
