@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -203,9 +204,11 @@ def _calibrated(
         if request.report:
             write_no_result(out, dump, error)
         raise
-    write_sightings(out, found)
+    write = partial(write_sightings, out, found)
     if request.report:
-        write_evidence(out, dump, found, request.settings, executor)
+        write_evidence(out, dump, found, request.settings, executor, [write])
+    else:
+        write()
     write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)

@@ -21,7 +21,7 @@ from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
 from boresight.records.record import Floats, Ints, array, record, scalar
 
-__all__ = ["InteriorEstimate", "calibrate_interior", "map_difference_px"]
+__all__ = ["InteriorEstimate", "calibrate_interior"]
 
 # Difference of row rates, share of the largest: strips less different do not tell a delay from a shift (set
 # by hand).
@@ -85,24 +85,6 @@ def calibrate_interior(
         covariance=model.basis @ covariance @ model.basis.T,
         camera=model.corrected(values),
     )
-
-
-def map_difference_px(one: LineCamera, other: LineCamera, samples_each: int = 200) -> tuple[Floats, Floats]:
-    """Difference (J, 2) of two cameras' look directions along x and y of frame c, px, less the small rotation
-    that belongs to the installation matrix; and (J, 2) the CCD and sample of each row.
-    """
-    rows, fields, differences = [], [], []
-    for c, ccd in enumerate(one.ccds):
-        sample = np.linspace(0.0, ccd.n_px - 1.0, samples_each)
-        u = other.directions_from_pixels(c, sample)
-        rows.append(np.column_stack([np.full(samples_each, c), sample]))
-        differences.append(one.directions_from_pixels(c, sample) - u)
-        fields.append(np.cross(np.eye(3)[None], u[:, None]))  # (J, 3 axes, 3)
-    difference, field = np.concatenate(differences), np.concatenate(fields)
-    X = np.swapaxes(field, 1, 2).reshape(-1, 3)
-    turn, *_ = np.linalg.lstsq(X, difference.ravel(), rcond=None)
-    left = difference - (X @ turn).reshape(-1, 3)
-    return left[:, :2] / one.pixel_rad, np.concatenate(rows)
 
 
 def _rates_differ(strips: Sequence[StripSightings], R_cs: Rotation, settings: CalibrationSettings) -> bool:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_args
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from boresight.pipeline.console.feature import Command, Feature, Job
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, with_messages
@@ -20,6 +22,9 @@ __all__ = ["SPINE", "errors_reported", "function_at", "program"]
 
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
+# Types of values, or None, that are converted without pydantic.
+SIMPLE: dict[Any, Callable[[Any], Any]] = {list[Path]: lambda paths: [Path(one) for one in paths]}
+SIMPLE |= {kind: one for one in (Path, str, float, int) for kind in (one, one | None)}
 # The message where the system refuses a thread or process; the command ends with it.
 NO_PROCESS = "error: the system starts no further thread or process; use --workers 1, or raise `ulimit -u`"
 
@@ -106,12 +111,44 @@ def _named(command: Command, words: Sequence[str]) -> bool:
 def _add(app: typer.Typer, name: str, command: Command, place: str) -> None:
     if place:  # else it is only listed
         function = with_messages(function_at(place), command.name, with_json=command.with_json)
-        app.command(name, short_help=command.summary, rich_help_panel=command.job)(function)
+        form: dict[str, Any] = {"short_help": command.summary, "rich_help_panel": command.job}
+        app.command(name, cls=_Command, **form)(function)
     else:
         app.command(name, help=command.summary, rich_help_panel=command.job)(_listed)
 
 
-class _ByJob(TyperGroup):
+class _Simple:
+    """A command or group that converts simple values itself: for any, given or not, Typer loads pydantic."""
+
+    callback: Any
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """The parameters."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        hints = getattr(self.callback, "__annotations__", {})
+        for one in parameters:
+            if "process_value" not in vars(one):
+                one.process_value = partial(_converted, one, hints.get(one.name), one.process_value)
+        return parameters
+
+
+def _converted(one: Any, hint: Any, by_typer: Callable[..., Any], context: Any, value: Any) -> Any:
+    """The value of a parameter annotated `hint`; `by_typer` that of one with a parser or limits."""
+    if value is None and not one.required:
+        return () if one.multiple or one.nargs == -1 else None
+    kind, info = get_args(hint)[:2] or (None, None)
+    is_free = kind in SIMPLE and not (info.parser or info.exists) and value not in (None, ())
+    if is_free and (not isinstance(value, str) or info.min is info.max is None):
+        with suppress(ValueError, TypeError):  # Typer has the words for it
+            return SIMPLE[kind](value)
+    return by_typer(context, value)
+
+
+class _Command(_Simple, TyperCommand):
+    """A command of simple values."""
+
+
+class _ByJob(_Simple, TyperGroup):
     """Help that lists commands under their jobs, those of groups too, with their whole summaries."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

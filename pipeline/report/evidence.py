@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
+from itertools import chain, islice
 from operator import call
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -53,6 +53,7 @@ from boresight.pipeline.report.ground_map import (
     scene_json,
     scene_pictures,
     scenes_of,
+    shadings_of,
 )
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
@@ -82,36 +83,35 @@ def write_evidence(
     calibration: DumpCalibration,
     settings: Settings,
     executor: Executor | None = None,
+    beside: Sequence[Callable[[], Any]] = (),
 ) -> list[Finding]:
     """Write the folder `RESULT/evidence/`, of which a later calibration reads nothing; what stands out.
 
-    `executor` makes what takes longest; default: this process.
+    `executor` makes all of it that no other part needs, and calls `beside`; default: this process.
     """
     folder, executor = result / "evidence", executor or InOrder()
     scenes = scenes_of(dump, calibration)
     ground = ground_table(scenes, dump, calibration)
-    parts: list[Callable[[], Any]] = [
-        partial(_exposure, dump, calibration, settings),
-        partial(_accuracy, dump, calibration, ground),
-        partial(findings, dump, calibration, scenes, ground),
-        partial(unmatched_pictures, scenes, ground, dump),
-    ]
-    here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
-    quicklooks = quicklooks_of(scenes)
-    lists = [(here, parts + quicklooks)] if here == executor else [(here, parts), (executor, quicklooks)]
-    made = chain.from_iterable(one.map(call, items, lambda n, part: None) for one, items in lists)
-    exposure, accuracy, found, unmatched, *pictures = made
-    tables: dict[str, pa.Table] = {
-        "inputs": _inputs(dump),
-        "convergence": _convergence(calibration),
-        "angles": _angles(calibration),
-        "matches": _matches(calibration),
-        "exposure": exposure,
-        "ground": ground,
-        "unmatched": unmatched,
-        **_attitude_noise(dump, settings),
-        "map": scene_pictures(scenes, dump, pictures),
+    parts: dict[str, Callable[[], Any]] = {
+        "accuracy": partial(_accuracy, dump, calibration, ground),  # the longest first
+        "exposure": partial(_exposure, dump, calibration, settings),
+        "findings": partial(findings, dump, calibration, scenes, ground),
+        "unmatched": partial(unmatched_pictures, scenes, ground, dump),
+        "inputs": partial(_inputs, dump),
+        "convergence": partial(_convergence, calibration),
+        "angles": partial(_angles, calibration),
+        "matches": partial(_matches, calibration),
+        "noise": partial(_attitude_noise, dump, settings),
     }
+    quicklooks, shadings = quicklooks_of(scenes), shadings_of(scenes, dump)
+    here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
+    own = [*beside, *parts.values(), *shadings]
+    lists = [(here, own + quicklooks)] if here == executor else [(here, own), (executor, quicklooks)]
+    made = chain.from_iterable(one.map(call, items, lambda n, part: None) for one, items in lists)
+    tables: dict[str, Any] = dict(zip(parts, islice(made, len(beside), None)))
+    accuracy, found, noise = (tables.pop(name) for name in ("accuracy", "findings", "noise"))
+    shaded = list(islice(made, len(shadings)))
+    tables |= noise | {"ground": ground, "map": scene_pictures(scenes, shaded, made)}
     for name, table in tables.items():
         write_inside(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")

@@ -53,6 +53,7 @@ __all__ = [
     "scene_json",
     "scene_pictures",
     "scenes_of",
+    "shadings_of",
 ]
 
 # States of a target in a strip, as the tables of the evidence and the map name them.
@@ -333,18 +334,24 @@ def quicklooks_of(scenes: Sequence[MapScene]) -> list[Callable[[], Any]]:
     ]
 
 
+def shadings_of(scenes: Sequence[MapScene], dump: Dump) -> list[Callable[[], Any]]:
+    """What makes the picture (rows, columns) of each scene's terrain, if there is one."""
+    surface = surface_of(dump.terrain)
+    return [] if isinstance(surface, TargetHeights) else [partial(_shaded, one, surface) for one in scenes]
+
+
 def scene_pictures(
-    scenes: Sequence[MapScene], dump: Dump, quicklooks: Iterable[NDArray[np.float32]]
+    scenes: Sequence[MapScene],
+    shadings: Sequence[NDArray[np.uint8]],
+    quicklooks: Iterable[NDArray[np.float32]],
 ) -> pa.Table:
     """Pictures on the scenes' planes, north up: shaded terrain (`strip_id` empty), a quicklook a strip,
     joined from those of its CCDs, each (rows, columns).
     """
     seen = iter(quicklooks)
     rows: list[dict[str, object]] = []
-    surface = surface_of(dump.terrain)
     for number, scene in enumerate(scenes):
-        if not isinstance(dump.terrain, TargetHeights):
-            rows.append(_picture(number, "", scene.box_m, _shaded(scene, surface)))
+        rows += [_picture(number, "", scene.box_m, image) for image in shadings[number : number + 1]]
         for one in scene.strips:
             if parts := list(islice(seen, len(one.task.strip.images.ccds))):
                 rows.append(_picture(number, one.strip_id, one.box_m(scene), _joined(parts)))

@@ -25,7 +25,7 @@ from typing import Any, Protocol, TypeVar
 from boresight.pipeline.errors import WorkerError
 from boresight.records.record import record
 
-__all__ = ["FORKS", "Executor", "InOrder", "Processes", "executor_for"]
+__all__ = ["FORKS", "SMALL_JOB_PIXELS", "Executor", "InOrder", "Processes", "executor_for"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
@@ -123,6 +123,8 @@ class Processes:
                     outcomes[n] = outcome
                     done(len(outcomes), outcome)
         finally:
+            for process in started:  # all at once: its memory takes a while to go
+                process.process.kill()
             for process in started:
                 process.stop()
         return [outcomes[n] for n in range(len(items))]
@@ -155,7 +157,6 @@ class _Process:
             self.pipe.send(unit)
 
     def stop(self) -> None:
-        self.process.kill()
         self.process.join()
         self.pipe.close()
 

@@ -53,8 +53,8 @@ def rounding_of_blocks(image: NDArray[Any]) -> float:
     """
     rows, columns = (side // _BLOCK_PX for side in image.shape)
     blocks = image[: rows * _BLOCK_PX, : columns * _BLOCK_PX].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
-    corner, beside, across = blocks[:, 0, :, 0], blocks[:, 0, :, -1], blocks[:, -1, :, -1]
-    if np.mean((corner == beside) & (corner == across)) < _MANY_FLAT:  # of flat ones they are equal
+    corner, others = blocks[:, 0, :, 0], (blocks[:, 0, :, -1], blocks[:, -1, :, -1])
+    if any(np.mean(corner == other) < _MANY_FLAT for other in others):  # in flat ones they are equal
         return 0.0
     least = blocks.min(axis=(1, 3))
     flat = least == blocks.max(axis=(1, 3))

@@ -35,14 +35,16 @@ class OwnScale:
 
 def in_own_counts(image: NDArray[Any]) -> OwnScale:
     """An image (H, W) in counts; itself if its steps are one."""
-    least, largest, floating = image.min(), image.max(), np.issubdtype(image.dtype, np.floating)
+    few, floating = image.ravel()[:: max(1, image.size // _SAMPLE)], np.issubdtype(image.dtype, np.floating)
+    if not floating and np.diff(np.unique(few)[:-1]).min(initial=2) == 1:  # without the largest, see below
+        return OwnScale(image)
+    least, largest, few = image.min(), image.max(), few.astype(np.float64)
     if not 0.0 < float(largest) - float(least) < np.inf:
         return (
             OwnScale(np.zeros(image.shape, dtype=np.uint8), zero=float(least))
             if floating
             else OwnScale(image)
         )
-    few = image.ravel()[:: max(1, image.size // _SAMPLE)].astype(np.float64)
     values = np.unique(np.append(few[few < largest], least))  # the largest may be a limit between two steps
     step = float(np.diff(values).min(initial=float(largest) - float(least)))
     if not floating and step <= 1.0:

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_campaigns import BOLD, assert_chi_square
-from four_ccds import four_ccds
+from four_ccds import four_ccds, map_difference_px
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import (
     InteriorEstimate,
     calibrate_interior,
-    map_difference_px,
 )
 from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.geometry.constants import ARCSEC

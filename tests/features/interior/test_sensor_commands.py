@@ -9,11 +9,11 @@ import pytest
 import rasterio
 from command_line import invoked, ran
 from drawn_pictures import OURS, kept_figures, shows_curves
+from four_ccds import map_difference_px
 from recorded_numbers import assert_recorded
 
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.features.interior import interior_files, remote_camera_calibrate_command
-from boresight.features.interior.interior_estimate import map_difference_px
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.pipeline.errors import DataNotSufficientError
