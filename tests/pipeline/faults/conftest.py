@@ -44,12 +44,17 @@ def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibrat
             shutil.copytree(request.getfixturevalue("sky_result") / "work", folder / "work")
         else:
             (folder / "work").mkdir()
+        if name == "trackers":  # the images of scans, rendered once
+            shutil.copytree(made("scans", seed) / f"scans-{seed}", folder / f"scans-{seed}")
         sound = sound_dump(name, seed, folder)
         if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
             shutil.copytree(sound, folder / f"{name}-{seed}")
 
+    def made(name: str, seed: int) -> Path:
+        return made_once(f"of-{name}-{seed}", partial(fill, name, seed))
+
     def calibrated(name: str, make: Callable[[Path], None], seed: int = 1) -> DumpCalibration:
-        folder = made_once(f"of-{name}-{seed}", partial(fill, name, seed))
+        folder = made(name, seed)
         linked(folder / f"{name}-{seed}", tmp_path / "dump")
         make(tmp_path / "dump")
         return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(folder))
