@@ -41,21 +41,14 @@ Row = dict[str, str]
 
 
 @pytest.fixture(scope="module")
-def sound(made_once) -> Path:
-    """The dump of points without a fault."""
-    folder = made_once("measured-points", lambda folder: fault_dumps.sound_dump("points", 1, folder))
-    return folder / "points-1"
-
-
-@pytest.fixture(scope="module")
 def right(sound: Path) -> DumpCalibration:
-    """Its calibration."""
+    """The calibration of the points without a fault."""
     return calibrate_dump(open_dump(sound))
 
 
 @pytest.fixture
 def told(sound: Path, tmp_path: Path) -> Callable[[Make], DumpCalibration]:
-    """What a calibration of that dump with a fault gives."""
+    """What a calibration of the points with a fault gives."""
 
     def calibrated(make: Make) -> DumpCalibration:
         fault_dumps.linked(sound, tmp_path / "dump")

@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import fault_dumps
 import faults
@@ -31,14 +30,6 @@ from boresight.pipeline.stages.head import Basis, sight_head
 GPS_MINUS_UTC_S, TAI_MINUS_UTC_S = 18.0, 37.0  # since 2017, IERS Bulletin C 52
 LAST_LINE, LAST_SAMPLE, LAST_CCD = 1999, 511, 3  # of the CCDs of the dump, from 0
 Row = dict[str, str]
-
-
-@pytest.fixture(scope="module")
-def sound(made_once) -> Path:
-    """Measured points of three strips and two heads, without a fault."""
-    return (
-        made_once("measured-points", lambda folder: fault_dumps.sound_dump("points", 1, folder)) / "points-1"
-    )
 
 
 def late(seconds: float, row: Row) -> None:
