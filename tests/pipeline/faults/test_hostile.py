@@ -61,9 +61,7 @@ EXTREME = ("1e308", "5e-324", "-1e308", "9223372036854775808", "9e15")
 
 @pytest.mark.parametrize("file", [*TEXTS, *TABLES, "orbit.oem"])
 def test_extreme_value_of_any_number_is_refused_by_name_or_calibrated(file, handmade):
-    """Every number of the file in turn, with two values each. What is within range goes on until too few stars
-    are found.
-    """
+    """Every number in turn, with two values. What is within range goes on until too few stars are found."""
     text = (handmade / file).read_text()
     spans = [match.span() for match in NUMBER.finditer(text)]
     if file == "orbit.oem":
