@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import tempfile
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -76,19 +76,26 @@ class Browser:
 
     def __init__(self, address: str) -> None:
         self.loop, self.count, self.events = asyncio.new_event_loop(), 0, []
-        self.socket = self.loop.run_until_complete(websocket_connect(address, max_message_size=2**26))
+        self.socket = self.waited_for(lambda: websocket_connect(address, max_message_size=2**26))
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.do(f"{domain}.enable")
         self.events.clear()
 
+    def waited_for(self, call: Callable[[], Awaitable[Any]]) -> Any:
+        """The outcome of a call that must be made within the event loop."""
+
+        async def within() -> Any:
+            return await asyncio.wait_for(call(), LONGEST_S)
+
+        return self.loop.run_until_complete(within())
+
     def message(self) -> dict[str, Any]:
-        read = asyncio.wait_for(self.socket.read_message(), LONGEST_S)
-        return json.loads(self.loop.run_until_complete(read))
+        return json.loads(self.waited_for(lambda: self.socket.read_message()))
 
     def do(self, method: str, **parameters: Any) -> dict[str, Any]:
         self.count += 1
         asked = json.dumps({"id": self.count, "method": method, "params": parameters})
-        self.loop.run_until_complete(self.socket.write_message(asked))
+        self.waited_for(lambda: self.socket.write_message(asked))
         while (message := self.message()).get("id") != self.count:
             self.events.append(message)
         assert "error" not in message, message
