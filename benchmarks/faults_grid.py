@@ -26,7 +26,8 @@ from pathlib import Path
 
 import record  # of this folder; sets the number of threads before NumPy is loaded
 
-sys.path[:0] = [str(record.ROOT / "tests"), str(record.ROOT / "tests" / "pipeline" / "faults")]
+sys.path.insert(0, str(record.ROOT / "tests"))
+sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
 
 from drawn_faults import drawn
 from fault_cases import Case, calibrated, case_of, imported, is_asked, judged, true_rotation
