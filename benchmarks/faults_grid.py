@@ -26,6 +26,7 @@ from pathlib import Path
 
 import record  # of this folder; sets the number of threads before NumPy is loaded
 
+sys.path.insert(0, str(record.ROOT / "tests"))
 sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
 
 from drawn_faults import drawn

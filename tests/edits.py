@@ -1,10 +1,15 @@
-"""Texts of a dump changed by tests; tables of CSV as lists of rows, each a dictionary of its cells."""
+"""Files of a dump changed by tests: texts, rasters, and tables of CSV as lists of rows, each a dictionary of
+its cells.
+"""
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-__all__ = ["replaced", "rows_of", "write_rows"]
+import numpy as np
+import rasterio
+
+__all__ = ["repaint", "replaced", "rows_of", "write_rows"]
 
 Row = dict[str, str]
 
@@ -31,3 +36,14 @@ def replaced(path: Path, old: str, new: str, count: int = -1) -> None:
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, count), newline="")
+
+
+def repaint(path: Path, paint: Callable[[np.ndarray], np.ndarray], shift_m: float = 0.0) -> None:
+    """The raster with other pixels, its geo-reference moved to the east: as a new file, as above."""
+    with rasterio.open(path) as file:
+        image, profile = file.read(1), dict(file.profile)
+    if shift_m:
+        profile["transform"] = rasterio.Affine.translation(shift_m, 0.0) @ profile["transform"]
+    path.unlink()
+    with rasterio.open(path, "w", **profile) as file:
+        file.write(paint(image), 1)

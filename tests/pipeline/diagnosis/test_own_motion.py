@@ -50,26 +50,33 @@ def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float 
     return against_own_motion([head])
 
 
-@pytest.mark.parametrize(("seed", "pair"), [*enumerate([(3, 8), (5, 6), (6, 11), (2, 4)])])
-def test_two_exposures_in_each_others_place_are_named(seed, pair):
+def in_place(**files: int) -> np.ndarray:
+    """Which exposure's file each row has: its own, but for some."""
     order = np.arange(N)
-    order[list(pair)] = order[list(pair[::-1])]
-    (told,) = findings(attitudes(seed)[order])
-    assert told.item == f"exposures {NAMES[pair[0]]} and {NAMES[pair[1]]}"
-    assert (told.file, told.field) == ("exposures.csv", "file")
-
-
-def test_two_pairs_are_two_findings():
-    order = np.arange(N)
-    order[[2, 5, 18, 21]] = order[[5, 2, 21, 18]]
-    assert {one.item for one in findings(attitudes(7)[order])} == {
-        "exposures x02 and x05",
-        "exposures x18 and x21",
-    }
+    for name, other in files.items():
+        order[NAMES.index(name)] = other
+    return order
 
 
 @pytest.mark.parametrize(
-    ("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)]
+    ("order", "items"),
+    [
+        (in_place(x03=8, x08=3), ["exposures x03 and x08"]),
+        (in_place(x05=6, x06=5), ["exposures x05 and x06"]),
+        (in_place(x02=4, x04=2), ["exposures x02 and x04"]),
+        (in_place(x02=5, x05=2, x18=21, x21=18), ["exposures x02 and x05", "exposures x18 and x21"]),
+        (in_place(x03=7, x07=20, x20=3), ["exposures x03, x07 and x20"]),
+        (np.roll(np.arange(N), 1), ["exposure x00"]),  # all late by one: the first comes from elsewhere
+    ],
+)
+def test_exposures_in_each_others_place_are_named(order, items):
+    told = findings(attitudes(len(items))[order])
+    assert sorted(one.item for one in told) == items
+    assert {(one.file, one.field) for one in told} == {("exposures.csv", "file")}
+
+
+@pytest.mark.parametrize(
+    ("draws", "turn_s"), [(200, None), (12, TIMES_S[6] + 0.3)]
 )  # the latter: a manoeuvre
 def test_exposures_in_order_have_no_finding(draws, turn_s):
     assert [findings(attitudes(seed, turn_s=turn_s)) for seed in range(draws)] == [[]] * draws
@@ -84,19 +91,7 @@ def test_one_wrong_attitude_is_named_alone(wrong):
     assert told.text.startswith("off the motion")
 
 
-def test_three_exposures_in_a_circle_are_one_finding():
-    order = np.arange(N)
-    order[[3, 7, 20]] = order[[7, 20, 3]]
-    (told,) = findings(attitudes(5)[order])
-    assert told.item == "exposures x03, x07 and x20"
-
-
-def test_files_that_are_late_by_one_exposure_show_where_the_first_comes_from_elsewhere():
-    (told,) = findings(attitudes(9)[np.roll(np.arange(N), 1)])
-    assert told.item == "exposure x00"
-
-
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_exposures_without_order_are_told_together(seed):
     (told,) = findings(attitudes(seed)[np.random.default_rng(seed).permutation(N)])
     assert (told.cause, told.item) == ("times of exposures", "all exposures")
@@ -111,10 +106,7 @@ def test_an_attitude_of_few_stars_may_be_further_off():
 
 
 def test_exposures_without_attitude_are_passed_over():
-    order, usable = np.arange(N), np.ones(N, dtype=bool)
-    order[[3, 9]] = order[[9, 3]]
-    usable[5] = False
-    (told,) = findings(attitudes(2)[order], usable)
+    (told,) = findings(attitudes(2)[in_place(x03=9, x09=3)], np.arange(N) != 5)
     assert told.item == "exposures x03 and x09"
 
 
@@ -195,7 +187,7 @@ def record_of(
 
 
 @pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_every_second_row_that_is_dated_early_is_named_with_its_size(seed, rate):
     (told,) = against_own_motion([record_of(seed, rate, late_s=0.05 * (np.arange(42) % 2))])
     assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
@@ -204,16 +196,16 @@ def test_every_second_row_that_is_dated_early_is_named_with_its_size(seed, rate)
 
 
 def test_sound_attitudes_of_a_moving_satellite_have_no_finding():
-    """Of 120; one of 500 would be 0.2 %."""
+    """Of 60."""
     told = [
         against_own_motion([record_of(seed, rate, rows=rows, step_s=step_s)])
-        for seed in range(30)
+        for seed in range(15)
         for rate, rows, step_s in ((0.061, 14, 0.2), (0.38, 12, 0.4), (0.061, 40, 0.1), (0.0, 6, 0.5))
     ]
-    assert told == [[]] * 120
+    assert told == [[]] * 60
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
     (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, rows=20)])
     assert "errors of attitudes" in (
@@ -224,14 +216,14 @@ def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
     assert told.refutes
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_instants_cut_to_a_coarse_unit_are_times(seed):
     t_s = np.concatenate([40.0 * n + 0.2 * np.arange(20) for n in range(3)])
     (told,) = against_own_motion([record_of(seed, 0.061, rows=20, late_s=t_s - np.floor(8.0 * t_s) / 8.0)])
     assert told.cause == "times of attitudes" and told.refutes
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_is_told_does_not_depend_on_axes_or_on_the_origin_of_time(seed):
     record = record_of(seed, 0.061, late_s=0.03 * (np.arange(42) % 3 == 0))
     turned = Rotation.random(random_state=seed)
@@ -283,7 +275,7 @@ FAST = {"wobble_arcsec": 90.0, "wobble_s": 0.3, "rows": 20, "with_gyro": True}  
 
 
 @pytest.mark.parametrize("late_s", [-0.05, 0.05])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_s):
     (told,) = against_own_motion([record_of(seed, 0.061, late_s=late_s, **FAST)])
     assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
@@ -295,7 +287,7 @@ def test_sound_attitudes_beside_a_gyro_have_no_finding():
     assert found == [[]] * 30
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_gyro_about_other_axes_is_named(seed):
     sound = record_of(seed, 0.061, **FAST)
     gyro = sound.head.gyro.in_axes(Rotation.from_euler("x", 90.0, degrees=True))
@@ -304,7 +296,7 @@ def test_a_gyro_about_other_axes_is_named(seed):
     assert (told.cause, told.field) == ("a gyro", "gyro.quaternion_sg")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_beside_a_gyro_rows_that_scatter_are_told_of_the_head(seed):
     (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, **FAST | {"rows": 7})])
     assert told.item == "head STR7" and told.refutes

@@ -30,6 +30,14 @@ def ends_in_time() -> Iterator[None]:
     signal.signal(signal.SIGALRM, before)
 
 
+@pytest.fixture(scope="session")
+def sound(made_once) -> Path:
+    """Measured points of three strips and two heads, without a fault. Read only."""
+    from fault_dumps import sound_dump
+
+    return made_once("measured-points", lambda folder: sound_dump("points", 1, folder)) / "points-1"
+
+
 @pytest.fixture
 def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibration]:
     """What a calibration of a dump of images gives, of a kind of `fault_dumps` and a seed, with a fault: what
@@ -44,12 +52,19 @@ def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibrat
             shutil.copytree(request.getfixturevalue("sky_result") / "work", folder / "work")
         else:
             (folder / "work").mkdir()
+        if (name, seed) == ("points", 1):
+            shutil.copytree(request.getfixturevalue("sound"), folder / "points-1")
+        if name == "trackers":  # the images of scans, rendered once
+            shutil.copytree(made("scans", seed) / f"scans-{seed}", folder / f"scans-{seed}")
         sound = sound_dump(name, seed, folder)
         if sound.parent != folder:  # a fixture, perhaps on another file system: no links to it
             shutil.copytree(sound, folder / f"{name}-{seed}")
 
+    def made(name: str, seed: int) -> Path:
+        return made_once(f"of-{name}-{seed}", partial(fill, name, seed))
+
     def calibrated(name: str, make: Callable[[Path], None], seed: int = 1) -> DumpCalibration:
-        folder = made_once(f"of-{name}-{seed}", partial(fill, name, seed))
+        folder = made(name, seed)
         linked(folder / f"{name}-{seed}", tmp_path / "dump")
         make(tmp_path / "dump")
         return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(folder))

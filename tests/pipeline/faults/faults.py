@@ -17,7 +17,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
+from edits import repaint
 from scipy.spatial.transform import Rotation
 
 __all__ = ["Facts", "Fault", "change", "faults_of", "repaint", "sized", "table", "write"]
@@ -80,17 +80,6 @@ def change(path: Path, old: str, new: str) -> None:
     if n == 0:
         raise ValueError(f"{path.name} has no {old}")
     write_text(path, text)
-
-
-def repaint(path: Path, paint: Callable[[np.ndarray], np.ndarray], shift_m: float = 0.0) -> None:
-    """The raster with other pixels, its geo-reference moved to the east."""
-    with rasterio.open(path) as file:
-        image, profile = file.read(1), dict(file.profile)
-    if shift_m:
-        profile["transform"] = rasterio.Affine.translation(shift_m, 0.0) @ profile["transform"]
-    path.unlink()
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(paint(image), 1)
 
 
 def edited(name: str, edit: Callable[[dict[str, str]], None], dump: Path) -> None:

@@ -12,6 +12,7 @@ import tarfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from typing import Any
@@ -83,6 +84,16 @@ class Reader:
     @property
     def is_text(self) -> bool:
         return Path(self.file).suffix in ".toml .csv .oem .aem .xml .DBL .json .points .gcp".split()
+
+
+def of_path(name: str, file: str, read: Callable[..., Any], *more: Any) -> Reader:
+    """A reader of a path, with further arguments."""
+    return Reader(name, file, lambda folder: read(folder / file, *more))
+
+
+def of_named(name: str, file: str, read: Callable[..., Any], *more: Any, **named: Any) -> Reader:
+    """A reader of a path and its name in messages, with further arguments."""
+    return Reader(name, file, lambda folder: read(folder / file, file, *more, **named))
 
 
 def write_sound_files(folder: Path) -> Path:
@@ -202,10 +213,6 @@ def _write_units(folder: Path) -> None:
     store.write("matching-1", "s1", "0" * 32, *table_from_record(matched))
 
 
-def _orbit(folder: Path) -> Any:
-    return read_oem(folder / "dump/orbit.oem", "orbit.oem")
-
-
 def _dump(folder: Path) -> Any:
     return open_dump(folder / "dump")
 
@@ -229,18 +236,6 @@ def _times(folder: Path, **where: Any) -> Any:
 def _times_aboard(folder: Path) -> Any:
     orbit = folder / "dump/orbit.oem"
     return observers_of([folder / "sky.png"], Whereabouts(folder / "times.csv", orbit))
-
-
-def _exposure(name: str) -> Callable[[Path], Any]:
-    return lambda folder: read_exposure(folder / name, name, width=WIDTH, height=HEIGHT, bit_depth=8)
-
-
-def _exposure_of_16_bits(folder: Path) -> Any:
-    return read_exposure(folder / "sky.fits", "sky.fits", width=WIDTH, height=HEIGHT, bit_depth=16)
-
-
-def _star_image(name: str) -> Callable[[Path], Any]:
-    return lambda folder: read_star_image(folder / name, name)
 
 
 def _strip(folder: Path) -> Any:
@@ -273,8 +268,8 @@ def _gipp(name: str) -> Callable[[Path], Any]:
     return read
 
 
-def _dimap(name: str) -> Callable[[Path], Any]:
-    return lambda folder: read_dimap(folder / name, EARTH, LightEffects())
+def _result(folder: Path) -> Any:
+    return read_saved_result(folder / "result")
 
 
 def _star_unit(folder: Path) -> Any:
@@ -292,88 +287,62 @@ STAR_UNIT = PurePosixPath("run", "work", "exposures", f"e1.{'0' * 32}.parquet").
 STRIP_UNIT = PurePosixPath("run", "work", "matching-1", f"s1.{'0' * 32}.parquet").as_posix()
 
 
-def _attitudes(name: str, frame: str | None = None, rotation: str | None = None) -> Callable[[Path], Any]:
-    epoch = Epoch.from_utc("2024-11-20T03:40:00")
-    return lambda folder: read_attitudes(folder / name, name, epoch, frame, rotation)
-
-
-def _measured(name: str) -> Callable[[Path], Any]:
-    errors = PointErrors(sigma_px=0.3, sigma_m=(1.0, 1.0, 1.0), height_m=10.0)
-    return lambda folder: read_measured_points(folder / name, errors)
-
-
+EPOCH = Epoch.from_utc("2024-11-20T03:40:00")
+IN_FILE = (EPOCH, None, None)  # a message states its frame and the sense of its rotation
+STATED = (EPOCH, "GCRF", "head to inertial")
+POINT_ERRORS = PointErrors(sigma_px=0.3, sigma_m=(1.0, 1.0, 1.0), height_m=10.0)
+SIDES = {"width": WIDTH, "height": HEIGHT}
+DUMP_FILES = "dump star_camera remote_camera installation".split(), "exposures strips targets".split()
 READERS = (
-    *(
-        Reader(name, f"dump/{name}", _dump)
-        for name in (
-            "dump.toml",
-            "star_camera.toml",
-            "remote_camera.toml",
-            "installation.toml",
-            "exposures.csv",
-            "strips.csv",
-            "targets.csv",
-        )
-    ),
-    Reader("orbit.oem", "dump/orbit.oem", _orbit),
-    Reader("settings", "settings.toml", lambda folder: read_settings(folder / "settings.toml")),
+    *(Reader(f"{name}.toml", f"dump/{name}.toml", _dump) for name in DUMP_FILES[0]),
+    *(Reader(f"{name}.csv", f"dump/{name}.csv", _dump) for name in DUMP_FILES[1]),
+    of_named("orbit.oem", "dump/orbit.oem", read_oem),
+    of_path("settings", "settings.toml", read_settings),
     Reader("scenario", "scenario.toml", lambda folder: named_scenario(str(folder / "scenario.toml"), [])),
-    Reader("plan", "plan.toml", lambda folder: read_plan(folder / "plan.toml")),
+    of_path("plan", "plan.toml", read_plan),
     Reader("plan, forecast", "plan.toml", _plan),
-    Reader("centroids --truth", "truth.csv", lambda folder: _read_truth(folder / "truth.csv")),
+    of_path("centroids --truth", "truth.csv", _read_truth),
     Reader("identify --times", "times.csv", _times),
-    Reader(
-        "identify --times --site", "times.csv", lambda folder: _times(folder, site_deg_m=(50.0, 8.0, 100.0))
-    ),
+    Reader("identify --times --site", "times.csv", partial(_times, site_deg_m=(50.0, 8.0, 100.0))),
     Reader("identify --times --orbit", "times.csv", _times_aboard),
     Reader("identify --orbit", "dump/orbit.oem", _times_aboard),
     Reader("geolocate --pixels", "pixels.csv", _pixels),
-    Reader("exposure, PNG", "sky.png", _exposure("sky.png")),
-    Reader("exposure, TIFF", "sky.tif", _exposure("sky.tif")),
-    Reader("exposure, FITS", "sky.fits", _exposure_of_16_bits),
-    Reader("star image, PNG", "deep.png", _star_image("deep.png")),
-    Reader("star image, colour PNG", "colour.png", _star_image("colour.png")),
-    Reader("star image, TIFF", "sky.tif", _star_image("sky.tif")),
-    Reader("star image, FITS", "sky.fits", _star_image("sky.fits")),
-    Reader("star image, JPEG", "sky.jpg", _star_image("sky.jpg")),
-    Reader("star image, BMP", "sky.bmp", _star_image("sky.bmp")),
+    of_named("exposure, PNG", "sky.png", read_exposure, bit_depth=8, **SIDES),
+    of_named("exposure, TIFF", "sky.tif", read_exposure, bit_depth=8, **SIDES),
+    of_named("exposure, FITS", "sky.fits", read_exposure, bit_depth=16, **SIDES),
+    of_named("star image, PNG", "deep.png", read_star_image),
+    of_named("star image, colour PNG", "colour.png", read_star_image),
+    of_named("star image, TIFF", "sky.tif", read_star_image),
+    of_named("star image, FITS", "sky.fits", read_star_image),
+    of_named("star image, JPEG", "sky.jpg", read_star_image),
+    of_named("star image, BMP", "sky.bmp", read_star_image),
     Reader("strip, TIFF", "dump/strips/0.tif", _strip),
     Reader("chip, GeoTIFF", "dump/chips/0.tif", _chip_image),
     Reader("terrain, GeoTIFF", "dump/dem.tif", _terrain),
-    Reader("DIMAP V1", "dimap.xml", _dimap("dimap.xml")),
-    Reader("DIMAP V2", "dimap2.xml", _dimap("dimap2.xml")),
-    Reader("DIMAP V2, list", "dimap2_list.xml", _dimap("dimap2_list.xml")),
-    Reader("attitudes, CSV", "attitudes.csv", _attitudes("attitudes.csv", "GCRF", "head to inertial")),
-    Reader("attitudes, AEM", "attitudes.aem", _attitudes("attitudes.aem")),
-    Reader("attitudes, ACM", "attitudes.acm", _attitudes("attitudes.acm")),
-    Reader("attitudes, AEM in XML", "attitudes.xml", _attitudes("attitudes.xml")),
-    Reader("centroids", "stars.csv", lambda folder: read_centroids(folder / "stars.csv", "stars.csv")),
-    Reader(
-        "measured points", "points.csv", lambda folder: read_points(folder / "points.csv", "points.csv", {})
-    ),
-    Reader("points, QGIS", "gcps.points", _measured("gcps.points")),
-    Reader("points, ASP", "gcps.gcp", _measured("gcps.gcp")),
-    Reader("points, GeoTIFF", "gcps.tif", _measured("gcps.tif")),
+    of_path("DIMAP V1", "dimap.xml", read_dimap, EARTH, LightEffects()),
+    of_path("DIMAP V2", "dimap2.xml", read_dimap, EARTH, LightEffects()),
+    of_path("DIMAP V2, list", "dimap2_list.xml", read_dimap, EARTH, LightEffects()),
+    of_named("attitudes, CSV", "attitudes.csv", read_attitudes, *STATED),
+    of_named("attitudes, AEM", "attitudes.aem", read_attitudes, *IN_FILE),
+    of_named("attitudes, ACM", "attitudes.acm", read_attitudes, *IN_FILE),
+    of_named("attitudes, AEM in XML", "attitudes.xml", read_attitudes, *IN_FILE),
+    of_named("centroids", "stars.csv", read_centroids),
+    of_named("measured points", "points.csv", read_points, {}),
+    of_path("points, QGIS", "gcps.points", read_measured_points, POINT_ERRORS),
+    of_path("points, ASP", "gcps.gcp", read_measured_points, POINT_ERRORS),
+    of_path("points, GeoTIFF", "gcps.tif", read_measured_points, POINT_ERRORS),
     Reader("Sentinel-2 datastrip", DATASTRIP, _sentinel2),
     Reader("Sentinel-2 mounting", f"{SPAMOD}.xml", _sentinel2),
     Reader("Sentinel-2 looks", f"{VIEDIR}.xml", _sentinel2),
     Reader("GIPP file, DBL", f"dbl/{SPAMOD}.DBL", _gipp("dbl")),
     Reader("GIPP files, tar", "gipp.tar", _gipp("gipp.tar")),
     Reader("GIPP files, tgz", "gipp.tgz", _gipp("gipp.tgz")),
-    Reader("OEM 3.0", "third.oem", lambda folder: read_oem(folder / "third.oem", "third.oem")),
-    Reader(
-        "OEM, segments", "segments.oem", lambda folder: read_segments(folder / "segments.oem", "segments.oem")
-    ),
-    Reader("OEM, gzip", "orbit.oem.gz", lambda folder: read_oem(folder / "orbit.oem.gz", "orbit.oem.gz")),
-    Reader("attitudes, AEM, gzip", "attitudes.aem.gz", _attitudes("attitudes.aem.gz")),
-    Reader(
-        "installation.json", "result/installation.json", lambda folder: read_saved_result(folder / "result")
-    ),
-    Reader(
-        "exposures.parquet",
-        "result/sightings/exposures.parquet",
-        lambda folder: read_saved_result(folder / "result"),
-    ),
+    of_named("OEM 3.0", "third.oem", read_oem),
+    of_named("OEM, segments", "segments.oem", read_segments),
+    of_named("OEM, gzip", "orbit.oem.gz", read_oem),
+    of_named("attitudes, AEM, gzip", "attitudes.aem.gz", read_attitudes, *IN_FILE),
+    Reader("installation.json", "result/installation.json", _result),
+    Reader("exposures.parquet", "result/sightings/exposures.parquet", _result),
     Reader("strips.parquet", "result/sightings/strips.parquet", lambda folder: read_pairs(folder / "result")),
     Reader("unit of an exposure", STAR_UNIT, _star_unit),
     Reader("unit of a strip", STRIP_UNIT, _strip_unit),

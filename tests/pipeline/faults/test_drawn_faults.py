@@ -4,15 +4,8 @@ from pathlib import Path
 
 import fault_dumps
 import numpy as np
-import pytest
 from drawn_faults import both, by_kind, drawn
 from faults import table
-
-
-@pytest.fixture(scope="module")
-def sound(made_once) -> Path:
-    folder = made_once("measured-points", lambda folder: fault_dumps.sound_dump("points", 1, folder))
-    return folder / "points-1"
 
 
 def test_one_seed_draws_one_fault_and_another_seed_another(sound: Path) -> None:

@@ -38,7 +38,7 @@ def store(finished: tuple[Path, Path]) -> Iterator[str]:
         yield address
 
 
-def calibrate(finished: tuple[Path, Path], out: Path, *how: str) -> None:
+def assert_calibrated_alike(finished: tuple[Path, Path], out: Path, *how: str) -> None:
     """Carry a run over the stored dump, stopped after 13 of its 14 exposures, to the end of `finished`."""
     begun(out, finished, exposures=13)
     ran("calibrate", "s3://archive/passes/dump", "--out", out, "--no-report", *how)
@@ -48,14 +48,14 @@ def calibrate(finished: tuple[Path, Path], out: Path, *how: str) -> None:
 
 
 def test_dump_in_a_store_gives_the_bytes_of_the_one_on_disk(store, finished, tmp_path):
-    calibrate(finished, tmp_path / "result", "--workers", "2")
+    assert_calibrated_alike(finished, tmp_path / "result", "--workers", "2")
 
 
 def test_workers_of_a_cluster_read_a_dump_in_a_store(store, finished, tmp_path):
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
-        calibrate(finished, tmp_path / "result", "--scheduler", str(cluster.scheduler_address))
+        assert_calibrated_alike(finished, tmp_path / "result", "--scheduler", str(cluster.scheduler_address))
 
 
 def test_dump_on_a_web_server_is_the_one_on_disk(store: str, finished: tuple[Path, Path]) -> None:

@@ -1,8 +1,10 @@
 """What a dump gives twice is counted once, with its reason; clean dumps lose nothing."""
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,7 @@ from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.records.ledger import Reason
 
 Row = dict[str, str]
+Change = Callable[[list[Row], Path], list[Row]]
 
 
 @pytest.fixture
@@ -52,68 +55,114 @@ def test_the_fixtures_lose_nothing(name: str) -> None:
     assert len(dump.targets) == (36 if name == "mini" else 0)  # three strips see twelve targets each
 
 
-@pytest.mark.parametrize("times", [3, 9])
-def test_strips_under_other_ids_are_left_out_by_name(mini: Path, times: int) -> None:
-    clean = open_dump(mini)
-    change(
-        mini / "strips.csv",
-        lambda rows: [
-            row | {"id": f"{row['id']}{'abcdefgh'[k - 1] if k else ''}"} for k in range(times) for row in rows
-        ],
-    )
-    dump = open_dump(mini)
-    assert [one.strip_id for one in dump.strips] == [one.strip_id for one in clean.strips]
-    found = reasons(dump)
-    assert len(found) == 3 * (times - 1)
-    assert found["strip s02b"].startswith("it begins 0 s after CCD 0 in strip s02, which lasts 1.8 s")
+def under_other_ids(rows: list[Row], mini: Path) -> list[Row]:
+    return [row | {"id": f"{row['id']}{more}"} for more in ("", *"abcdefgh") for row in rows]
 
 
-def test_a_part_of_a_strip_in_other_files_loses_its_ccds(mini: Path) -> None:
+def part_in_other_files(rows: list[Row], mini: Path) -> list[Row]:
     """CCDs 1 and 2 of s03 once more, compressed otherwise and 0.4 lines later."""
-
-    def again(rows: list[Row]) -> list[Row]:
-        copies = [row for row in rows if row["id"] == "s03" and row["ccd"] in "12"]
-        for row in copies:
-            with rasterio.open(mini / row["file"]) as image:
-                write_strip(mini / f"again{row['ccd']}.tif", image.read(1))
-        shift = {"id": "other", "utc_first_row": later(copies[0]["utc_first_row"], 0)[:-1] + "9"}
-        return [*rows, *(row | shift | {"file": f"again{row['ccd']}.tif"} for row in copies)]
-
-    change(mini / "strips.csv", again)
-    dump = open_dump(mini)
-    assert [one.strip_id for one in dump.strips] == ["s01", "s02", "s03"]
-    assert list(reasons(dump)) == ["strip other"]
+    copies = [row for row in rows if row["id"] == "s03" and row["ccd"] in "12"]
+    for row in copies:
+        with rasterio.open(mini / row["file"]) as image:
+            write_strip(mini / f"again{row['ccd']}.tif", image.read(1))
+    shift = {"id": "other", "utc_first_row": later(copies[0]["utc_first_row"], 0)[:-1] + "9"}
+    return [*rows, *(row | shift | {"file": f"again{row['ccd']}.tif"} for row in copies)]
 
 
-def test_one_ccd_given_twice_leaves_the_others(mini: Path) -> None:
+def one_ccd_twice(rows: list[Row], mini: Path) -> list[Row]:
     """s02 without CCD 3; CCDs 2 and 3 of it under another id."""
-
-    def split(rows: list[Row]) -> list[Row]:
-        of_s02 = {row["ccd"]: row for row in rows if row["id"] == "s02"}
-        rows = [row for row in rows if row is not of_s02["3"]]
-        return [*rows, of_s02["2"] | {"id": "part"}, of_s02["3"] | {"id": "part"}]
-
-    change(mini / "strips.csv", split)
-    dump = open_dump(mini)
-    part = next(one for one in dump.strips if one.strip_id == "part")
-    assert part.images.ccds == (3,) and list(part.ccd_lines) == [3]
-    assert list(reasons(dump)) == ["ccd part/2"]
+    of_s02 = {row["ccd"]: row for row in rows if row["id"] == "s02"}
+    left = [row for row in rows if row is not of_s02["3"]]
+    return [*left, of_s02["2"] | {"id": "part"}, of_s02["3"] | {"id": "part"}]
 
 
-def test_equal_files_with_other_times_are_both_left_out(mini: Path) -> None:
-    def mistake(rows: list[Row]) -> list[Row]:
-        first = next(row for row in rows if row["id"] == "s01" and row["ccd"] == "2")
-        shutil.copy(mini / first["file"], mini / "copy.tif")
-        return [
-            row | {"file": "copy.tif"} if (row["id"], row["ccd"]) == ("s03", "2") else row for row in rows
-        ]
+def one_file_twice(rows: list[Row], mini: Path) -> list[Row]:
+    """The content of CCD 2 of s01 in the place of that of s03: which time is right is not known."""
+    first = next(row for row in rows if row["id"] == "s01" and row["ccd"] == "2")
+    shutil.copy(mini / first["file"], mini / "copy.tif")
+    return [row | {"file": "copy.tif"} if (row["id"], row["ccd"]) == ("s03", "2") else row for row in rows]
 
-    change(mini / "strips.csv", mistake)
-    found = reasons(open_dump(mini))
-    assert set(found) == {"ccd s01/2", "ccd s03/2"}
-    assert found["ccd s03/2"].startswith(
-        "copy.tif has the same content as strips/s01_ccd2.tif of CCD 2 in strip s01"
-    )
+
+def ccds_as_strips(rows: list[Row], mini: Path) -> list[Row]:
+    """CCDs 2 and 3 of each strip as a strip of its own: same times, other CCDs."""
+    return [row | {"id": row["id"] + ("b" if row["ccd"] in "23" else "")} for row in rows]
+
+
+def exposures_doubled(copied: bool, rows: list[Row], mini: Path) -> list[Row]:
+    """Each exposure once more a millisecond later, of the same file or of a copy."""
+    every = []
+    for row in rows:
+        again = row | {"id": f"{row['id']}x", "utc_mid": later(row["utc_mid"], 1)}
+        if copied:
+            again["file"] = row["file"].replace(".png", "x.png")
+            shutil.copy(mini / row["file"], mini / again["file"])
+        every += [row, again]
+    return every
+
+
+def one_image_of_two(rows: list[Row], mini: Path) -> list[Row]:
+    return [row | {"file": "exposures/e0020.png"} if row["id"] == "e0023" else row for row in rows]
+
+
+def once_more(**cells: str) -> Change:
+    """The first row once more under another id, with other cells; of an instant "later", by a millisecond."""
+
+    def change(rows: list[Row], mini: Path) -> list[Row]:
+        again = rows[0] | {"id": "again"} | cells
+        if again.get("utc_mid") == "later":
+            again["utc_mid"] = later(rows[0]["utc_mid"], 1)
+        return sorted([*rows, again], key=lambda row: row.get("utc_mid", ""))
+
+    return change
+
+
+ELSEWHEN = {"ccd": "3", "utc_first_row": "2024-11-20T04:10:00.000000000"}
+OTHER_IMAGE = {"utc_mid": "later", "file": "exposures/e0009.png"}
+DOUBLED = dict.fromkeys((f"exposure e{n:04d}x" for n in range(1, 43)), Reason.REPEATED)
+ROWS: list[tuple[str, Change, dict[str, Reason], str]] = [
+    # Table, its change, what is left out and why, and how the reason of the last begins.
+    ("strips", under_other_ids,
+        {f"strip s0{n}{more}": Reason.REPEATED for more in "abcdefgh" for n in (1, 2, 3)},
+        "it begins 0 s after CCD 0 in strip s03, which lasts 1.8 s"),
+    ("strips", part_in_other_files, {"strip other": Reason.REPEATED}, ""),
+    ("strips", one_ccd_twice, {"ccd part/2": Reason.REPEATED}, ""),
+    ("strips", one_file_twice, {"ccd s01/2": Reason.SAME_PIXELS, "ccd s03/2": Reason.SAME_PIXELS},
+        "copy.tif has the same content as strips/s01_ccd2.tif of CCD 2 in strip s01"),
+    ("strips", ccds_as_strips, {}, ""),
+    ("strips", once_more(), {"strip again": Reason.REPEATED}, ""),
+    ("strips", once_more(**ELSEWHEN), {"ccd s01/0": Reason.SAME_PIXELS, "strip again": Reason.SAME_PIXELS},
+        ""),
+    ("exposures", partial(exposures_doubled, False), DOUBLED, "it begins 0.001 s after exposure e0042"),
+    ("exposures", partial(exposures_doubled, True), DOUBLED, "it begins 0.001 s after exposure e0042"),
+    ("exposures", one_image_of_two, {"exposure e0020": Reason.SAME_PIXELS,
+        "exposure e0023": Reason.SAME_PIXELS}, ".* of exposure e0020: one of the two rows"),
+    ("exposures", once_more(utc_mid="later"), {"exposure again": Reason.REPEATED}, ""),
+    ("exposures", once_more(**OTHER_IMAGE),
+        {"exposure again": Reason.SAME_TIME, "exposure e0001": Reason.SAME_TIME}, ""),
+    ("targets", once_more(), {"target again": Reason.REPEATED}, ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("table", "change", "left_out", "says"), ROWS)
+def test_what_is_given_twice_is_left_out_by_name_and_the_rest_stays(mini, table, change, left_out, says):
+    rows = change(rows_of(mini / f"{table}.csv"), mini)
+    write_rows(mini / f"{table}.csv", rows)
+    dump = targets_once(open_dump(mini), MatchSettings())
+    entries = {f"{one.subject.kind} {one.subject.name}": one for one in dump.omissions}
+    assert {name: one.reason for name, one in entries.items()} == left_out
+    if left_out:
+        assert re.match(says, entries[list(left_out)[-1]].text)
+    kept = {
+        "strips": [(one.strip_id, str(ccd)) for one in dump.strips for ccd in one.images.ccds],
+        "exposures": [one.exposure_id for one in dump.exposures],
+        "targets": [one.target_id for one in dump.targets],
+    }[table]
+    gone = {name.partition(" ")[2] for name in left_out}
+    left = [row for row in rows if not {row["id"], f"{row['id']}/{row.get('ccd')}"} & gone]
+    expected = [(row["id"], row["ccd"]) if table == "strips" else row["id"] for row in left]
+    assert sorted(kept) == sorted(expected)
+    causes = {finding.cause for finding in contradicting_rows(dump.omissions)}
+    assert causes == {reason.value for reason in left_out.values()} - {Reason.REPEATED.value}
 
 
 def test_other_ground_at_the_same_time_is_an_error_of_the_table(mini: Path) -> None:
@@ -136,37 +185,6 @@ def test_dead_detectors_of_two_strips_are_not_taken_for_copies(tmp_path: Path) -
     shutil.copy(dump / "strips/0.tif", dump / "strips/2.tif")
     (dump / "strips.csv").write_text(text + row.replace("0.tif", "2.tif") + "\n")
     assert open_dump(dump).omissions == ()
-
-
-@pytest.mark.parametrize("copied", [False, True])
-def test_exposures_doubled_one_millisecond_apart_are_counted_once(mini: Path, copied: bool) -> None:
-    clean = open_dump(mini)
-
-    def doubled(rows: list[Row]) -> list[Row]:
-        every = []
-        for row in rows:
-            again = row | {"id": f"{row['id']}x", "utc_mid": later(row["utc_mid"], 1)}
-            if copied:
-                again["file"] = row["file"].replace(".png", "x.png")
-                shutil.copy(mini / row["file"], mini / again["file"])
-            every += [row, again]
-        return every
-
-    change(mini / "exposures.csv", doubled)
-    dump = open_dump(mini)
-    assert [one.exposure_id for one in dump.exposures] == [one.exposure_id for one in clean.exposures]
-    found = reasons(dump)
-    assert len(found) == 42 and found["exposure e0001x"].startswith("it begins 0.001 s after exposure e0001")
-
-
-def test_one_image_for_two_exposures_is_used_for_neither(mini: Path) -> None:
-    change(
-        mini / "exposures.csv",
-        lambda rows: [row | {"file": "exposures/e0020.png"} if row["id"] == "e0023" else row for row in rows],
-    )
-    dump = open_dump(mini)
-    assert set(reasons(dump)) == {"exposure e0020", "exposure e0023"}
-    assert "of exposure e0020: one of the two rows" in reasons(dump)["exposure e0023"]
 
 
 @pytest.mark.parametrize("common", [False, True])
@@ -206,49 +224,10 @@ def test_targets_with_the_same_pixels_are_counted_once(mini: Path) -> None:
     assert found["target s01-t02-b"].startswith("it lies 22.2 m from target s01-t02 and shares ")
 
 
-def again(**cells: str) -> Callable[[list[Row]], list[Row]]:
-    """The first row once more under another id, with other cells."""
-    return lambda rows: sorted(
-        [*rows, rows[0] | {"id": "again"} | cells], key=lambda row: row.get("utc_mid", "")
-    )
-
-
-@pytest.mark.parametrize(
-    ("table", "inject", "entries"),
-    [
-        ("strips", again(), {"strip again": Reason.REPEATED}),
-        (
-            "strips",
-            again(ccd="3", utc_first_row="2024-11-20T04:10:00.000000000"),
-            {"ccd s01/0": Reason.SAME_PIXELS, "strip again": Reason.SAME_PIXELS},
-        ),
-        ("exposures", again(), None),  # equal times are refused by the table
-        ("exposures", again(utc_mid="later"), {"exposure again": Reason.REPEATED}),
-        (
-            "exposures",
-            again(utc_mid="later", file="exposures/e0009.png"),
-            {"exposure again": Reason.SAME_TIME, "exposure e0001": Reason.SAME_TIME},
-        ),
-        ("targets", again(), {"target again": Reason.REPEATED}),
-    ],
-)
-def test_each_kind_is_counted_once_or_contradicts(mini: Path, table, inject, entries) -> None:
-    def into(rows: list[Row]) -> list[Row]:
-        made = inject(rows)
-        for row in made:
-            if row.get("utc_mid") == "later":
-                row["utc_mid"] = later(rows[0]["utc_mid"], 1)
-        return sorted(made, key=lambda row: row.get("utc_mid", ""))
-
-    change(mini / f"{table}.csv", into)
-    if entries is None:
-        with pytest.raises(RawDataError, match="strictly increasing times"):
-            open_dump(mini)
-        return
-    dump = targets_once(open_dump(mini), MatchSettings())
-    assert {f"{o.subject.kind} {o.subject.name}": o.reason for o in dump.omissions} == entries
-    causes = {finding.cause for finding in contradicting_rows(dump.omissions)}
-    assert causes == {reason.value for reason in entries.values()} - {Reason.REPEATED.value}
+def test_equal_times_of_two_exposures_are_refused_by_the_table(mini: Path) -> None:
+    change(mini / "exposures.csv", lambda rows: once_more()(rows, mini))
+    with pytest.raises(RawDataError, match="strictly increasing times"):
+        open_dump(mini)
 
 
 def heads_with(*rows: AttitudeRows) -> list[Head]:
@@ -267,13 +246,3 @@ def test_two_heads_with_the_same_attitudes_are_an_error_of_dump_toml() -> None:
         RawDataError, match=r"attitudes of STR0: found 0\.csv has the same content as 1\.csv of"
     ):
         heads_once(heads_with(rows, rows))
-
-
-def test_two_ccds_of_one_camera_at_one_time_are_no_repeats_under_two_ids(mini: Path) -> None:
-    """CCDs 2 and 3 of each strip as a strip of its own: same times, other CCDs."""
-    change(
-        mini / "strips.csv",
-        lambda rows: [row | {"id": row["id"] + ("b" if row["ccd"] in "23" else "")} for row in rows],
-    )
-    dump = open_dump(mini)
-    assert len(dump.strips) == 6 and dump.omissions == ()

@@ -16,7 +16,7 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.remote_camera import read_remote_camera
 
 
-def names_file_and_field(dump: Path, file: str, field: str, says: str) -> None:
+def assert_file_and_field_named(dump: Path, file: str, field: str, says: str) -> None:
     with pytest.raises(RawDataError) as caught:
         open_dump(dump)
     error = caught.value
@@ -28,14 +28,14 @@ def names_file_and_field(dump: Path, file: str, field: str, says: str) -> None:
 @pytest.mark.parametrize(("file", "old", "new", "field", "says"), WRONG)
 def test_wrong_text_is_named_with_field_found_and_expected(file, old, new, field, says, handmade):
     replaced(handmade / file, old, new, 1)
-    names_file_and_field(handmade, file, field, says)
+    assert_file_and_field_named(handmade, file, field, says)
 
 
 @pytest.mark.parametrize("name", OTHERWISE)
 def test_wrong_file_is_named_with_field_found_and_expected(name: str, handmade: Path) -> None:
     damage, *told = OTHERWISE[name]
     damage(handmade)
-    names_file_and_field(handmade, *told)
+    assert_file_and_field_named(handmade, *told)
 
 
 def test_orthometric_height_of_a_target_is_raised_by_the_geoid(handmade: Path) -> None:

@@ -61,12 +61,16 @@ def test_what_lasts_longer_than_a_strip_makes_means_of_every_axis_uncertain() ->
 
 @pytest.mark.parametrize("time_s", [0.0, 60.0, 300.0])
 def test_how_long_a_constant_lasts_is_told_by_neighbouring_means(time_s: float) -> None:
-    t = 10.0 * np.arange(600)  # an hour and a half of means over 10 s, of white noise and what lasts
+    t, rows = (
+        10.0 * np.arange(600),
+        25,
+    )  # an hour and a half of means over 10 s, of white noise and what lasts
     rng = np.random.default_rng(3)
-    white = ARCSEC * rng.standard_normal((len(t) * 100, 3))
+    white = 0.5 * ARCSEC * rng.standard_normal((len(t) * rows, 3))
     lasting = correlated_noise(np.full(3, 0.5 * ARCSEC), np.full(3, max(time_s, 1e-3)), t, rng)
-    values = white + np.repeat(lasting, 100, axis=0)
-    signal = Signal(values=values, pieces=(slice(0, len(values)),), step_s=0.1, enters=np.eye(3)[None])
+    values = white + np.repeat(lasting, rows, axis=0)
+    pieces = (slice(0, len(values)),)
+    signal = Signal(values=values, pieces=pieces, step_s=10.0 / rows, enters=np.eye(3)[None])
     (noise,) = fit_noise(signal, 10.0).heads
     total = np.sqrt(noise.constant_rad**2 + noise.correlated_rad**2 * (noise.correlation_time_s > 10.0))
     if time_s:

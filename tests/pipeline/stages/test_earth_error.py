@@ -32,6 +32,9 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of
 from boresight.records.record import Floats
 
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::boresight.geometry.earth_orientation.EarthOrientationWarning"
+)
 UT1_S = 2e-3  # a change of UT1: 0.9 m on the equator
 POLE_RAD = 1e-6
 UT1_RAD_S = 2.0 * np.pi / 86_164.0989  # rotation of the Earth, IAU 2000
@@ -45,7 +48,6 @@ def old_table(days: float, orbit: Orbit, **changes: float) -> EarthOrientationTa
     return replace(table, mjd_last_measured=day - days, **moved)
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def with_table(task: StripTask, table: EarthOrientationTable, frame: str = "GCRF") -> StripTask:
     """The task with another table, its orbit stated in another frame: of the same positions by `task`."""
     orbit = task.orbit
@@ -66,7 +68,6 @@ def with_table(task: StripTask, table: EarthOrientationTable, frame: str = "GCRF
     return replace(task, orbit=stated)
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 @pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
 @pytest.mark.parametrize("changes", [{"ut1_utc_s": UT1_S}, {"xp_rad": POLE_RAD}, {"yp_rad": POLE_RAD}])
 def test_directions_move_as_those_of_another_table(frame, changes, calibration):
@@ -98,7 +99,6 @@ def estimated(strip: StripSightings, calibration: DumpCalibration) -> Installati
     return found
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def test_predictions_of_far_dates_average_and_those_of_one_date_do_not(calibration: DumpCalibration) -> None:
     # Twice the same strip, of one date or of dates 60 years apart in two issues of the table.
     task, strip = calibration.tasks[0], calibration.strips[0]
@@ -145,7 +145,6 @@ def of_ut1(task: StripTask, sigma_rad: float) -> StripTask:
     return replace(task, orbit=replace(task.orbit, earth=earth))
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def test_of_an_earth_fixed_orbit_the_camera_turns_about_the_axis_of_the_earth(calibration):
     # Target and satellite turn together, and so does the matrix: its covariance gains the square of one
     # rotation about the Earth's axis, which ERFA and the strip's attitude give in frame c.
@@ -168,7 +167,6 @@ def test_of_an_earth_fixed_orbit_the_camera_turns_about_the_axis_of_the_earth(ca
     assert (with_it.R_cs * without.R_cs.inv()).magnitude() < 1e-7  # rad: the best unknown is nearly zero
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def test_of_an_inertial_orbit_the_covariance_gains_the_shift_by_another_table(calibration):
     # For a small sigma the gain is that of the unchanged estimate: theta's own shift, squared.
     task, strip = calibration.tasks[0], calibration.strips[0]
@@ -186,7 +184,6 @@ def test_of_an_inertial_orbit_the_covariance_gains_the_shift_by_another_table(ca
     assert np.abs(gain - np.outer(shift, shift)).max() < 1e-3 * size
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_budget(calibration):
     task, strip = calibration.tasks[0], calibration.strips[0]
     assert not strip.ground.earth_i.any()
@@ -201,7 +198,6 @@ def test_measured_values_change_nothing_and_predicted_ones_are_a_source_of_the_b
     assert np.trace(shares["predicted Earth orientation"]) > 0.0
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 def test_a_result_of_predicted_values_is_written_and_read(finished, calibration, tmp_path, monkeypatch):
     old = old_table(300.0, calibration.tasks[0].orbit)
     monkeypatch.setattr(dump_parts, "bundled_table", lambda: old)
@@ -231,7 +227,6 @@ def sigma_of_places(result: Path, dump: Path) -> Floats:
     return np.column_stack([places.sigma_along_m, places.sigma_across_m])
 
 
-@pytest.mark.filterwarnings("ignore::boresight.geometry.earth_orientation.EarthOrientationWarning")
 @pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
 @pytest.mark.parametrize("change", ["ut1_utc_s", "xp_rad", "yp_rad"])
 def test_places_move_as_with_another_table(frame: str, change: str, calibration: DumpCalibration) -> None:
