@@ -76,7 +76,7 @@ def test_exposures_in_each_others_place_are_named(order, items):
 
 
 @pytest.mark.parametrize(
-    ("draws", "turn_s"), [(200, None), (12, TIMES_S[6] + 0.3)]
+    ("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)]
 )  # the latter: a manoeuvre
 def test_exposures_in_order_have_no_finding(draws, turn_s):
     assert [findings(attitudes(seed, turn_s=turn_s)) for seed in range(draws)] == [[]] * draws
@@ -91,7 +91,7 @@ def test_one_wrong_attitude_is_named_alone(wrong):
     assert told.text.startswith("off the motion")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(20))
 def test_exposures_without_order_are_told_together(seed):
     (told,) = findings(attitudes(seed)[np.random.default_rng(seed).permutation(N)])
     assert (told.cause, told.item) == ("times of exposures", "all exposures")
@@ -187,7 +187,7 @@ def record_of(
 
 
 @pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(20))
 def test_every_second_row_that_is_dated_early_is_named_with_its_size(seed, rate):
     (told,) = against_own_motion([record_of(seed, rate, late_s=0.05 * (np.arange(42) % 2))])
     assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
@@ -196,16 +196,16 @@ def test_every_second_row_that_is_dated_early_is_named_with_its_size(seed, rate)
 
 
 def test_sound_attitudes_of_a_moving_satellite_have_no_finding():
-    """Of 60."""
+    """Of 120; one of 500 would be 0.2 %."""
     told = [
         against_own_motion([record_of(seed, rate, rows=rows, step_s=step_s)])
-        for seed in range(15)
+        for seed in range(30)
         for rate, rows, step_s in ((0.061, 14, 0.2), (0.38, 12, 0.4), (0.061, 40, 0.1), (0.0, 6, 0.5))
     ]
-    assert told == [[]] * 60
+    assert told == [[]] * 120
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(10))
 def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
     (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, rows=20)])
     assert "errors of attitudes" in (
@@ -216,14 +216,14 @@ def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
     assert told.refutes
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(10))
 def test_instants_cut_to_a_coarse_unit_are_times(seed):
     t_s = np.concatenate([40.0 * n + 0.2 * np.arange(20) for n in range(3)])
     (told,) = against_own_motion([record_of(seed, 0.061, rows=20, late_s=t_s - np.floor(8.0 * t_s) / 8.0)])
     assert told.cause == "times of attitudes" and told.refutes
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(5))
 def test_what_is_told_does_not_depend_on_axes_or_on_the_origin_of_time(seed):
     record = record_of(seed, 0.061, late_s=0.03 * (np.arange(42) % 3 == 0))
     turned = Rotation.random(random_state=seed)
@@ -275,7 +275,7 @@ FAST = {"wobble_arcsec": 90.0, "wobble_s": 0.3, "rows": 20, "with_gyro": True}  
 
 
 @pytest.mark.parametrize("late_s", [-0.05, 0.05])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(5))
 def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_s):
     (told,) = against_own_motion([record_of(seed, 0.061, late_s=late_s, **FAST)])
     assert (told.cause, told.item, told.file) == ("times of attitudes", "head STR7", "STR7.csv")
@@ -287,7 +287,7 @@ def test_sound_attitudes_beside_a_gyro_have_no_finding():
     assert found == [[]] * 30
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_gyro_about_other_axes_is_named(seed):
     sound = record_of(seed, 0.061, **FAST)
     gyro = sound.head.gyro.in_axes(Rotation.from_euler("x", 90.0, degrees=True))
@@ -296,7 +296,7 @@ def test_a_gyro_about_other_axes_is_named(seed):
     assert (told.cause, told.field) == ("a gyro", "gyro.quaternion_sg")
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(5))
 def test_beside_a_gyro_rows_that_scatter_are_told_of_the_head(seed):
     (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, **FAST | {"rows": 7})])
     assert told.item == "head STR7" and told.refutes

@@ -6,7 +6,6 @@
     mixed     star images, two strips of the ground and the two scans
     points    attitudes of two heads and measured image points, no images at all
     twelve    the same with a camera of 12 CCDs and a campaign of 12 strips, s1 to s12
-    alike     the same with four of them, s1, s2, s11 and s12
     coloured  the same as points, the attitudes' noise partly coloured and partly constant over a strip
     trackers  attitudes of one head with 1, 1, 8 arcsec, and the images of `scans`
 
@@ -37,7 +36,6 @@ __all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_ima
 FIXTURES = Path(__file__).parents[3] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "twelve", "coloured", "trackers")
 OF_FIXTURE = {("ground", 1): "mini", ("sky", 1): "sky"}
-SHORT_IDS = {"twelve": tuple(f"s{n}" for n in range(1, 13)), "alike": ("s1", "s2", "s11", "s12")}
 APART_S = 30.0  # from the scan to its repetition in the other direction
 POINT_PX = 0.1  # 1-sigma of a measured image point
 SURVEY_M = (0.3, 0.3, 0.5)  # ... of its coordinates: east, north, up
@@ -76,7 +74,7 @@ def sound_dump(name: str, seed: int, work: Path) -> Path:
     if (root / "dump.toml").is_file():
         return root
     shutil.rmtree(root, ignore_errors=True)
-    if name in ("points", *SHORT_IDS, "coloured"):
+    if name in ("points", "twelve", "coloured"):
         _points(root, seed, name, COLOURED if name == "coloured" else WHITE)
     elif name == "trackers":
         _trackers(root, seed, sound_dump("scans", seed, work))
@@ -89,7 +87,7 @@ def scenario_of(name: str) -> Scenario:
     """The scenario of a dump of images."""
     if name in ("ground", "points", "coloured"):
         return builtin_scenario("mini")
-    if name in SHORT_IDS:
+    if name == "twelve":
         mini = builtin_scenario("mini")
         urad = tuple(37.0 * (ccd - 4) for ccd in range(12))
         return replace(
@@ -97,7 +95,7 @@ def scenario_of(name: str) -> Scenario:
             line_camera=replace(
                 mini.line_camera, ccds=12, samples=192, principal_sample=95.0, rotation_urad=urad
             ),
-            strips=replace(mini.strips, count=len(SHORT_IDS[name]), lines=800),
+            strips=replace(mini.strips, count=12, lines=800),
             targets=replace(mini.targets, per_strip=14, check_points_per_strip=2),
         )
     sky = builtin_scenario("sky")
@@ -123,8 +121,8 @@ def linked(source: Path, target: Path) -> None:
 def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
     """Two heads' attitudes and the image points of targets and check points."""
     mission, rng = fly(scenario_of(name), seed), np.random.default_rng([seed, 1])
-    if name in SHORT_IDS:
-        mission = with_short_ids(mission, SHORT_IDS[name])
+    if name == "twelve":
+        mission = with_short_ids(mission)
     write_dump(without_images(mission), root, created_by="fault_dumps.py")
     heads = (TrialHead("STR1", Rotation.identity(), noise), TrialHead("STR2", SECOND_HEAD, noise))
     files = {"remote_camera": "remote_camera.toml", "orbit": "orbit.oem", "strips": "strips.csv"}
@@ -147,11 +145,11 @@ def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
         shutil.rmtree(root / name)
 
 
-def with_short_ids(mission: Mission, ids: tuple[str, ...]) -> Mission:
-    """A mission with other ids of its strips, without zeros before numbers: s1 is the beginning of s12."""
+def with_short_ids(mission: Mission) -> Mission:
+    """A mission whose ids of strips have no zeros before their numbers: s1 is the beginning of s12."""
 
     def renamed(record: Any) -> Any:
-        return replace(record, strip_id=ids[int(record.strip_id[1:]) - 1])
+        return replace(record, strip_id=f"s{int(record.strip_id[1:])}")
 
     truth = replace(
         mission.truth,
