@@ -356,7 +356,8 @@ def _fits_of(frame: _Frame, found: _Found, rows: Ints) -> tuple[StarFits, Bools]
     # a larger share of the energy (squared SNR) is that of a cosmic ray, a trail, or the arm of a bloom
     largest = np.maximum(2.0 * PSF_MISFIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     star_like = fits.chi2 - fits.dof < largest
-    least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
+    share = 1.0 if background.rounding_dn else 0.75  # a coefficient left by rounding is a peak, but no star
+    least_snr = share * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
 
 
