@@ -124,8 +124,8 @@ class LensErrors:
         """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
         the camera: scale, stretch and smooth distortion, less the best-fitting rotation."""
         node, weight = np.polynomial.legendre.leggauss(_DEGREE + 1)  # the mean of its squares is exact
-        size = np.array([self.camera.width_px, self.camera.height_px])
-        xy = 0.5 * (size * (1.0 + np.stack(np.meshgrid(node, node), axis=2).reshape(-1, 2)) - 1.0)
+        places = 1.0 + np.stack(np.meshgrid(node, node), axis=2).reshape(-1, 2)
+        xy = 0.5 * (places * [self.camera.width_px, self.camera.height_px] - 1.0)
         columns = self._columns(self.camera.directions_from_pixels(xy), xy)
         seen = np.isfinite(columns).all(axis=(1, 2))
         share = np.outer(weight, weight).ravel()[seen]

@@ -17,12 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.features.sky_images.image_time import (
-    NOWHERE,
-    Whereabouts,
-    time_of_image,
-    with_error_of_focus,
-)
+from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image, with_error_of_focus
 from boresight.features.sky_images.planets import Planet, planets_in_view
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera

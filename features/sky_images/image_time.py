@@ -1,5 +1,4 @@
-"""What an image's own file says of its time (FITS, EXIF) and lens (EXIF), and what a user states of time and
-place.
+"""What an image's own file says of its time and lens (FITS, EXIF); what a user states of time and place.
 
 Cameras write local time where EXIF states no offset; it is then taken as UTC, which changes the direction of
 the Earth's velocity by half a degree at most (0.2 arc-seconds of aberration).
@@ -36,12 +35,10 @@ _YEARS = (1972, 2100)  # from the first leap second on; a clock that was never s
 
 def time_of_image(path: Path) -> str | None:
     """Middle of the exposure, UTC (ISO 8601), or None where the file does not say it."""
-    if not path.is_file():
-        return None
     try:
         image = open_image(path, str(path), whole=False)
         when = _of_fits(image) if image.format == "FITS" else _of_exif(_exif(image))
-    except Exception:  # a damaged header, of which libraries raise many kinds, states no time
+    except Exception:  # no file, or a damaged header, of which libraries raise many kinds, states no time
         return None
     if when is None or not _YEARS[0] <= when.year <= _YEARS[1]:
         return None
@@ -52,26 +49,21 @@ def with_error_of_focus(found: FieldSolution, path: Path) -> FieldSolution:
     """The solution of an image with a fitted camera, with the error of focus in that of the field of view.
 
     Stars look alike while the image is less than 2 wavelengths times N² out of focus, a quarter of a wave
-    (Rayleigh; Born & Wolf, 8.8), N the f-number. Within that, temperature and focusing change its distance,
-    and with it the scale, by up to 1450 ppm for a lens of 3 mm at f/2: all distances are as likely. A file
-    that names no focal length and f-number leaves the error of the field that this one image shows.
+    (Rayleigh), N the f-number. Temperature and focusing change its distance within that, all distances alike,
+    and so the scale: a lens of 3 mm at f/2 by 1450 ppm. A file that names no lens leaves the error as it is.
     """
     try:
         tags = _exif(open_image(path, str(path), whole=False))
         scale = 2.0 * _GREEN_MM * float(tags[_F_NUMBER]) ** 2 / float(tags[_FOCAL_MM]) / np.sqrt(3.0)
     except Exception:  # not stated, not a number, or a damaged header
         return found
-    if not (found.fov_x_sigma_rad > 0.0 and 0.0 < scale < 1.0):
-        return found
-    return replace(found, fov_x_sigma_rad=float(np.hypot(found.fov_x_sigma_rad, scale * found.fov_x_rad)))
+    wider = float(np.hypot(found.fov_x_sigma_rad, scale * found.fov_x_rad))
+    return replace(found, fov_x_sigma_rad=wider) if found.fov_x_sigma_rad and 0.0 < scale < 1.0 else found
 
 
 def _of_fits(image: ImageFile) -> datetime | None:
     with opened_fits(image) as hdus:
-        for hdu in hdus[:2]:
-            if (when := _of_cards(hdu.header)) is not None:
-                return when
-    return None
+        return next((when for hdu in hdus[:2] if (when := _of_cards(hdu.header)) is not None), None)
 
 
 def _of_cards(header: Mapping[str, Any]) -> datetime | None:
@@ -105,8 +97,7 @@ def _of_exif(tags: Mapping[int, Any]) -> datetime | None:
         return None
     when = datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
     if match := re.fullmatch(r"([+-])(\d\d):(\d\d)", str(tags.get(_OFFSET, ""))):
-        sign = -1 if match[1] == "+" else 1
-        when += sign * timedelta(hours=int(match[2]), minutes=int(match[3]))
+        when -= timedelta(hours=int(match[1] + match[2]), minutes=int(match[1] + match[3]))
     return when + timedelta(seconds=0.5 * float(tags.get(_EXPOSURE_S, 0.0)))
 
 

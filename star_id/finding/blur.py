@@ -79,7 +79,7 @@ def find_coma(
         return replace(growing(theta[[0, 0, 2]]), coma_px=float(theta[1]))
 
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
-    best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
+    best = min(tries, key=lambda theta: _chi2_of_stars(windows, start, comatic(theta)).sum())
     theta, covariance = _refined(windows, start, comatic, best, _UNLIKE, _BOUNDS)
     found = comatic(theta)
     if not _is_better(windows, start, found, psf, _UNLIKE):
@@ -155,7 +155,7 @@ def find_trail(
         )
 
     found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]))[0])
-    before, after = (_chi2(windows, start, each) for each in (psf, found))
+    before, after = (float(_chi2_of_stars(windows, start, each).sum()) for each in (psf, found))
     dof = windows.data.size
     if _BETTER * (after - dof) > max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
@@ -194,10 +194,6 @@ def _refined(
     parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
     return fit.x, inverse @ (parts.T @ parts) @ inverse
-
-
-def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
-    return float(_chi2_of_stars(windows, start, psf, unlike).sum())
 
 
 def _gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:

@@ -189,11 +189,6 @@ def list_stars(
     ------
     ValueError
         If the image is not two-dimensional or smaller than 32 pixels, or the dark frame has another size.
-
-    Examples
-    --------
-    >>> stars = list_stars(image, StarSettings(gain_e_per_dn=40.0))
-    >>> stars.xy_px[0], stars.cov_px[0]  # the brightest star
     """
     if image.ndim != 2 or min(image.shape) < 32:
         raise ValueError(f"image must be (H, W), both at least 32, got {image.shape}")
