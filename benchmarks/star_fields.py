@@ -4,7 +4,8 @@
 
 Needs the real star images beside the checkout (../shared/data). Nothing is known of cameras, places, times.
 For each lens with three frames and more: fields, stated errors, the size of the stretch that the stars of
-each frame show (`star_id.lens_misfit`), and chi-square of the fields' scatter.
+each frame show (`star_id.lens_misfit`), and chi-square of the fields' scatter. Errors contain that of focus
+where the file names f-number and focal length; frames of one pointing are compared without it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from record import SHARED, exit_status, head, judge_share, not_run, verdict
 from scipy.stats import chi2
 
+from boresight.features.sky_images.image_time import with_error_of_focus
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.star_id.camera_fit import IdentifiedStars
@@ -107,7 +109,7 @@ def fitted(file: str, found: FieldSolution, index: StarIndex) -> Frame:
     cov = cov + errors.common_px2 * np.eye(2)
     number = np.zeros(len(xy), dtype=np.int64)
     used = IdentifiedStars(xy_px=xy, cov_px=cov, u_i=u_i, frame=number, t_s=np.zeros(1))
-    return Frame(Path(file).name, found, errors, used)
+    return Frame(Path(file).name, with_error_of_focus(found, FOLDER / file), errors, used)
 
 
 def repeats(found: list[FieldSolution | NotIdentified]) -> None:

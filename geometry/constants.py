@@ -7,6 +7,7 @@ import math
 from boresight.records.record import record
 
 __all__ = [
+    "ABERRATION",
     "ARCSEC",
     "DAY_S",
     "EARTH_ROTATION_RATE",
@@ -19,6 +20,7 @@ __all__ = [
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s, exact (SI)
 DAY_S = 86_400.0  # s
+ABERRATION = 9.94e-5  # mean speed of the Earth over that of light: largest relative change of angles by it
 ARCSEC = math.pi / 648_000.0  # rad
 EARTH_ROTATION_RATE = 2.0 * math.pi * 1.00273781191135448 / DAY_S  # rad/s (IERS 2010, 5.15)
 GM_EARTH = 3.986004418e14  # m^3/s^2 (IERS Conventions 2010, table 1.1)

@@ -252,11 +252,6 @@ def solve_field(
     ------
     ValueError
         If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
-
-    Examples
-    --------
-    >>> index = build_index(hipparcos_stars().places, 2026.0, (SMALLEST_FOV_RAD, LARGEST_FOV_RAD))
-    >>> solution = solve_field(image, index, StarSettings())
     """
     stars = list_stars(image, settings, dark)
     size = (image.shape[1], image.shape[0])

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
+from boresight.geometry.constants import ABERRATION
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, MEDIAN_CHI2, SELDOM_SIGMA
@@ -29,7 +30,6 @@ from boresight.star_id.lens_misfit import (
     stretch_size,
     with_common_variance,
 )
-from boresight.star_id.observer import ABERRATION
 
 __all__ = ["ScaledFit", "fit_known_camera", "fit_scaled_camera", "focal_derivatives"]
 

@@ -29,7 +29,7 @@ NEXT = np.array([1, 2, 0])
 PREV = NEXT[NEXT]
 # Rounds of least absolute residuals, then the limits, sigmas, of Geman-McClure weights, that start a fit to
 # stars with gross outliers (set by hand).
-_ABSOLUTE_ROUNDS, _LIMITS = 3, (10.0, NEVER_SIGMA, SELDOM_SIGMA)
+_ABSOLUTE_ROUNDS, _LIMITS = 3, (NEVER_SIGMA, SELDOM_SIGMA)
 # Most steps of Gauss-Newton of one fit, or rounds of rejection.
 _ROUNDS = 12
 

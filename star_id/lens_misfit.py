@@ -73,8 +73,6 @@ _SCALE_BY_STRETCH2 = np.sqrt(2.0)
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
 _FOCAL = ("focal_m",)
-# Cells along columns and rows whose middles stand for the detector: its mean squares to 2 %.
-_CELLS = (9, 7)
 # Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
 _STEP_PX = 0.01
 # Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
@@ -125,13 +123,16 @@ class LensErrors:
     def displaced_px(self) -> float:
         """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
         the camera: scale, stretch and smooth distortion, less the best-fitting rotation."""
-        size = np.array([self.camera.width_px, self.camera.height_px])
-        xy = (np.indices(_CELLS).reshape(2, -1).T + 0.5) / _CELLS * size - 0.5
+        node, weight = np.polynomial.legendre.leggauss(_DEGREE + 1)  # the mean of its squares is exact
+        places = 1.0 + np.stack(np.meshgrid(node, node), axis=2).reshape(-1, 2)
+        xy = 0.5 * (places * [self.camera.width_px, self.camera.height_px] - 1.0)
         columns = self._columns(self.camera.directions_from_pixels(xy), xy)
-        columns = columns[np.isfinite(columns).all(axis=(1, 2))].reshape(-1, len(self.mean))
+        seen = np.isfinite(columns).all(axis=(1, 2))
+        share = np.outer(weight, weight).ravel()[seen]
+        columns = (columns[seen] * np.sqrt(share / share.sum())[:, None, None]).reshape(-1, len(self.mean))
         moved = columns @ self.mean
         moved = moved - columns[:, :3] @ np.linalg.lstsq(columns[:, :3], moved, rcond=None)[0]
-        return float(np.sqrt((moved**2).mean()))
+        return float(np.sqrt(0.5 * (moved**2).sum()))
 
     def _columns(self, u_s: Floats, xy_px: Floats) -> Floats:
         return _columns(self.camera, u_s, xy_px, self.slopes, self.free, stretched=self.stretch_px > 0.0)

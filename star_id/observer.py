@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.constants import ABERRATION
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import Air, apparent_star_directions, catalogue_directions, refract_by_air
@@ -16,7 +17,6 @@ from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.triangle_index import StarIndex
 
 __all__ = [
-    "ABERRATION",
     "ABERRATION_SCALE",
     "Observer",
     "proper_motion_covariance",
@@ -26,9 +26,7 @@ __all__ = [
 
 # Steps of inverting the refraction: each reduces the error by its change with altitude, 100 times and more.
 REFRACTION_STEPS = 4
-# Mean speed of the Earth over that of light: largest relative change of angles by it.
-ABERRATION = 9.94e-5
-# The same, root mean square over all directions, where the time of an image is unknown.
+# Relative change of angles by aberration, root mean square over directions: the time of an image is unknown.
 ABERRATION_SCALE = ABERRATION / np.sqrt(3.0)
 
 

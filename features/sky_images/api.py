@@ -35,6 +35,7 @@ from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
 from boresight.features.sky_images.identify_images import bound_words, departure, misshapen_in, sky_index
+from boresight.features.sky_images.image_time import with_error_of_focus
 from boresight.features.sky_images.overlay import named_sky
 from boresight.features.sky_images.planets import planets_in_view
 from boresight.features.sky_images.sip import TanSip, tan_sip
@@ -594,6 +595,8 @@ def identify(
     )
     if isinstance(field, NotIdentified):
         return field
+    if isinstance(image, str | os.PathLike):
+        field = with_error_of_focus(field, path_of(image, "image"))
     return StarSolution(field=field, stars=stars, observer=observer)
 
 

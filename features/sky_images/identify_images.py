@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image
+from boresight.features.sky_images.image_time import NOWHERE, Whereabouts, time_of_image, with_error_of_focus
 from boresight.features.sky_images.planets import Planet, planets_in_view
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
@@ -125,7 +125,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             line = _unnamed(path, width, "not identified", reason, started)
             yield replace(line, image=image, stars=stars)
             continue
-        spent_ms = _spent_ms(started)
+        outcome, spent_ms = with_error_of_focus(outcome, path), _spent_ms(started)
         planets = () if observer is None else planets_in_view(outcome, observer)
         if request.overlay is not None:
             _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))

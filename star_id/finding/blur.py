@@ -40,8 +40,6 @@ _PEAKED = 1.09
 # Least and largest width (px), length (px) and 1 + wings^2 of a fitted PSF: fans point outwards or inwards,
 # wings are at most 0.9.
 _BOUNDS = ([0.0, -np.inf, 1.0], [np.inf, np.inf, 1.8])
-# Size of the change of a width, as a share of it, by which its fit is scaled (set by hand).
-_UNSURE = 0.1
 # Relative step of a parameter for numerical derivatives (set by hand).
 _STEP = 0.02
 # Fewest bright stars that a coma or trail is fitted to (set by hand; four a parameter).
@@ -81,14 +79,13 @@ def find_coma(
         return replace(growing(theta[[0, 0, 2]]), coma_px=float(theta[1]))
 
     tries = [np.array([psf.sigma_px, sign * length, _PEAKED]) for sign in (1.0, -1.0)]
-    best = min(tries, key=lambda theta: _chi2(windows, start, comatic(theta)))
-    scale = np.array([_UNSURE * psf.sigma_px, length, _PEAKED - 1.0])
-    theta, covariance = _refined(windows, start, comatic, best, scale, _UNLIKE, _BOUNDS)
+    best = min(tries, key=lambda theta: _chi2_of_stars(windows, start, comatic(theta)).sum())
+    theta, covariance = _refined(windows, start, comatic, best, _UNLIKE, _BOUNDS)
     found = comatic(theta)
     if not _is_better(windows, start, found, psf, _UNLIKE):
         return None
     widths = np.array([psf.sigma_px, psf.sigma_corner_px, _PEAKED])
-    grown = growing(_refined(windows, start, growing, widths, scale[[0, 0, 2]], _UNLIKE, _BOUNDS)[0])
+    grown = growing(_refined(windows, start, growing, widths, _UNLIKE, _BOUNDS)[0])
     if not _is_better(windows, start, found, grown, _UNLIKE):
         return None
     gain, outwards = _gain_about(windows, start, found), xy_px - found.middle_px
@@ -157,9 +154,8 @@ def find_trail(
             psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=smear, shape=None, error_factor=None
         )
 
-    scale = np.append(_UNSURE, np.full(2, np.abs(smear).max()))
-    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]), scale)[0])
-    before, after = (_chi2(windows, start, each) for each in (psf, found))
+    found = smeared(_refined(windows, start, smeared, np.array([np.log(width), *smear]))[0])
+    before, after = (float(_chi2_of_stars(windows, start, each).sum()) for each in (psf, found))
     dof = windows.data.size
     if _BETTER * (after - dof) > max(before - dof, 0.0) + _BEYOND_CHANCE:
         return None
@@ -183,26 +179,21 @@ def _refined(
     start: Floats,
     psf_of: Callable[[Floats], Psf],
     theta: Floats,
-    scale: Floats,
     unlike: float = 0.0,
     bounds: tuple[float | list[float], float | list[float]] = (-np.inf, np.inf),
 ) -> tuple[Floats, Floats]:
-    """Parameters (P,) of the PSF that explains the windows best, from `theta` on, which change by some
-    `scale`, and their covariance (P, P) by the scatter of single stars' parts in it."""
+    """Parameters (P,) of the PSF that explains the windows best, from `theta` on, and their covariance
+    (P, P) by the scatter of single stars' parts in it."""
 
     def residuals(theta: Floats) -> Floats:
         return _fitted(windows, start, psf_of(theta), unlike)[0]
 
     fit = scipy.optimize.least_squares(
-        residuals, theta, diff_step=_STEP, max_nfev=8, x_scale=scale, bounds=bounds
+        residuals, theta, diff_step=_STEP, max_nfev=8, x_scale="jac", bounds=bounds
     )
     parts = (fit.jac * fit.fun[:, None]).reshape(len(start), -1, len(theta)).sum(axis=1)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac)
     return fit.x, inverse @ (parts.T @ parts) @ inverse
-
-
-def _chi2(windows: StarWindows, start: Floats, psf: Psf, unlike: float = 0.0) -> float:
-    return float(_chi2_of_stars(windows, start, psf, unlike).sum())
 
 
 def _gain_about(windows: StarWindows, start: Floats, psf: Psf) -> float:

@@ -97,10 +97,11 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     taps = taps / np.linalg.norm(taps)
     height = np.asarray(cv2.sepFilter2D(in_noise(image, background), cv2.CV_32F, taps, taps), np.float32)
     tiles = [tile for band in np.array_split(height, _TILES) for tile in np.array_split(band, _TILES, axis=1)]
+    below = CLIP_SIGMA if background.rounding_dn else SELDOM_SIGMA  # farther out: one coefficient is left
     middle, far = np.array(
-        [np.quantile(tile, [0.5, ndtr(FARTHEST_SIGMA if is_cut else -SELDOM_SIGMA)]) for tile in tiles]
+        [np.quantile(tile, [0.5, ndtr(FARTHEST_SIGMA if is_cut else -below)]) for tile in tiles]
     ).T
-    reach = (far - middle) / FARTHEST_SIGMA if is_cut else -far / SELDOM_SIGMA
+    reach = (far - middle) / FARTHEST_SIGMA if is_cut else -far / below
     factor = float(np.quantile(reach, _COUNTED))
     if factor < _LEAST_FACTOR:
         return background

@@ -189,11 +189,6 @@ def list_stars(
     ------
     ValueError
         If the image is not two-dimensional or smaller than 32 pixels, or the dark frame has another size.
-
-    Examples
-    --------
-    >>> stars = list_stars(image, StarSettings(gain_e_per_dn=40.0))
-    >>> stars.xy_px[0], stars.cov_px[0]  # the brightest star
     """
     if image.ndim != 2 or min(image.shape) < 32:
         raise ValueError(f"image must be (H, W), both at least 32, got {image.shape}")
@@ -356,7 +351,8 @@ def _fits_of(frame: _Frame, found: _Found, rows: Ints) -> tuple[StarFits, Bools]
     # a larger share of the energy (squared SNR) is that of a cosmic ray, a trail, or the arm of a bloom
     largest = np.maximum(2.0 * PSF_MISFIT * fits.snr**2, 6.0 * np.sqrt(2 * fits.dof))
     star_like = fits.chi2 - fits.dof < largest
-    least_snr = 0.75 * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
+    share = 1.0 if background.rounding_dn else 0.75  # a coefficient left by rounding is a peak, but no star
+    least_snr = share * background.limits_at(fits.xy_px, found.threshold, psf.sigma_px)
     return fits, fits.converged & (star_like | fits.saturated) & (fits.snr > least_snr)
 
 

@@ -176,11 +176,6 @@ def build_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[fl
     -------
     StarIndex
         For one field of view with a wider and a denser table. Takes one to two seconds to build.
-
-    Examples
-    --------
-    >>> fov_rad = equivalent_fov(camera.width_px, camera.height_px, camera.focal_m / camera.pixel_m)
-    >>> index = build_index(hipparcos_stars().places, 2026.0, fov_rad)
     """
     stars = _brightest_first(stars)
     u_i = _directions_at(stars, epoch_jyear)

@@ -13,7 +13,8 @@ from PIL import Image
 from pyproj import Transformer
 from rasters import write_raster
 
-from boresight.features.sky_images.image_time import time_of_image
+import boresight as bs
+from boresight.features.sky_images.image_time import time_of_image, with_error_of_focus
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import content
 from boresight.pipeline.files.images import image_file
@@ -156,6 +157,24 @@ def test_the_time_of_an_image_is_that_of_its_header(tmp_path: Path) -> None:
     assert time_of_image(tmp_path / "a.jpg") == "2020-07-03T23:30:15.000000Z"
     (tmp_path / "b.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:60])
     assert time_of_image(tmp_path / "b.jpg") is None
+
+
+def test_the_field_of_a_named_lens_has_the_error_of_its_focus(tmp_path: Path) -> None:
+    found = bs.identify(bs.example("mini") / "exposures/e0001.png", fov_deg=20.0).field
+
+    def relative(f_number: float, focal_mm: float) -> float:
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x829D: f_number, 0x920A: focal_mm})
+        Image.new("L", (40, 40)).save(tmp_path / "a.jpg", exif=exif)
+        wider = with_error_of_focus(found, tmp_path / "a.jpg")
+        return np.sqrt(wider.fov_x_sigma_rad**2 - found.fov_x_sigma_rad**2) / found.fov_x_rad
+
+    # Rayleigh's quarter of a wave of 0.55 um at f/2: 4.4 um to either side, evenly
+    assert relative(2.0, 3.04) == pytest.approx(4.4e-3 / 3.04 / np.sqrt(3.0), rel=1e-6)
+    assert relative(1.9, 35.0) == pytest.approx(65.5e-6, rel=1e-2)
+    for nothing in ((0.0, 3.04), (2.0, 0.0)):  # as cameras write that they do not know
+        assert relative(*nothing) == 0.0
+    assert with_error_of_focus(found, tmp_path / "none.jpg") is found
 
 
 def test_the_place_of_a_raster_is_that_of_its_corners_and_middle(tmp_path: Path) -> None:
