@@ -22,8 +22,16 @@ from numpy.typing import NDArray
 from boresight.records.record import Bools, Floats
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.psf import Psf, PsfImages, images_at, shape_images
-from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
+from boresight.star_id.finding.psf import (
+    LARGEST_STEP_PX,
+    Psf,
+    PsfImages,
+    by_parameter,
+    images_at,
+    newton_step,
+    shape_images,
+    start_state,
+)
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = [

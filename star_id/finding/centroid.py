@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.psf import Psf, PsfImages, images_at
-from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, newton_step, start_state
+from boresight.star_id.finding.psf import LARGEST_STEP_PX, Psf, PsfImages, images_at, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["Counts", "StarFits", "covariance_inflation", "fit_stars"]

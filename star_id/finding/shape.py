@@ -23,8 +23,15 @@ from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import Background, in_noise
 from boresight.star_id.finding.detect import WINGS
-from boresight.star_id.finding.psf import FINE, USUAL_SIGMA_PX, PsfImages, shape_images
-from boresight.star_id.finding.window_fit import newton_step, noise_gain, start_state
+from boresight.star_id.finding.psf import (
+    FINE,
+    USUAL_SIGMA_PX,
+    PsfImages,
+    newton_step,
+    noise_gain,
+    shape_images,
+    start_state,
+)
 from boresight.star_id.finding.windows import NINE, StarWindows, star_windows
 
 __all__ = ["ShapeEstimate", "detect_shape", "estimate_shape", "filter_width_px", "flat_image"]

@@ -15,12 +15,17 @@ from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
-from boresight.star_id.finding.bad_pixels import has_many_dead_pixels, without_bad_pixels
 from boresight.star_id.finding.blur import explains_better, find_coma, find_trail
 from boresight.star_id.finding.candidates import find_candidates
 from boresight.star_id.finding.centroid import Counts, StarFits, fit_stars
 from boresight.star_id.finding.correlated_noise import as_independent_noise, rounding_of_blocks
-from boresight.star_id.finding.detect import Detections, detect, detection_threshold
+from boresight.star_id.finding.detect import (
+    Detections,
+    detect,
+    detection_threshold,
+    has_many_dead_pixels,
+    without_bad_pixels,
+)
 from boresight.star_id.finding.lines import without_lines
 from boresight.star_id.finding.mosaic import cell_response, even_image, has_mosaic, merged_cells
 from boresight.star_id.finding.own_scale import in_own_counts
@@ -197,7 +202,7 @@ def list_stars(
         image = _subtract_dark(image, dark, saturation)
         return _stars_of_counts(image, settings, saturation, unusable)
     own, gain = in_own_counts(image), settings.gain_e_per_dn
-    of_counts = replace(settings, gain_e_per_dn=None if gain is None else gain * own.unit)
+    of_counts = settings if gain is None else replace(settings, gain_e_per_dn=gain * own.unit)
     stars = _stars_of_counts(own.counts, of_counts, (saturation - own.zero) / own.unit, unusable)
     return stars if own.unit == 1.0 and own.zero == 0.0 else stars.in_units(own.unit, own.zero)
 

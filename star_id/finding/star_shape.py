@@ -22,8 +22,15 @@ from boresight.star_id.beyond_chance import (
     SELDOM_SIGMA,
 )
 from boresight.star_id.finding.background import Background
-from boresight.star_id.finding.psf import Psf, PsfImages, psf_images
-from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
+from boresight.star_id.finding.psf import (
+    LARGEST_STEP_PX,
+    Psf,
+    PsfImages,
+    by_parameter,
+    newton_step,
+    psf_images,
+    start_state,
+)
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
 __all__ = ["PSF_MISFIT", "STARS_FOR_WIDTH", "WidthFits", "fit_widths", "gain_from_widths", "psf_of"]

@@ -1,8 +1,17 @@
-"""An attitude and distortion hypothesis: which stars it predicts where, which detections match them, and its
-refinement by these matches.
+"""An attitude and distortion hypothesis: which stars it predicts where, which detections match them, its
+refinement by these matches, and how likely they make it.
 
 The distortion of an uncalibrated camera is four numbers, log scale s, k1, p1 and p2: a star at the ideal
 tangent-plane point t is measured at e^s (t + k1 r^2 t + decentring terms).
+
+A hypothesis is accepted by the ratio of the likelihoods of an image with and without it. Under it each
+detection is, with probability 1 - e, one of the M predicted stars with a Gaussian position error, and with
+probability e clutter, anywhere in the image; without it every detection is clutter. The ratio of the two
+likelihoods, averaged over a few values of e and of the error's size, has mean one over images that do not
+show the predicted stars. By Markov's inequality it exceeds K there with probability 1/K at most, so n/K
+bounds the probability of a false identification after n proposals; no number of inliers has to be chosen. The
+three detections that made the proposal and fix its attitude are excluded, and as many more as the distortion
+parameters fitted since could have moved onto stars.
 """
 
 from __future__ import annotations
@@ -29,6 +38,7 @@ __all__ = [
     "AcceptedPairs",
     "AttitudeHypothesis",
     "OneToOnePairs",
+    "log_likelihood_ratio",
     "match_within",
     "nearby_pairs",
     "one_to_one_pairs",
@@ -43,6 +53,15 @@ RESOLVED_PX = 3.0
 # Predicted stars, brightest first, that are held against each detection: room for stars that are missed, or
 # misjudged in brightness.
 STARS_PER_DETECTION = 1.6
+# Shares e of false detections over which the likelihood of a hypothesis is averaged with equal weight:
+# nothing is known of them.
+_CLUTTER = np.array([0.1, 0.3, 0.6, 0.9])[:, None]
+# Natural logarithms of e and of 1 - e, and the odds, false over true.
+_LOG_CLUTTER, _LOG_STARS = np.log(_CLUTTER), np.log1p(-_CLUTTER)
+_ODDS = np.exp(_LOG_CLUTTER - _LOG_STARS)
+# Inverse squares of the factors of stated errors over which the likelihood is averaged with equal weight: a
+# lens may be known better or worse than stated.
+_INVERSE_VARIANCE = 4.0 ** -np.arange(-2.0, 3.0)[:, None]
 
 
 @record
@@ -208,3 +227,28 @@ def _row_of_least(group: Ints, value: Floats, groups: int) -> Ints:
     least = np.full(groups, -1)
     least[group.take(greatest_first)] = greatest_first  # later assignments overwrite: the least remains
     return least[least >= 0]
+
+
+def log_likelihood_ratio(
+    distance: Floats, sigma: Floats, n_clutter: int, n_predicted: int, area: float, *, n_excluded: int = 0
+) -> float:
+    """Natural logarithm of the likelihood ratio of an image with a hypothesis to one without.
+
+    `distance` (K,) is that of paired detections from their predicted stars, `sigma` (K,) its expected size
+    along one axis, `area` the image's, in the same units. Of all detections `n_clutter` are not paired;
+    `n_predicted` stars are predicted in the image. The `n_excluded` best pairs, which formed the hypothesis,
+    do not count.
+    """
+    if n_predicted == 0:
+        return -np.inf
+    weight = area / (n_predicted * 2.0 * np.pi * sigma**2)
+    half_square = 0.5 * np.minimum(distance / sigma, 37.0) ** 2
+    if n_excluded:
+        counted = (half_square - np.log(weight)).argsort(kind="stable")[n_excluded:]
+        weight, half_square = weight.take(counted), half_square.take(counted)
+    density = weight * _INVERSE_VARIANCE * np.exp(-half_square * _INVERSE_VARIANCE)
+    # log(e + (1 - e) density), with log(1 - e) taken out of the sum
+    of_pairs = np.log(_ODDS[:, None] + density).sum(axis=2) + len(weight) * _LOG_STARS
+    total = of_pairs + n_clutter * _LOG_CLUTTER
+    largest = float(total.max())
+    return largest + math.log(np.exp(total - largest).sum() / total.size)

@@ -20,6 +20,7 @@ from boresight.star_id.identification.hypothesis import (
     AcceptedPairs,
     AttitudeHypothesis,
     OneToOnePairs,
+    log_likelihood_ratio,
     match_within,
     nearby_pairs,
     one_to_one_pairs,
@@ -28,7 +29,6 @@ from boresight.star_id.identification.hypothesis import (
     refine,
     robust_sigma,
 )
-from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
 from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
 from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex

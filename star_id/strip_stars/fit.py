@@ -15,8 +15,7 @@ from scipy.optimize import minimize_scalar
 from boresight.records.record import Floats, array, record
 from boresight.star_id.beyond_chance import CLIP_SIGMA
 from boresight.star_id.finding.centroid import covariance_inflation
-from boresight.star_id.finding.psf import PsfImages
-from boresight.star_id.finding.window_fit import LARGEST_STEP_PX, by_parameter, newton_step, start_state
+from boresight.star_id.finding.psf import LARGEST_STEP_PX, PsfImages, by_parameter, newton_step, start_state
 from boresight.star_id.finding.windows import StarWindows
 from boresight.star_id.strip_stars.trace import Motion, trace_curvatures, trace_images
 

@@ -21,6 +21,7 @@ from boresight.star_id.identification.hypothesis import (
     _distorted,
     _distortion_derivatives,
     _rotation_derivatives,
+    log_likelihood_ratio,
 )
 from boresight.star_id.identification.identify import (
     AttitudePrior,
@@ -28,7 +29,6 @@ from boresight.star_id.identification.identify import (
     NotIdentified,
     identify_stars,
 )
-from boresight.star_id.identification.likelihood import log_likelihood_ratio
 from boresight.star_id.identification.proposals import _attitudes
 from boresight.star_id.identification.tangent_plane import PlaneDetections
 from boresight.star_id.identification.triangle_index import (
