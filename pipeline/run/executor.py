@@ -25,7 +25,7 @@ from typing import Any, Protocol, TypeVar
 from boresight.pipeline.errors import WorkerError
 from boresight.records.record import record
 
-__all__ = ["FORKS", "SMALL_JOB_PIXELS", "Executor", "InOrder", "Processes", "executor_for"]
+__all__ = ["FORKS", "Executor", "InOrder", "Processes", "executor_for"]
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")

@@ -40,7 +40,7 @@ from boresight.pipeline.files.ground_points import NO_POINTS, ChipFile, StripPoi
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import TargetHeights, TerrainFiles, surface_of
-from boresight.pipeline.run.executor import SMALL_JOB_PIXELS, Executor, InOrder
+from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.stages.match_pictures import NO_PICTURES, MatchPictures, match_pictures
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject
 from boresight.records.record import Floats, Ints, RowRecord, Texts, array, inner, record, scalar
@@ -156,10 +156,8 @@ def pushbroom_of(task: StripTask) -> Pushbroom:
 def match_strip_targets(task: StripTask, parts: Executor = IN_ORDER) -> MatchedTargets | Entry:
     """Positions of the targets of one strip; none and an omission where an image of the strip is damaged.
 
-    `parts` reads the images of a wide search; those of a small strip are read here.
+    `parts` reads the images of a wide search.
     """
-    pixels = sum(lines * samples for lines, samples in task.strip.images.shapes.values())
-    parts = parts if pixels >= SMALL_JOB_PIXELS else IN_ORDER
     pictures: dict[tuple[str, int], MatchPictures] = {}
 
     def keep(match: TargetMatch) -> TargetMatch:
