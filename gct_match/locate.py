@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from boresight.gct_match.imaging.views import View, filled_with_mean, in_counts, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
-from boresight.gct_match.refine.changed import REACH_PX, fit_changed
+from boresight.gct_match.refine.changed import REACH_PX, fit_changed, turned
 from boresight.gct_match.refine.least_squares import (
     UNCHANGED_PX,
     PositionFit,
@@ -41,6 +41,7 @@ _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one ha
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
+_TURNED_PX = 0.5
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
 _OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
@@ -221,11 +222,15 @@ def _of_changed(
     fit = fit_changed(one, two, usable, picture.grey, start, reference_px)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
+    fit_xy = fit.xy_px - reference_px - start_px + radius_px
+    if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
+        two = turned(two, fit.xy_px, fit.affine)
+        surface = edge_similarity(one, window(two, *around))
+        peak = np.round(fit_xy)
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
     left, top = (peak.astype(int) + around[:2]).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    fit_xy = fit.xy_px - reference_px - start_px + radius_px
     spread, dates = spread_px2(surface, peak, fit_xy, REACH_PX), _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)

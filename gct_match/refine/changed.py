@@ -8,6 +8,7 @@ others, and the scatter of the template's blocks, of which each sees changes of 
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from boresight.gct_match.imaging.resample import composed, gradient, largest_px, warped
@@ -18,12 +19,11 @@ from boresight.records.record import Floats
 
 __all__ = ["REACH_PX", "fit_changed"]
 
-_STEPS = 12  # at most
+_STEPS = 16  # at most
 _ALONG_SIDE = 6  # blocks: of 21 px, as wide as a change of season is correlated, on a chip of 128 px
 _LONGEST_PX = 0.6  # a longer step is shortened: the picture is not linear beyond
-_AFFINE_PX = 0.25  # translations below this allow the test for an affine map
 _SETTLED_PX = 0.02  # a fifth of the standard error of such pairs, or less
-_SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate
+_SETTLED_RIM_PX = 0.15  # the same at the template's rim, where an affine map is three times less accurate
 _FARTHEST_PX = 2.5  # from the start
 REACH_PX = 3  # from a whole pixel to where the fit may lie
 
@@ -40,36 +40,47 @@ def fit_changed(
     shape, slopes = usable.shape, [gradient(plane) for plane in template]
     power = float(np.vdot(usable * template, template)) + 1e-30
     own = sum(float(np.vdot(usable * slope, slope)) for of_plane in slopes for slope in of_plane) + 1e-30
-    first = start_px + reference_px
-    warp, from_corner, affine, settled = np.eye(3), np.eye(3), False, False
+    # the transpose of a derivative is its negative: with this, a product of slopes is one with the picture
+    bent = [
+        -gradient(usable * gx)[0] - gradient(usable * gy)[1] for gx, gy in slopes
+    ]
+    first, step, last = start_px + reference_px, 1.0, np.zeros((2, 3))
+    warp, from_corner, settled = np.eye(3), np.eye(3), False
     warp[:2, 2], from_corner[:2, 2] = first, -reference_px
     for _ in range(_STEPS):
-        found = np.stack([warped(plane, warp @ from_corner, shape) for plane in picture])
+        found = np.stack([_warped(plane, warp @ from_corner, shape) for plane in picture])
         gain = float(np.vdot(usable * template, found)) / power
         residual = found - np.float32(gain) * template
-        of_found = [gradient(plane) for plane in found]
-        cross = sum(
-            float(np.vdot(usable * a, b)) for one, two in zip(slopes, of_found) for a, b in zip(one, two)
-        )
-        response = max(cross / own, 1e-3)
+        response = max(sum(float(np.vdot(a, b)) for a, b in zip(bent, found)) / own, 1e-3)
         one, two = (
             blocks_of(gx, gy, left, usable, reference_px, 1.0, _ALONG_SIDE)
             for (gx, gy), left in zip(slopes, residual)
         )
         blocks = one.with_scores_of(two)
-        P = blocks.displacement(affine=affine) / response
-        if not affine and np.abs(P).max() < _AFFINE_PX and blocks.show_affine(response):
-            affine, P = True, blocks.displacement(affine=True) / response
+        P, cov = blocks.displacement_with_prior(warp[:2, :2] - np.eye(2), response)
         settled = bool(np.abs(P[:, 2]).max() < _SETTLED_PX and largest_px(P, shape) < _SETTLED_RIM_PX)
         if settled or np.abs(warp[:2, 2] - first).max() > _FARTHEST_PX:
             break
-        warp = composed(warp, P * min(1.0, _LONGEST_PX / largest_px(P, shape)))
+        same = P[:, 2] @ last[:, 2] + (min(shape) / 3.5) ** 2 * np.sum(P[:, :2] * last[:, :2])
+        step = min(1.2 * step, 2.0) if same > 0.0 else 0.6 * step if same < 0.0 else step
+        last = P
+        warp = composed(warp, P * min(step, _LONGEST_PX / largest_px(P, shape)))
     return PositionFit(
         xy_px=warp[:2, 2].copy(),
-        cov_px=blocks.covariance(affine=affine) / response**2,
+        cov_px=cov,
         affine=warp[:2, :2] - np.eye(2),
         correlation=gain * float(np.sqrt(power / (float(np.vdot(usable * found, found)) + 1e-30))),
         converged=settled and gain > 0.0,
         found=warped(grey, warp @ from_corner, shape),
         residual=np.hypot(*residual),
     )
+
+
+def _warped(plane, warp, shape):
+    return cv2.warpAffine(plane, warp[:2], shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REFLECT)
+
+
+def turned(field, xy_px, affine):
+    A = np.eye(2) + affine
+    warp = np.column_stack([A, xy_px - A @ xy_px])
+    return np.stack([cv2.warpAffine(plane, warp, plane.shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP) for plane in field])

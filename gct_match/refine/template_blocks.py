@@ -27,6 +27,12 @@ _LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted wit
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 
 
+import os
+_S, _H = float(os.environ.get("SIM", "0.02")), float(os.environ.get("SHEAR", "0.005"))
+_B = 0.5 * np.array([[1.0, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
+_PRECISION = _B.T @ np.diag([_S**-2, _S**-2, _H**-2, _H**-2]) @ _B
+
+
 @record  # built at every step: the shape check would cost
 class Blocks:
     """Scores and information of the B blocks of a template on its displacement."""
@@ -65,6 +71,26 @@ class Blocks:
         moved -= moved.mean(axis=0)
         # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
+
+    def displacement_with_prior(self, affine: Floats, response: float) -> tuple[Floats, Floats]:
+        """X."""
+        count = len(self.lever)
+        by_lever = self.lever[:, :, None] * self.lever[:, None, :]
+        n_b = (by_lever[:, :, None, :, None] * self.information[:, None, :, None, :]).reshape(-1, 6, 6)
+        score = self._scores(True)
+        free = self.score - self.score.mean(axis=0)
+        noise = float((free * free).sum()) / (float(np.einsum("bii->", self.information)) + 1e-30)
+        precision = np.zeros((6, 6))
+        precision[:4, :4] = noise / response**2 * _PRECISION
+        n = _regularised(n_b.sum(axis=0)) + precision
+        pull = score.sum(axis=0)
+        pull[:4] += precision[:4, :4] @ (response * affine.T.ravel())
+        X = np.linalg.solve(n, pull)
+        left = score + precision @ (np.concatenate([response * affine.T.ravel(), [0, 0]])) / count - (n_b + precision / count) @ X
+        moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
+        moved -= moved.mean(axis=0)
+        cov = (count - 1.0) / max(count - 4.0, 1e-9) * moved.T @ moved
+        return X.reshape(3, 2).T / response, cov / response**2
 
     def show_affine(self, response: float) -> bool:
         """Whether four affine parameters in addition to a translation are significant, and a small map.
