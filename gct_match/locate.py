@@ -42,6 +42,8 @@ _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not h
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
 _TURNED_PX = 0.5
+import os
+_OCCAM=float(os.environ.get('OCCAM','-4'))
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
 _OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
@@ -223,15 +225,25 @@ def _of_changed(
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     fit_xy = fit.xy_px - reference_px - start_px + radius_px
+    surfaces = [(surface, 0.0)]
     if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
+        first_two = two
         two = turned(two, fit.xy_px, fit.affine)
         surface = edge_similarity(one, window(two, *around))
+        surfaces.append((surface, _OCCAM))
         peak = np.round(fit_xy)
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
     left, top = (peak.astype(int) + around[:2]).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    spread, dates = spread_px2(surface, peak, fit_xy, REACH_PX), _DATES_PX**2 * np.eye(2)
+    spread, logs = spread_px2(surfaces, peak, fit_xy, REACH_PX)
+    if len(logs) > 1 and np.logaddexp.reduce(logs[0]) > np.logaddexp.reduce(logs[1]):
+        again = fit_changed(one, first_two, usable, picture.grey, fit.xy_px - reference_px, reference_px, True)
+        if again.converged:
+            fit = again
+            fit_xy = fit.xy_px - reference_px - start_px + radius_px
+            spread, logs = spread_px2(surfaces, peak, fit_xy, REACH_PX)
+    dates = _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 

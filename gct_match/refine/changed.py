@@ -29,7 +29,7 @@ REACH_PX = 3  # from a whole pixel to where the fit may lie
 
 
 def fit_changed(
-    template: Image, picture: Image, usable: Image, grey: Image, start_px: Floats, reference_px: Floats
+    template: Image, picture: Image, usable: Image, grey: Image, start_px: Floats, reference_px: Floats, rigid: bool = False
 ) -> PositionFit:
     """Least-squares position in a picture of the point `reference_px` (x, y) of a template.
 
@@ -57,7 +57,7 @@ def fit_changed(
             for (gx, gy), left in zip(slopes, residual)
         )
         blocks = one.with_scores_of(two)
-        P, cov = blocks.displacement_with_prior(warp[:2, :2] - np.eye(2), response)
+        P, cov = blocks.displacement_with_prior(warp[:2, :2] - np.eye(2), response, rigid)
         settled = bool(np.abs(P[:, 2]).max() < _SETTLED_PX and largest_px(P, shape) < _SETTLED_RIM_PX)
         if settled or np.abs(warp[:2, 2] - first).max() > _FARTHEST_PX:
             break

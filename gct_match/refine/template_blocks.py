@@ -72,7 +72,7 @@ class Blocks:
         # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
-    def displacement_with_prior(self, affine: Floats, response: float) -> tuple[Floats, Floats]:
+    def displacement_with_prior(self, affine: Floats, response: float, rigid: bool) -> tuple[Floats, Floats]:
         """X."""
         count = len(self.lever)
         by_lever = self.lever[:, :, None] * self.lever[:, None, :]
@@ -81,7 +81,7 @@ class Blocks:
         free = self.score - self.score.mean(axis=0)
         noise = float((free * free).sum()) / (float(np.einsum("bii->", self.information)) + 1e-30)
         precision = np.zeros((6, 6))
-        precision[:4, :4] = noise / response**2 * _PRECISION
+        precision[:4, :4] = noise / response**2 * _PRECISION * (1e6 if rigid else 1.0)
         n = _regularised(n_b.sum(axis=0)) + precision
         pull = score.sum(axis=0)
         pull[:4] += precision[:4, :4] @ (response * affine.T.ravel())

@@ -90,22 +90,21 @@ def probability_wrong(
     return float(np.exp(wrong - np.logaddexp(wrong, here)))
 
 
-def spread_px2(surface: Image, peak_xy: Floats, fit_xy: Floats, reach_px: int) -> Floats:
-    """Mean square (2, 2), px², of the distances from a fit (x, y) of the positions within `reach_px` of a
-    peak (x, y) that a correlation surface (R, C) leaves possible.
-
-    Likelihoods are those of `probability_wrong`, at fractions of a pixel.
-    """
-    under = _under(surface, peak_xy, reach_px)
+def spread_px2(surfaces, peak_xy: Floats, fit_xy: Floats, reach_px: int) -> Floats:
+    """Mean square."""
     offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
     x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
-    inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
-    fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
-    log_likelihood = _log_likelihood(fine, surface[~under], _MOVED)
+    logs, offs = [], []
+    for surface, log_prior in surfaces:
+        under = _under(surface, peak_xy, reach_px)
+        inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
+        fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
+        logs.append(log_prior + _log_likelihood(fine, surface[~under], _MOVED))
+        offs.append(np.stack([x[inside], y[inside]]) - fit_xy[:, None])
+    log_likelihood, off = np.concatenate(logs), np.concatenate(offs, axis=1)
     weight = np.exp(log_likelihood - log_likelihood.max())
-    off = np.stack([x[inside], y[inside]]) - fit_xy[:, None]
     spread: Floats = (weight * off) @ off.T / weight.sum()
-    return spread
+    return spread, logs
 
 
 def self_similarity(template: Image) -> float:
