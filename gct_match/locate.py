@@ -7,6 +7,7 @@ kept. A result that fails a test is returned as an `Entry` with its reason.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ from boresight.gct_match.refine.least_squares import (
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     peaks_of,
+    positions_under,
     probability_wrong,
     self_similarity,
     spread_px2,
@@ -41,9 +43,8 @@ _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one ha
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
-_TURNED_PX = 0.5
-import os
-_OCCAM=float(os.environ.get('OCCAM','-4'))
+_TURNED_PX = 0.5  # by which a chip's rim is displaced by a map that must be shown
+_LOG_MAPS = 4.0  # log of the number of maps of which the most likely one is fitted
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
 _OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
@@ -180,7 +181,7 @@ def _of_unchanged(
     """The best fit to those parts of the template that are as the picture shows them."""
     surface = _surface(template, picture, start_px, radius_px)
     peaks = peaks_of(surface, 3, 3)
-    if len(peaks.value) == 0:
+    if not (peaks.value[:1] > _UNSURE_CORRELATION).any():
         return not_matched(Reason.NO_CORRELATION)
     best, best_peak = None, peaks.xy[0]
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
@@ -219,30 +220,32 @@ def _of_changed(
     peaks = peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:
         return not_matched(Reason.NO_CORRELATION)
-    start, peak = peaks.xy[0] + start_px - radius_px, np.round(peaks.xy[0])
-    usable = usable_pixels(template.valid, picture.valid, start)
-    fit = fit_changed(one, two, usable, picture.grey, start, reference_px)
+    corner, peak = np.array(around[:2]), np.round(peaks.xy[0])
+    usable = usable_pixels(template.valid, picture.valid, peaks.xy[0] + corner)
+    fit_pair = partial(fit_changed, one, two, usable, picture.grey, reference_px=reference_px)
+    fit = fit_pair(peaks.xy[0] + corner, affine=True)
+    xy, likelihood = positions_under(surface, peak, REACH_PX)
+    if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
+        seen = turned(two, fit.xy_px, fit.affine)
+        other, other_peak = (
+            edge_similarity(one, window(seen, *around)),
+            np.round(fit.xy_px - reference_px - corner),
+        )
+        other_xy, other_likelihood = positions_under(other, other_peak, REACH_PX)
+        other_likelihood -= _LOG_MAPS
+        if np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood):
+            two, surface, peak = seen, other, other_peak
+        else:
+            fit = fit_pair(fit.xy_px - reference_px, affine=False)
+        xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
-    fit_xy = fit.xy_px - reference_px - start_px + radius_px
-    surfaces = [(surface, 0.0)]
-    if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
-        first_two = two
-        two = turned(two, fit.xy_px, fit.affine)
-        surface = edge_similarity(one, window(two, *around))
-        surfaces.append((surface, _OCCAM))
-        peak = np.round(fit_xy)
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
-    left, top = (peak.astype(int) + around[:2]).tolist()
-    parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
+    parts = agreeing_parts(
+        one, window(two, *(peak + corner).astype(int).tolist(), w, h)
+    )  # not one cloud's edge
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    spread, logs = spread_px2(surfaces, peak, fit_xy, REACH_PX)
-    if len(logs) > 1 and np.logaddexp.reduce(logs[0]) > np.logaddexp.reduce(logs[1]):
-        again = fit_changed(one, first_two, usable, picture.grey, fit.xy_px - reference_px, reference_px, True)
-        if again.converged:
-            fit = again
-            fit_xy = fit.xy_px - reference_px - start_px + radius_px
-            spread, logs = spread_px2(surfaces, peak, fit_xy, REACH_PX)
+    spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
     dates = _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)

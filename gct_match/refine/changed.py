@@ -14,60 +14,70 @@ import numpy as np
 from boresight.gct_match.imaging.resample import composed, gradient, largest_px, warped
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.least_squares import PositionFit
-from boresight.gct_match.refine.template_blocks import blocks_of
+from boresight.gct_match.refine.template_blocks import Blocks, block_sums, blocks_of
 from boresight.records.record import Floats
 
-__all__ = ["REACH_PX", "fit_changed"]
+__all__ = ["REACH_PX", "fit_changed", "turned"]
 
 _STEPS = 16  # at most
 _ALONG_SIDE = 6  # blocks: of 21 px, as wide as a change of season is correlated, on a chip of 128 px
 _LONGEST_PX = 0.6  # a longer step is shortened: the picture is not linear beyond
+_LONGER, _SHORTER = 1.2, 0.6  # steps, after one in the same, or in the opposite direction
 _SETTLED_PX = 0.02  # a fifth of the standard error of such pairs, or less
-_SETTLED_RIM_PX = 0.15  # the same at the template's rim, where an affine map is three times less accurate
+_SETTLED_RIM_PX = 0.15  # the same at the template's rim, where an affine map is less accurate
 _FARTHEST_PX = 2.5  # from the start
 REACH_PX = 3  # from a whole pixel to where the fit may lie
 
 
 def fit_changed(
-    template: Image, picture: Image, usable: Image, grey: Image, start_px: Floats, reference_px: Floats, rigid: bool = False
+    template: Image,
+    picture: Image,
+    usable: Image,
+    grey: Image,
+    start_px: Floats,
+    reference_px: Floats,
+    *,
+    affine: bool,
 ) -> PositionFit:
     """Least-squares position in a picture of the point `reference_px` (x, y) of a template.
 
     `template` (2, h, w) and `picture` (2, H, W) are the planes of their edge fields, `usable` (h, w) is zero
     where these do not count, `grey` (H, W) are the picture's grey values. `start_px` (x, y) is the initial
-    position of the template's first pixel in the picture, to 2 px.
+    position of the template's first pixel in the picture, to 2 px. An `affine` map is estimated with the
+    prior that a chip is turned and scaled by some hundredths: a translation alone trades with a turn where
+    edges lie on one side.
     """
-    shape, slopes = usable.shape, [gradient(plane) for plane in template]
-    power = float(np.vdot(usable * template, template)) + 1e-30
-    own = sum(float(np.vdot(usable * slope, slope)) for of_plane in slopes for slope in of_plane) + 1e-30
-    # the transpose of a derivative is its negative: with this, a product of slopes is one with the picture
-    bent = [
-        -gradient(usable * gx)[0] - gradient(usable * gy)[1] for gx, gy in slopes
-    ]
-    first, step, last = start_px + reference_px, 1.0, np.zeros((2, 3))
+    shape, weighted = usable.shape, usable * template
+    power = float(np.vdot(weighted, template)) + 1e-30
+    slopes = [gradient(plane) for plane in template]
+    pulled = [[usable * slope for slope in of_plane] for of_plane in slopes]
+    # a derivative's transpose is its negative: so the common slopes of template and picture are a product of
+    # the picture with this
+    bent = np.stack([-gradient(gx)[0] - gradient(gy)[1] for gx, gy in pulled])
+    own = float(np.vdot(bent, template)) + 1e-30
+    of_planes = [blocks_of(gx, gy, usable, usable, reference_px, 1.0, _ALONG_SIDE) for gx, gy in slopes]
+    lever, information = of_planes[0].lever, of_planes[0].information + of_planes[1].information
+    first, length, last = start_px + reference_px, 1.0, np.zeros((2, 3))
     warp, from_corner, settled = np.eye(3), np.eye(3), False
     warp[:2, 2], from_corner[:2, 2] = first, -reference_px
     for _ in range(_STEPS):
-        found = np.stack([_warped(plane, warp @ from_corner, shape) for plane in picture])
-        gain = float(np.vdot(usable * template, found)) / power
+        found = np.stack([_resampled(plane, warp @ from_corner, shape) for plane in picture])
+        gain = float(np.vdot(weighted, found)) / power
         residual = found - np.float32(gain) * template
-        response = max(sum(float(np.vdot(a, b)) for a, b in zip(bent, found)) / own, 1e-3)
-        one, two = (
-            blocks_of(gx, gy, left, usable, reference_px, 1.0, _ALONG_SIDE)
-            for (gx, gy), left in zip(slopes, residual)
-        )
-        blocks = one.with_scores_of(two)
-        P, cov = blocks.displacement_with_prior(warp[:2, :2] - np.eye(2), response, rigid)
+        response = max(float(np.vdot(bent, found)) / own, 1e-3)
+        score = [block_sums(sum(p[k] * r for p, r in zip(pulled, residual)), _ALONG_SIDE) for k in (0, 1)]
+        blocks = Blocks(lever, np.stack(score, axis=1), information)
+        prior = blocks.prior(warp[:2, :2] - np.eye(2), response) if affine else None
+        P = blocks.displacement(affine=affine, prior=prior) / response
         settled = bool(np.abs(P[:, 2]).max() < _SETTLED_PX and largest_px(P, shape) < _SETTLED_RIM_PX)
         if settled or np.abs(warp[:2, 2] - first).max() > _FARTHEST_PX:
             break
-        same = P[:, 2] @ last[:, 2] + (min(shape) / 3.5) ** 2 * np.sum(P[:, :2] * last[:, :2])
-        step = min(1.2 * step, 2.0) if same > 0.0 else 0.6 * step if same < 0.0 else step
-        last = P
-        warp = composed(warp, P * min(step, _LONGEST_PX / largest_px(P, shape)))
+        agrees = P[:, 2] @ last[:, 2] + np.vdot(P[:, :2], last[:, :2]) * np.mean(lever[:, :2] ** 2)
+        length *= _LONGER if agrees > 0.0 else _SHORTER if agrees < 0.0 else 1.0
+        warp, last = composed(warp, P * min(length, _LONGEST_PX / largest_px(P, shape))), P
     return PositionFit(
         xy_px=warp[:2, 2].copy(),
-        cov_px=cov,
+        cov_px=blocks.covariance(affine=affine, prior=prior) / response**2,
         affine=warp[:2, :2] - np.eye(2),
         correlation=gain * float(np.sqrt(power / (float(np.vdot(usable * found, found)) + 1e-30))),
         converged=settled and gain > 0.0,
@@ -76,11 +86,14 @@ def fit_changed(
     )
 
 
-def _warped(plane, warp, shape):
-    return cv2.warpAffine(plane, warp[:2], shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REFLECT)
-
-
-def turned(field, xy_px, affine):
+def turned(field: Image, xy_px: Floats, affine: Floats) -> Image:
+    """An edge field (2, H, W) as a template sees it that is mapped by 1 + `affine` about `xy_px` (x, y)."""
     A = np.eye(2) + affine
     warp = np.column_stack([A, xy_px - A @ xy_px])
-    return np.stack([cv2.warpAffine(plane, warp, plane.shape[::-1], flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP) for plane in field])
+    return np.stack([_resampled(plane, warp, plane.shape) for plane in field])
+
+
+def _resampled(plane: Image, warp: Floats, shape: tuple[int, ...]) -> Image:
+    """A plane at the warped pixels of a picture of `shape` (h, w), to a thirtieth of a pixel."""
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(plane, warp[:2], shape[::-1], flags=flags, borderMode=cv2.BORDER_REFLECT)

@@ -17,20 +17,23 @@ import numpy as np
 from boresight.gct_match.records import Image
 from boresight.records.record import Floats, record
 
-__all__ = ["Blocks", "blocks_of"]
+__all__ = ["Blocks", "Prior", "block_sums", "blocks_of"]
+
+Prior = tuple[Floats, Floats]  # (P, P) information, and (P,) pull, on the parameters of a displacement
 
 # Blocks along the shorter side of a template for the jackknife: 64 blocks give its variance to 18 %, sqrt(2
 # / 64).
 _ALONG_SIDE = 8
 _AFFINE_CHI2 = 18.5  # chi² of the four affine parameters that chance exceeds in 0.1 %
 _LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted with a wrong model
+# Prior standard errors of an affine map: of scale and rotation (rad), and of both shears.
+_SIMILAR, _SHEARED = 0.02, 0.003
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 
 
-import os
-_S, _H = float(os.environ.get("SIM", "0.02")), float(os.environ.get("SHEAR", "0.005"))
-_B = 0.5 * np.array([[1.0, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
-_PRECISION = _B.T @ np.diag([_S**-2, _S**-2, _H**-2, _H**-2]) @ _B
+# Rows: scale, rotation and shears of an affine map, column after column of its matrix.
+_PARTS = 0.5 * np.array([[1, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
+_KNOWN = (_PARTS.T / np.array([_SIMILAR, _SIMILAR, _SHEARED, _SHEARED]) ** 2) @ _PARTS
 
 
 @record  # built at every step: the shape check would cost
@@ -41,22 +44,20 @@ class Blocks:
     score: Floats  # (B, 2)
     information: Floats  # (B, 2, 2)
 
-    def with_scores_of(self, other: Blocks) -> Blocks:
-        """Of two planes of one template: scores and information of the same blocks add up."""
-        return Blocks(self.lever, self.score + other.score, self.information + other.information)
-
-    def displacement(self, *, affine: bool) -> Floats:
+    def displacement(self, *, affine: bool, prior: Prior | None = None) -> Floats:
         """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
         column displaces the reference point; the others are 0 unless `affine`.
         """
         n, g = self._sums(affine)
+        if prior is not None:
+            n, g = n + prior[0], g + prior[1]
         P = np.zeros((2, 3))
         P[:, -g.size // 2 :] = np.linalg.solve(n, g).reshape(-1, 2).T
         return P
 
-    def covariance(self, *, affine: bool) -> Floats:
-        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` as above. Without
-        more blocks than it takes from the count it is infinite.
+    def covariance(self, *, affine: bool, prior: Prior | None = None) -> Floats:
+        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` and `prior` as
+        above. Without more blocks than it takes from the count it is infinite.
         """
         count = len(self.lever)
         if count <= 4:
@@ -66,31 +67,25 @@ class Blocks:
         if affine:
             by_lever = self.lever[:, :, None] * self.lever[:, None, :]
             n_b = (by_lever[:, :, None, :, None] * n_b[:, None, :, None, :]).reshape(-1, 6, 6)
-        left = self._scores(affine) - n_b @ np.linalg.solve(n, g)
+        scores = self._scores(affine)
+        if prior is not None:  # every block has a part of it
+            n, g, n_b, scores = n + prior[0], g + prior[1], n_b + prior[0] / count, scores + prior[1] / count
+        left = scores - n_b @ np.linalg.solve(n, g)
         moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
         # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
-    def displacement_with_prior(self, affine: Floats, response: float, rigid: bool) -> tuple[Floats, Floats]:
-        """X."""
-        count = len(self.lever)
-        by_lever = self.lever[:, :, None] * self.lever[:, None, :]
-        n_b = (by_lever[:, :, None, :, None] * self.information[:, None, :, None, :]).reshape(-1, 6, 6)
-        score = self._scores(True)
+    def prior(self, affine: Floats, response: float) -> Prior:
+        """Information and pull on the six parameters by what is known of a chip's map: it is `affine` (2, 2)
+        now, and near zero. `response` is the gain of the picture; the blocks' scatter tells the noise.
+        """
         free = self.score - self.score.mean(axis=0)
-        noise = float((free * free).sum()) / (float(np.einsum("bii->", self.information)) + 1e-30)
-        precision = np.zeros((6, 6))
-        precision[:4, :4] = noise / response**2 * _PRECISION * (1e6 if rigid else 1.0)
-        n = _regularised(n_b.sum(axis=0)) + precision
-        pull = score.sum(axis=0)
-        pull[:4] += precision[:4, :4] @ (response * affine.T.ravel())
-        X = np.linalg.solve(n, pull)
-        left = score + precision @ (np.concatenate([response * affine.T.ravel(), [0, 0]])) / count - (n_b + precision / count) @ X
-        moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
-        moved -= moved.mean(axis=0)
-        cov = (count - 1.0) / max(count - 4.0, 1e-9) * moved.T @ moved
-        return X.reshape(3, 2).T / response, cov / response**2
+        noise = float(np.vdot(free, free)) / (float(np.trace(self.information.sum(axis=0))) + 1e-30)
+        information, pull = np.zeros((6, 6)), np.zeros(6)
+        information[:4, :4] = noise / response**2 * _KNOWN
+        pull[:4] = response * information[:4, :4] @ affine.T.ravel()
+        return information, pull
 
     def show_affine(self, response: float) -> bool:
         """Whether four affine parameters in addition to a translation are significant, and a small map.
@@ -137,18 +132,27 @@ def blocks_of(
     shorter side lie `along_side` blocks, fewer where these would be too small.
     """
     h, w = residual.shape
-    side = max(_SMALLEST, min(h, w) // along_side)
-    columns, rows = max(1, w // side), max(1, h // side)
-    wx, wy, area = weight * gx, weight * gy, h * w / (rows * columns)
-    sums = [
-        cv2.resize(product, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
-        for product in (wx * residual, wy * residual, wx * gx, wx * gy, wy * gy)
-    ]
-    by_block = (area * np.array(sums, dtype=float)).T
-    middles = _middles(h, w, columns, rows)
+    wx, wy = weight * gx, weight * gy
+    products = wx * residual, wy * residual, wx * gx, wx * gy, wy * gy
+    sums = np.stack([block_sums(product, along_side) for product in products], axis=1)
+    side = _side(h, w, along_side)
+    middles = _middles(h, w, max(1, w // side), max(1, h // side))
     lever = np.ones((len(middles), 3))
     lever[:, :2] = middles * pitch_px - reference_px
-    return Blocks(lever, by_block[:, :2], by_block[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
+    return Blocks(lever, sums[:, :2], sums[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
+
+
+def block_sums(image: Image, along_side: int) -> Floats:
+    """Sums (B,) of a picture (h, w) over the blocks of `blocks_of`."""
+    h, w = image.shape
+    side = _side(h, w, along_side)
+    columns, rows = max(1, w // side), max(1, h // side)
+    sums = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
+    return h * w / (rows * columns) * sums.astype(float)
+
+
+def _side(h: int, w: int, along_side: int) -> int:
+    return max(_SMALLEST, min(h, w) // along_side)
 
 
 @lru_cache(maxsize=32)

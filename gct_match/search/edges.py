@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from boresight.gct_match.imaging.views import wide_mean
 from boresight.gct_match.records import Image
 from boresight.records.record import Bools
 
@@ -55,7 +56,7 @@ def distinct_edges(grey: Image, valid: Bools) -> Image:
     """
     field = edge_field(np.where(valid, grey, np.float32(np.nan)))
     inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
-    return np.stack([(plane - cv2.GaussianBlur(plane, (0, 0), _AROUND_PX)) * inner for plane in field])
+    return np.stack([(plane - wide_mean(plane, _AROUND_PX)) * inner for plane in field])
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
@@ -88,16 +89,23 @@ def edge_similarity(template: Image, field: Image) -> Image:
     """(H - h + 1, W - w + 1) normalised correlation of a template's edges (2, h, w) with a picture's
     (2, H, W); normalisation removes the preference for ground full of edges.
     """
-    h, w = template.shape[1:]
-    inner = slice(0, field.shape[1] - h + 1), slice(0, field.shape[2] - w + 1)
-    real, imaginary = (
-        cv2.filter2D(plane, -1, kernel, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
-        for kernel, plane in zip(centred(template), field, strict=True)
-    )
+    (h, w), (rows, columns) = template.shape[1:], field.shape[1:]
+    size = cv2.getOptimalDFTSize(rows), cv2.getOptimalDFTSize(columns)
+    spectra = [_spectrum(part, size) for part in (field, centred(template))]
+    product = cv2.mulSpectrums(*spectra, 0, conjB=True)
+    inner = slice(0, rows - h + 1), slice(0, columns - w + 1)
+    products = cv2.idft(product, flags=cv2.DFT_SCALE)[..., 0][inner]
     power = field[0] * field[0]
     power += field[1] * field[1]
     under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
-    return normalised_correlation(real + imaginary, template, under)
+    return normalised_correlation(products, template, under)
+
+
+def _spectrum(field: Image, size: tuple[int, int]) -> Image:
+    """Spectrum of a field (2, H, W), as complex numbers, with zeros beyond it up to `size`."""
+    below, right = size[0] - field.shape[1], size[1] - field.shape[2]
+    padded = cv2.copyMakeBorder(cv2.merge(list(field)), 0, below, 0, right, cv2.BORDER_CONSTANT)
+    return cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
 
 
 def agreeing_parts(template: Image, field: Image) -> float:
