@@ -215,7 +215,10 @@ def _of_changed(
     """
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
-    one, two = (distinct_edges(view.grey, view.valid) for view in (template, picture))
+    one = distinct_edges(template.grey, template.valid)
+    two = distinct_edges(
+        picture.grey, picture.valid, np.where(template.valid, template.grey, np.float32(np.nan))
+    )
     surface = edge_similarity(one, window(two, *around))
     peaks = peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:

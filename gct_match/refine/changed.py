@@ -11,10 +11,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from boresight.gct_match.imaging.resample import composed, gradient, largest_px, warped
+from boresight.gct_match.imaging.resample import composed, gradient, largest_px
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.least_squares import PositionFit
-from boresight.gct_match.refine.template_blocks import Blocks, block_sums, blocks_of
+from boresight.gct_match.refine.template_blocks import blocks_of
 from boresight.records.record import Floats
 
 __all__ = ["REACH_PX", "fit_changed", "turned"]
@@ -50,29 +50,28 @@ def fit_changed(
     shape, weighted = usable.shape, usable * template
     power = float(np.vdot(weighted, template)) + 1e-30
     slopes = [gradient(plane) for plane in template]
-    pulled = [[usable * slope for slope in of_plane] for of_plane in slopes]
-    # a derivative's transpose is its negative: so the common slopes of template and picture are a product of
-    # the picture with this
-    bent = np.stack([-gradient(gx)[0] - gradient(gy)[1] for gx, gy in pulled])
+    # a derivative's transpose is its negative: what slopes have in common is a product of the picture with this
+    bent = np.stack([-gradient(usable * gx)[0] - gradient(usable * gy)[1] for gx, gy in slopes])
     own = float(np.vdot(bent, template)) + 1e-30
-    of_planes = [blocks_of(gx, gy, usable, usable, reference_px, 1.0, _ALONG_SIDE) for gx, gy in slopes]
-    lever, information = of_planes[0].lever, of_planes[0].information + of_planes[1].information
-    first, length, last = start_px + reference_px, 1.0, np.zeros((2, 3))
-    warp, from_corner, settled = np.eye(3), np.eye(3), False
+    first, length = start_px + reference_px, 1.0
+    warp, from_corner, settled, last = np.eye(3), np.eye(3), False, np.zeros((2, 3))
     warp[:2, 2], from_corner[:2, 2] = first, -reference_px
     for _ in range(_STEPS):
         found = np.stack([_resampled(plane, warp @ from_corner, shape) for plane in picture])
         gain = float(np.vdot(weighted, found)) / power
         residual = found - np.float32(gain) * template
         response = max(float(np.vdot(bent, found)) / own, 1e-3)
-        score = [block_sums(sum(p[k] * r for p, r in zip(pulled, residual)), _ALONG_SIDE) for k in (0, 1)]
-        blocks = Blocks(lever, np.stack(score, axis=1), information)
+        one, two = (
+            blocks_of(gx, gy, left, usable, reference_px, 1.0, _ALONG_SIDE)
+            for (gx, gy), left in zip(slopes, residual)
+        )
+        blocks = one.with_scores_of(two)
         prior = blocks.prior(warp[:2, :2] - np.eye(2), response) if affine else None
         P = blocks.displacement(affine=affine, prior=prior) / response
         settled = bool(np.abs(P[:, 2]).max() < _SETTLED_PX and largest_px(P, shape) < _SETTLED_RIM_PX)
         if settled or np.abs(warp[:2, 2] - first).max() > _FARTHEST_PX:
             break
-        agrees = P[:, 2] @ last[:, 2] + np.vdot(P[:, :2], last[:, :2]) * np.mean(lever[:, :2] ** 2)
+        agrees = P[:, 2] @ last[:, 2] + np.vdot(P[:, :2], last[:, :2]) * np.mean(blocks.lever[:, :2] ** 2)
         length *= _LONGER if agrees > 0.0 else _SHORTER if agrees < 0.0 else 1.0
         warp, last = composed(warp, P * min(length, _LONGEST_PX / largest_px(P, shape))), P
     return PositionFit(
@@ -81,7 +80,7 @@ def fit_changed(
         affine=warp[:2, :2] - np.eye(2),
         correlation=gain * float(np.sqrt(power / (float(np.vdot(usable * found, found)) + 1e-30))),
         converged=settled and gain > 0.0,
-        found=warped(grey, warp @ from_corner, shape),
+        found=_resampled(grey, warp @ from_corner, shape),
         residual=np.hypot(*residual),
     )
 

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from boresight.gct_match.records import Image
 from boresight.records.record import Floats, record
 
-__all__ = ["Blocks", "Prior", "block_sums", "blocks_of"]
+__all__ = ["Blocks", "Prior", "blocks_of"]
 
 Prior = tuple[Floats, Floats]  # (P, P) information, and (P,) pull, on the parameters of a displacement
 
@@ -43,6 +42,10 @@ class Blocks:
     lever: Floats  # (B, 3) x, y of each block's middle, from the reference point, px, and one
     score: Floats  # (B, 2)
     information: Floats  # (B, 2, 2)
+
+    def with_scores_of(self, other: Blocks) -> Blocks:
+        """Of two planes of one template: scores and information of the same blocks add up."""
+        return Blocks(self.lever, self.score + other.score, self.information + other.information)
 
     def displacement(self, *, affine: bool, prior: Prior | None = None) -> Floats:
         """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
@@ -132,27 +135,22 @@ def blocks_of(
     shorter side lie `along_side` blocks, fewer where these would be too small.
     """
     h, w = residual.shape
+    side = max(_SMALLEST, min(h, w) // along_side)
+    columns, rows = max(1, w // side), max(1, h // side)
     wx, wy = weight * gx, weight * gy
-    products = wx * residual, wy * residual, wx * gx, wx * gy, wy * gy
-    sums = np.stack([block_sums(product, along_side) for product in products], axis=1)
-    side = _side(h, w, along_side)
-    middles = _middles(h, w, max(1, w // side), max(1, h // side))
+    products = np.stack([wx * residual, wy * residual, wx * gx, wx * gy, wy * gy])
+    by_block = (_shares(h, rows) @ products @ _shares(w, columns).T).reshape(5, -1).T.astype(float)
+    middles = _middles(h, w, columns, rows)
     lever = np.ones((len(middles), 3))
     lever[:, :2] = middles * pitch_px - reference_px
-    return Blocks(lever, sums[:, :2], sums[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
+    return Blocks(lever, by_block[:, :2], by_block[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
 
-def block_sums(image: Image, along_side: int) -> Floats:
-    """Sums (B,) of a picture (h, w) over the blocks of `blocks_of`."""
-    h, w = image.shape
-    side = _side(h, w, along_side)
-    columns, rows = max(1, w // side), max(1, h // side)
-    sums = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA).ravel()
-    return h * w / (rows * columns) * sums.astype(float)
-
-
-def _side(h: int, w: int, along_side: int) -> int:
-    return max(_SMALLEST, min(h, w) // along_side)
+@lru_cache(maxsize=32)
+def _shares(n: int, parts: int) -> Image:
+    """(parts, n) share of each of n pixels of a line in each of its equal parts."""
+    reached = np.clip(np.linspace(0.0, n, parts + 1)[:, None] - np.arange(n), 0.0, 1.0)
+    return np.diff(reached, axis=0).astype(np.float32)
 
 
 @lru_cache(maxsize=32)

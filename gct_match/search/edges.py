@@ -38,6 +38,8 @@ FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
 _AROUND_PX = 6.0  # sigma of a Gaussian: neighbourhood whose mean direction tells nothing about the place
+# Pairs of one resolution differ in `_fineness` by 1.0 (0.5 to 1.6), references of 4 x coarser pixels by 2.5.
+_SHARPER, _COARSER_PX = 2.0, 1.0
 _PARTS = 6  # along a template's longer side, for `agreeing_parts`: of 21 px on a chip of 128 px
 _BAND = 64  # rows of the field at a time: they stay in the cache
 _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
@@ -48,15 +50,23 @@ def edge_field(image: Image) -> Image:
     return _field(image, _median_power(_strips(image)))
 
 
-def distinct_edges(grey: Image, valid: Bools) -> Image:
+def distinct_edges(grey: Image, valid: Bools, coarser: Image | None = None) -> Image:
     """(2, H, W) edge field z of a picture (H, W) less its mean around each pixel; zero where not `valid`.
 
     Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
-    along all of it.
+    along all of it. A picture with more fine detail than a `coarser` reference is smoothed first: its finest
+    edges would not agree.
     """
-    field = edge_field(np.where(valid, grey, np.float32(np.nan)))
+    image = np.where(valid, grey, np.float32(np.nan))
+    if coarser is not None and _fineness(image) > _SHARPER * _fineness(coarser):
+        image = cv2.GaussianBlur(image, (0, 0), _COARSER_PX)
     inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
-    return np.stack([(plane - wide_mean(plane, _AROUND_PX)) * inner for plane in field])
+    return np.stack([(plane - wide_mean(plane, _AROUND_PX)) * inner for plane in edge_field(image)])
+
+
+def _fineness(image: Image) -> float:
+    """Power of a picture's slopes over that after a Gaussian of 2 px."""
+    return float(_median_power([image]) / _median_power([cv2.GaussianBlur(image, (0, 0), 2.0)]))
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
@@ -91,10 +101,9 @@ def edge_similarity(template: Image, field: Image) -> Image:
     """
     (h, w), (rows, columns) = template.shape[1:], field.shape[1:]
     size = cv2.getOptimalDFTSize(rows), cv2.getOptimalDFTSize(columns)
-    spectra = [_spectrum(part, size) for part in (field, centred(template))]
-    product = cv2.mulSpectrums(*spectra, 0, conjB=True)
+    product = cv2.mulSpectrums(_spectrum(field, size), _spectrum(centred(template), size), 0, conjB=True)
     inner = slice(0, rows - h + 1), slice(0, columns - w + 1)
-    products = cv2.idft(product, flags=cv2.DFT_SCALE)[..., 0][inner]
+    products: Image = cv2.idft(product, flags=cv2.DFT_SCALE)[..., 0][inner]
     power = field[0] * field[0]
     power += field[1] * field[1]
     under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
