@@ -179,7 +179,9 @@ def _of_unchanged(
     settings: MatchSettings,
 ) -> _Found | Entry:
     """The best fit to those parts of the template that are as the picture shows them."""
-    surface = _surface(template, picture, start_px, radius_px)
+    (h, w), (x, y) = template.grey.shape, start_px
+    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
+    surface = correlation_surface(template.normalised, window(picture.normalised, *around))
     peaks = peaks_of(surface, 3, 3)
     if not (peaks.value[:1] > _UNSURE_CORRELATION).any():
         return not_matched(Reason.NO_CORRELATION)
@@ -216,9 +218,7 @@ def _of_changed(
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
     one = distinct_edges(template.grey, template.valid)
-    two = distinct_edges(
-        picture.grey, picture.valid, np.where(template.valid, template.grey, np.float32(np.nan))
-    )
+    two = distinct_edges(picture.grey, picture.valid, coarser=template)
     surface = edge_similarity(one, window(two, *around))
     peaks = peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:
@@ -230,35 +230,24 @@ def _of_changed(
     xy, likelihood = positions_under(surface, peak, REACH_PX)
     if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
         seen = turned(two, fit.xy_px, fit.affine)
-        other, other_peak = (
-            edge_similarity(one, window(seen, *around)),
-            np.round(fit.xy_px - reference_px - corner),
-        )
-        other_xy, other_likelihood = positions_under(other, other_peak, REACH_PX)
+        other, at = edge_similarity(one, window(seen, *around)), np.round(fit.xy_px - reference_px - corner)
+        other_xy, other_likelihood = positions_under(other, at, REACH_PX)
         other_likelihood -= _LOG_MAPS
         if np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood):
-            two, surface, peak = seen, other, other_peak
+            two, surface, peak = seen, other, at
         else:
             fit = fit_pair(fit.xy_px - reference_px, affine=False)
         xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
-    parts = agreeing_parts(
-        one, window(two, *(peak + corner).astype(int).tolist(), w, h)
-    )  # not one cloud's edge
+    left, top = (peak + corner).astype(int).tolist()
+    parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
     spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
     dates = _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
-
-
-def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
-    """Correlation (R, C) at whole pixels of the search window."""
-    (h, w), (x, y) = template.grey.shape, start_px
-    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
-    return correlation_surface(template.normalised, window(picture.normalised, *around))
 
 
 def _tested(found: _Found | Entry, radius_px: int, template: View, settings: MatchSettings) -> _Found | Entry:

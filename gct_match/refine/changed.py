@@ -47,14 +47,16 @@ def fit_changed(
     prior that a chip is turned and scaled by some hundredths: a translation alone trades with a turn where
     edges lie on one side.
     """
-    shape, weighted = usable.shape, usable * template
+    shape: tuple[int, ...] = usable.shape
+    weighted = usable * template
     power = float(np.vdot(weighted, template)) + 1e-30
     slopes = [gradient(plane) for plane in template]
-    # a derivative's transpose is its negative: what slopes have in common is a product of the picture with this
+    # a derivative's transpose is its negative: common slopes are the picture's product with this
     bent = np.stack([-gradient(usable * gx)[0] - gradient(usable * gy)[1] for gx, gy in slopes])
     own = float(np.vdot(bent, template)) + 1e-30
     first, length = start_px + reference_px, 1.0
-    warp, from_corner, settled, last = np.eye(3), np.eye(3), False, np.zeros((2, 3))
+    warp, from_corner, settled = np.eye(3), np.eye(3), False
+    last: Floats = np.zeros((2, 3))
     warp[:2, 2], from_corner[:2, 2] = first, -reference_px
     for _ in range(_STEPS):
         found = np.stack([_resampled(plane, warp @ from_corner, shape) for plane in picture])
@@ -65,9 +67,8 @@ def fit_changed(
             blocks_of(gx, gy, left, usable, reference_px, 1.0, _ALONG_SIDE)
             for (gx, gy), left in zip(slopes, residual)
         )
-        blocks = one.with_scores_of(two)
-        prior = blocks.prior(warp[:2, :2] - np.eye(2), response) if affine else None
-        P = blocks.displacement(affine=affine, prior=prior) / response
+        blocks = one.with_scores_of(two).with_prior(warp[:2, :2] - np.eye(2), response)
+        P = blocks.displacement(affine=affine) / response
         settled = bool(np.abs(P[:, 2]).max() < _SETTLED_PX and largest_px(P, shape) < _SETTLED_RIM_PX)
         if settled or np.abs(warp[:2, 2] - first).max() > _FARTHEST_PX:
             break
@@ -76,7 +77,7 @@ def fit_changed(
         warp, last = composed(warp, P * min(length, _LONGEST_PX / largest_px(P, shape))), P
     return PositionFit(
         xy_px=warp[:2, 2].copy(),
-        cov_px=blocks.covariance(affine=affine, prior=prior) / response**2,
+        cov_px=blocks.covariance(affine=affine) / response**2,
         affine=warp[:2, :2] - np.eye(2),
         correlation=gain * float(np.sqrt(power / (float(np.vdot(usable * found, found)) + 1e-30))),
         converged=settled and gain > 0.0,

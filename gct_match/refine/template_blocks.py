@@ -9,6 +9,7 @@ the weight. Gradients must be orthogonal to the radiometric terms.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,9 +17,7 @@ import numpy as np
 from boresight.gct_match.records import Image
 from boresight.records.record import Floats, record
 
-__all__ = ["Blocks", "Prior", "blocks_of"]
-
-Prior = tuple[Floats, Floats]  # (P, P) information, and (P,) pull, on the parameters of a displacement
+__all__ = ["Blocks", "blocks_of"]
 
 # Blocks along the shorter side of a template for the jackknife: 64 blocks give its variance to 18 %, sqrt(2
 # / 64).
@@ -30,9 +29,9 @@ _SIMILAR, _SHEARED = 0.02, 0.003
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
 
 
-# Rows: scale, rotation and shears of an affine map, column after column of its matrix.
-_PARTS = 0.5 * np.array([[1, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
-_KNOWN = (_PARTS.T / np.array([_SIMILAR, _SIMILAR, _SHEARED, _SHEARED]) ** 2) @ _PARTS
+# Scale, rotation and shears of an affine map, by its matrix, column after column; information on its six.
+_KINDS = 0.5 * np.array([[1, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
+_KNOWN = np.pad((_KINDS.T / np.array([_SIMILAR, _SIMILAR, _SHEARED, _SHEARED]) ** 2) @ _KINDS, (0, 2))
 
 
 @record  # built at every step: the shape check would cost
@@ -42,25 +41,24 @@ class Blocks:
     lever: Floats  # (B, 3) x, y of each block's middle, from the reference point, px, and one
     score: Floats  # (B, 2)
     information: Floats  # (B, 2, 2)
+    prior: tuple[Floats, Floats] = np.zeros((6, 6)), np.zeros(6)  # information and pull on an affine map
 
     def with_scores_of(self, other: Blocks) -> Blocks:
         """Of two planes of one template: scores and information of the same blocks add up."""
         return Blocks(self.lever, self.score + other.score, self.information + other.information)
 
-    def displacement(self, *, affine: bool, prior: Prior | None = None) -> Floats:
+    def displacement(self, *, affine: bool) -> Floats:
         """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
         column displaces the reference point; the others are 0 unless `affine`.
         """
         n, g = self._sums(affine)
-        if prior is not None:
-            n, g = n + prior[0], g + prior[1]
         P = np.zeros((2, 3))
         P[:, -g.size // 2 :] = np.linalg.solve(n, g).reshape(-1, 2).T
         return P
 
-    def covariance(self, *, affine: bool, prior: Prior | None = None) -> Floats:
-        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` and `prior` as
-        above. Without more blocks than it takes from the count it is infinite.
+    def covariance(self, *, affine: bool) -> Floats:
+        """Jackknife covariance (2, 2) of the reference point's displacement, px²; `affine` as above. Without
+        more blocks than it takes from the count it is infinite.
         """
         count = len(self.lever)
         if count <= 4:
@@ -70,25 +68,21 @@ class Blocks:
         if affine:
             by_lever = self.lever[:, :, None] * self.lever[:, None, :]
             n_b = (by_lever[:, :, None, :, None] * n_b[:, None, :, None, :]).reshape(-1, 6, 6)
-        scores = self._scores(affine)
-        if prior is not None:  # every block has a part of it
-            n, g, n_b, scores = n + prior[0], g + prior[1], n_b + prior[0] / count, scores + prior[1] / count
-        left = scores - n_b @ np.linalg.solve(n, g)
+            n_b += self.prior[0] / count
+        left = self._scores(affine) - n_b @ np.linalg.solve(n, g)
         moved = np.linalg.solve(n - n_b, left[:, :, None])[:, -2:, 0]
         moved -= moved.mean(axis=0)
         # 4 less than the count: keeps the mean of normalised squared errors, as the covariance is uncertain
         return (count - 1.0) / (count - 4.0) * moved.T @ moved
 
-    def prior(self, affine: Floats, response: float) -> Prior:
-        """Information and pull on the six parameters by what is known of a chip's map: it is `affine` (2, 2)
-        now, and near zero. `response` is the gain of the picture; the blocks' scatter tells the noise.
+    def with_prior(self, affine: Floats, response: float) -> Blocks:
+        """The blocks, each with its share of what is known of a chip's map: it is `affine` (2, 2) now, and
+        near zero. `response` is the gain of the picture; the scatter of the scores tells their noise.
         """
         free = self.score - self.score.mean(axis=0)
         noise = float(np.vdot(free, free)) / (float(np.trace(self.information.sum(axis=0))) + 1e-30)
-        information, pull = np.zeros((6, 6)), np.zeros(6)
-        information[:4, :4] = noise / response**2 * _KNOWN
-        pull[:4] = response * information[:4, :4] @ affine.T.ravel()
-        return information, pull
+        known = noise / response**2 * _KNOWN
+        return replace(self, prior=(known, response * known @ np.append(affine.T.ravel(), [0.0, 0.0])))
 
     def show_affine(self, response: float) -> bool:
         """Whether four affine parameters in addition to a translation are significant, and a small map.
@@ -109,7 +103,11 @@ class Blocks:
 
     def _scores(self, affine: bool) -> Floats:
         """Right sides (B, P) of the parameters, column after column of P."""
-        return (self.lever[:, :, None] * self.score[:, None, :]).reshape(-1, 6) if affine else self.score
+        if not affine:
+            return self.score
+        return (self.lever[:, :, None] * self.score[:, None, :]).reshape(-1, 6) + self.prior[1] / len(
+            self.lever
+        )
 
     def _sums(self, affine: bool) -> tuple[Floats, Floats]:
         """Normal matrix (P, P), solvable, and right side (P,) of all blocks."""
@@ -117,7 +115,8 @@ class Blocks:
             return _regularised(self.information.sum(axis=0)), self.score.sum(axis=0)
         by_lever = (self.lever[:, :, None] * self.lever[:, None, :]).reshape(-1, 9)
         n = (by_lever.T @ self.information.reshape(-1, 4)).reshape(3, 3, 2, 2)
-        return _regularised(n.transpose(0, 2, 1, 3).reshape(6, 6)), (self.lever.T @ self.score).ravel()
+        n = _regularised(n.transpose(0, 2, 1, 3).reshape(6, 6)) + self.prior[0]
+        return n, (self.lever.T @ self.score).ravel() + self.prior[1]
 
 
 def blocks_of(

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from boresight.gct_match.imaging.views import wide_mean
+from boresight.gct_match.imaging.views import View, wide_mean
 from boresight.gct_match.records import Image
 from boresight.records.record import Bools
 
@@ -50,7 +50,7 @@ def edge_field(image: Image) -> Image:
     return _field(image, _median_power(_strips(image)))
 
 
-def distinct_edges(grey: Image, valid: Bools, coarser: Image | None = None) -> Image:
+def distinct_edges(grey: Image, valid: Bools, coarser: View | None = None) -> Image:
     """(2, H, W) edge field z of a picture (H, W) less its mean around each pixel; zero where not `valid`.
 
     Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
@@ -58,14 +58,15 @@ def distinct_edges(grey: Image, valid: Bools, coarser: Image | None = None) -> I
     edges would not agree.
     """
     image = np.where(valid, grey, np.float32(np.nan))
-    if coarser is not None and _fineness(image) > _SHARPER * _fineness(coarser):
+    if coarser and _fineness(grey, valid) > _SHARPER * _fineness(coarser.grey, coarser.valid):
         image = cv2.GaussianBlur(image, (0, 0), _COARSER_PX)
     inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
     return np.stack([(plane - wide_mean(plane, _AROUND_PX)) * inner for plane in edge_field(image)])
 
 
-def _fineness(image: Image) -> float:
+def _fineness(grey: Image, valid: Bools) -> float:
     """Power of a picture's slopes over that after a Gaussian of 2 px."""
+    image = np.where(valid, grey, np.float32(np.nan))
     return float(_median_power([image]) / _median_power([cv2.GaussianBlur(image, (0, 0), 2.0)]))
 
 
