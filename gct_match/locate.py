@@ -27,7 +27,6 @@ from boresight.gct_match.search.correlation import (
     positions_under,
     probability_wrong,
     self_similarity,
-    spread_px2,
 )
 from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
@@ -227,25 +226,27 @@ def _of_changed(
     usable = usable_pixels(template.valid, picture.valid, peaks.xy[0] + corner)
     fit_pair = partial(fit_changed, one, two, usable, picture.grey, reference_px=reference_px)
     fit = fit_pair(peaks.xy[0] + corner, affine=True)
-    xy, likelihood = positions_under(surface, peak, REACH_PX)
+    xy, likelihood = positions_under(surface, peak, REACH_PX, turned=False)
+    shown = False
     if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
-        seen = turned(two, fit.xy_px, fit.affine)
-        other, at = edge_similarity(one, window(seen, *around)), np.round(fit.xy_px - reference_px - corner)
-        other_xy, other_likelihood = positions_under(other, at, REACH_PX)
+        seen, at = turned(two, fit.xy_px, fit.affine), np.round(fit.xy_px - reference_px - corner)
+        other = edge_similarity(one, window(seen, *around))
+        other_xy, other_likelihood = positions_under(other, at, REACH_PX, turned=True)
         other_likelihood -= _LOG_MAPS
-        if np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood):
+        shown = bool(np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood))
+        if shown:
             two, surface, peak = seen, other, at
-        else:
-            fit = fit_pair(fit.xy_px - reference_px, affine=False)
         xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
+    if not shown:
+        fit = fit_pair(fit.xy_px - reference_px if fit.converged else peaks.xy[0] + corner, affine=False)
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
     left, top = (peak + corner).astype(int).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
-    dates = _DATES_PX**2 * np.eye(2)
+    off, weight = xy - (fit.xy_px - reference_px - corner)[:, None], np.exp(likelihood - likelihood.max())
+    spread, dates = (weight * off) @ off.T / weight.sum(), _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 

@@ -115,8 +115,8 @@ class Blocks:
             return _regularised(self.information.sum(axis=0)), self.score.sum(axis=0)
         by_lever = (self.lever[:, :, None] * self.lever[:, None, :]).reshape(-1, 9)
         n = (by_lever.T @ self.information.reshape(-1, 4)).reshape(3, 3, 2, 2)
-        n = _regularised(n.transpose(0, 2, 1, 3).reshape(6, 6)) + self.prior[0]
-        return n, (self.lever.T @ self.score).ravel() + self.prior[1]
+        firm = _regularised(n.transpose(0, 2, 1, 3).reshape(6, 6))
+        return firm + self.prior[0], (self.lever.T @ self.score).ravel() + self.prior[1]
 
 
 def blocks_of(

@@ -21,15 +21,14 @@ __all__ = [
     "positions_under",
     "probability_wrong",
     "self_similarity",
-    "spread_px2",
 ]
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
 _FAR, _SHARED = 0.25, 0.25
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
-# Share of the independent values that changes of season leave to decide between places, and between positions
+# Share of the independent values that changes of season leave to decide between places; and between positions
 # under one peak (NAIP: errors are then as stated).
-_CHANGED = 0.5
+_CHANGED, _MOVED = 0.5, 0.6
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
@@ -91,24 +90,19 @@ def probability_wrong(
     return float(np.exp(wrong - np.logaddexp(wrong, here)))
 
 
-def positions_under(surface: Image, peak_xy: Floats, reach_px: int) -> tuple[Floats, Floats]:
+def positions_under(surface: Image, peak_xy: Floats, reach_px: int, *, turned: bool) -> tuple[Floats, Floats]:
     """Positions (2, N) within `reach_px` of a peak (x, y) of a correlation surface (R, C), at fractions of a
-    pixel, and the log-likelihood (N,) of each, as in `probability_wrong`.
+    pixel, and the log-likelihood (N,) of each, as in `probability_wrong`; lower for a picture that has been
+    `turned` to agree.
     """
     under = _under(surface, peak_xy, reach_px)
     offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
     x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
     inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
     fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
-    return np.stack([x[inside], y[inside]]).astype(float), _log_likelihood(fine, surface[~under])
-
-
-def spread_px2(xy: Floats, log_likelihood: Floats, fit_xy: Floats) -> Floats:
-    """Mean square (2, 2), px², of the distances from a fit (x, y) of positions (2, N)."""
-    weight = np.exp(log_likelihood - log_likelihood.max())
-    off = xy - fit_xy[:, None]
-    spread: Floats = (weight * off) @ off.T / weight.sum()
-    return spread
+    return np.stack([x[inside], y[inside]]).astype(float), _log_likelihood(
+        fine, surface[~under], _CHANGED if turned else _MOVED
+    )
 
 
 def self_similarity(template: Image) -> float:
@@ -145,11 +139,11 @@ def _under(surface: Image, peak_xy: Floats, reach_px: int | None) -> Bools:
     return under
 
 
-def _log_likelihood(correlation: NDArray, away: NDArray) -> Floats:
+def _log_likelihood(correlation: NDArray, away: NDArray, share: float = _CHANGED) -> Floats:
     """That of positions by their correlation; those `away` from the peak tell the number of independent
-    values.
+    values, of which a `share` counts.
     """
-    n = _CHANGED / max(float(np.mean(away.astype(float) ** 2)), 1e-6)
+    n = share / max(float(np.mean(away.astype(float) ** 2)), 1e-6)
     return -0.5 * n * np.log1p(-(np.clip(correlation.astype(float), 0.0, 0.99999) ** 2))
 
 
