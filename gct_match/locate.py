@@ -27,6 +27,7 @@ from boresight.gct_match.search.correlation import (
     positions_under,
     probability_wrong,
     self_similarity,
+    spread_px2,
 )
 from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
@@ -41,6 +42,7 @@ _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
+_LEAST_ALIKE = 0.3  # a lower peak leads to no sure fit (the lowest of one was 0.34)
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
 _TURNED_PX = 0.5  # by which a chip's rim is displaced by a map that must be shown
 _LOG_MAPS = 4.0  # log of the number of maps of which the most likely one is fitted
@@ -182,7 +184,7 @@ def _of_unchanged(
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
     surface = correlation_surface(template.normalised, window(picture.normalised, *around))
     peaks = peaks_of(surface, 3, 3)
-    if not (peaks.value[:1] > _UNSURE_CORRELATION).any():
+    if not (peaks.value > _LEAST_ALIKE).any():
         return not_matched(Reason.NO_CORRELATION)
     best, best_peak = None, peaks.xy[0]
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
@@ -236,17 +238,18 @@ def _of_changed(
         shown = bool(np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood))
         if shown:
             two, surface, peak = seen, other, at
-        xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
+            xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
     if not shown:
-        fit = fit_pair(fit.xy_px - reference_px if fit.converged else peaks.xy[0] + corner, affine=False)
+        moved_only = fit_pair(peaks.xy[0] + corner, affine=False)
+        fit = moved_only if moved_only.converged else fit
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
     left, top = (peak + corner).astype(int).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    off, weight = xy - (fit.xy_px - reference_px - corner)[:, None], np.exp(likelihood - likelihood.max())
-    spread, dates = (weight * off) @ off.T / weight.sum(), _DATES_PX**2 * np.eye(2)
+    spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
+    dates = _DATES_PX**2 * np.eye(2)
     fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 

@@ -21,6 +21,7 @@ __all__ = [
     "positions_under",
     "probability_wrong",
     "self_similarity",
+    "spread_px2",
 ]
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
@@ -103,6 +104,13 @@ def positions_under(surface: Image, peak_xy: Floats, reach_px: int, *, turned: b
     return np.stack([x[inside], y[inside]]).astype(float), _log_likelihood(
         fine, surface[~under], _CHANGED if turned else _MOVED
     )
+
+
+def spread_px2(xy: Floats, log_likelihood: Floats, fit_xy: Floats) -> Floats:
+    """Mean square (2, 2), px², of the distances of positions (2, N) from a fit (x, y)."""
+    weight, off = np.exp(log_likelihood - log_likelihood.max()), xy - fit_xy[:, None]
+    spread: Floats = (weight * off) @ off.T / weight.sum()
+    return spread
 
 
 def self_similarity(template: Image) -> float:
