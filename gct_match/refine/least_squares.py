@@ -28,7 +28,7 @@ from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.records.record import Bools, Floats, array, record, scalar
 
-__all__ = ["UNCHANGED_PX", "PositionFit", "fit_position", "usable_pixels"]
+__all__ = ["PositionFit", "fit_position", "usable_pixels"]
 
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
@@ -38,7 +38,6 @@ _ROUNDS = 4  # of weighting anew and fitting, at most (set by hand)
 _NEAR_PX = 0.05  # a coherence measured at a larger misalignment is biased
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error, from errors of the derivatives
 _SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate
-UNCHANGED_PX = 0.1  # a larger standard error: the weights may have chosen what agrees with the template
 _PIECE = 2048  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows only means over a pixel. The part of its
 # effect that the fit cannot model shifts the position where light and shadow lie on the same side of trees

@@ -19,16 +19,13 @@ from boresight.records.record import Floats, record
 
 __all__ = ["Blocks", "blocks_of"]
 
-# Blocks along the shorter side of a template for the jackknife: 64 blocks give its variance to 18 %, sqrt(2
-# / 64).
+# Blocks along the shorter side of a template for the jackknife: 64 give its variance to 18 %, sqrt(2 / 64).
 _ALONG_SIDE = 8
 _AFFINE_CHI2 = 18.5  # chi² of the four affine parameters that chance exceeds in 0.1 %
 _LARGEST_AFFINE = 0.05  # a larger map means that the template was predicted with a wrong model
 # Prior standard errors of an affine map: of scale and rotation (rad), and of both shears.
 _SIMILAR, _SHEARED = 0.02, 0.003
 _SMALLEST = 8  # pixels along a block's side: more than the correlation length of the residual
-
-
 # Scale, rotation and shears of an affine map, by its matrix, column after column; information on its six.
 _KINDS = 0.5 * np.array([[1, 0, 0, 1], [0, 1, -1, 0], [1, 0, 0, -1], [0, 1, 1, 0]])
 _KNOWN = np.pad((_KINDS.T / np.array([_SIMILAR, _SIMILAR, _SHEARED, _SHEARED]) ** 2) @ _KINDS, (0, 2))
@@ -42,10 +39,6 @@ class Blocks:
     score: Floats  # (B, 2)
     information: Floats  # (B, 2, 2)
     prior: tuple[Floats, Floats] = np.zeros((6, 6)), np.zeros(6)  # information and pull on an affine map
-
-    def with_scores_of(self, other: Blocks) -> Blocks:
-        """Of two planes of one template: scores and information of the same blocks add up."""
-        return Blocks(self.lever, self.score + other.score, self.information + other.information)
 
     def displacement(self, *, affine: bool) -> Floats:
         """Correction (2, 3), px, of the map from template to picture by the residuals of the blocks: its last
@@ -128,20 +121,22 @@ def blocks_of(
     pitch_px: float,
     along_side: int = _ALONG_SIDE,
 ) -> Blocks:
-    """Blocks of a template from gradients per px, residual and weight at every `pitch_px`-th pixel (h, w).
+    """Blocks of a template from gradients per px, residual and weight at every `pitch_px`-th pixel (h, w), or
+    of all its planes (K, h, w).
 
     `reference_px` (x, y), in pixels of the template, is the point whose displacement is wanted. Along the
     shorter side lie `along_side` blocks, fewer where these would be too small.
     """
-    h, w = residual.shape
+    h, w = residual.shape[-2:]
     side = max(_SMALLEST, min(h, w) // along_side)
     columns, rows = max(1, w // side), max(1, h // side)
     wx, wy = weight * gx, weight * gy
     products = np.stack([wx * residual, wy * residual, wx * gx, wx * gy, wy * gy])
-    by_block = (_shares(h, rows) @ products @ _shares(w, columns).T).reshape(5, -1).T.astype(float)
-    middles = _middles(h, w, columns, rows)
-    lever = np.ones((len(middles), 3))
-    lever[:, :2] = middles * pitch_px - reference_px
+    sums = _shares(h, rows) @ products @ _shares(w, columns).T
+    by_block = sums.reshape(5, -1, rows * columns).sum(axis=1).T.astype(float)
+    x, y = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in ((columns, w), (rows, h)))
+    middles = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
+    lever = np.column_stack([middles * pitch_px - reference_px, np.ones(len(middles))])
     return Blocks(lever, by_block[:, :2], by_block[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
 
@@ -150,14 +145,6 @@ def _shares(n: int, parts: int) -> Image:
     """(parts, n) share of each of n pixels of a line in each of its equal parts."""
     reached = np.clip(np.linspace(0.0, n, parts + 1)[:, None] - np.arange(n), 0.0, 1.0)
     return np.diff(reached, axis=0).astype(np.float32)
-
-
-@lru_cache(maxsize=32)
-def _middles(h: int, w: int, columns: int, rows: int) -> Floats:
-    """Middle (x, y) of each block of a template (h, w), its pixels."""
-    x = (np.arange(columns) + 0.5) * w / columns - 0.5
-    y = (np.arange(rows) + 0.5) * h / rows - 0.5
-    return np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
 
 
 def _regularised(normal: Floats) -> Floats:
