@@ -75,8 +75,8 @@ def _cases(images: Images, infrared: Images, cases: Sequence[str]) -> None:
     """Chips on a grid of all pairs of years, spoilt; places are held against a common offset by two others.
 
     NCC above 0.4 finds 4 to 35 chips of a pair, scattered by half a pixel: their median errs by up to 0.6 px.
-    Phase correlation finds 20 to 46 within a pixel of it, scattered by 0.2 px. These medians, added over three
-    years, miss zero by up to 0.4 px: the truth are offsets of years fitted to them.
+    Phase correlation finds 20 to 46 within a pixel of it, scattered by 0.2 px. These medians, added over
+    three years, miss zero by up to 0.4 px: the truth are offsets of years fitted to them.
     """
     offsets, chips_near = {}, {}
     for pair in combinations(images, 2):
