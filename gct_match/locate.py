@@ -230,7 +230,7 @@ def _of_changed(
         shown = bool(np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood))
         if shown:
             two, surface, peak = seen, other, at
-            xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
+        xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
     if not shown:
         fit = shifted if (shifted := fit_pair(affine=False)).converged else fit
     if not fit.converged:

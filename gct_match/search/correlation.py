@@ -29,7 +29,7 @@ _FAR, _SHARED = 0.25, 0.25
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 # Share of the independent values that changes of season leave to decide between places; and between positions
 # under one peak, also of a picture that was turned to agree (NAIP: errors are then as stated).
-_CHANGED, _MOVED, _TURNED = 0.5, 0.6, 0.45
+_CHANGED, _MOVED, _TURNED = 0.5, 0.6, 0.5
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
