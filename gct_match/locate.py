@@ -7,22 +7,19 @@ kept. A result that fails a test is returned as an `Entry` with its reason.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from boresight.gct_match.imaging.views import View, filled_with_mean, in_counts, view_of, window
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
-from boresight.gct_match.refine.changed import REACH_PX, fit_changed
-from boresight.gct_match.refine.least_squares import (
-    UNCHANGED_PX,
-    PositionFit,
-    fit_position,
-    usable_pixels,
-)
+from boresight.gct_match.refine.changed import REACH_PX, fit_changed, resampled
+from boresight.gct_match.refine.least_squares import PositionFit, fit_position, usable_pixels
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     peaks_of,
+    positions_under,
     probability_wrong,
     self_similarity,
     spread_px2,
@@ -39,8 +36,12 @@ __all__ = ["locate", "locate_template"]
 _SECOND_PEAK = 0.7
 _SELF_SIMILAR = 0.4  # of 441 false matches that passed every other test, one had a template below this
 _SURE_PX = 0.02  # a standard error that fits to parts which have moved do not have
+_UNCHANGED_PX = 0.1  # a larger one: the weights may have chosen what agrees with the template
 _UNSURE_CORRELATION = 0.4  # below, most of the chip has changed
+_LEAST_ALIKE = 0.3  # a lower peak leads to no sure fit (the lowest of one was 0.34)
 _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
+_TURNED_PX = 0.5  # by which a chip's rim is displaced by a map that must be shown
+_LOG_MAPS = 4.0  # log of the number of maps of which the most likely one is fitted
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
 _OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
@@ -134,10 +135,9 @@ def locate(
     grey = window(picture.grey, *around)[window(picture.valid, *around)]
     if np.ptp(grey) == 0.0:
         return not_matched(Reason.ONE_GREY_VALUE, float(grey[0]))
-    found = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
-    if isinstance(found, Entry) or not _is_sure(found.fit):
-        found = _of_changed(template, picture, start_px, radius_px, reference_px)
-    found = _tested(found, radius_px, template, settings)
+    sure = _of_unchanged(template, picture, start_px, radius_px, reference_px, settings)
+    either = sure or _of_changed(template, picture, start_px, radius_px, reference_px)
+    found = _tested(either, radius_px, template, settings)
     if isinstance(found, Entry):
         return found
     best = found.fit
@@ -173,31 +173,29 @@ def _of_unchanged(
     radius_px: int,
     reference_px: Floats,
     settings: MatchSettings,
-) -> _Found | Entry:
-    """The best fit to those parts of the template that are as the picture shows them."""
-    surface = _surface(template, picture, start_px, radius_px)
-    peaks = peaks_of(surface, 3, 3)
-    if len(peaks.value) == 0:
-        return not_matched(Reason.NO_CORRELATION)
-    best, best_peak = None, peaks.xy[0]
+) -> _Found | None:
+    """The best fit to those parts of the template that are as the picture shows them, if it is sure."""
+    (h, w), (x, y) = template.grey.shape, start_px
+    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
+    surface = correlation_surface(template.normalised, window(picture.normalised, *around))
+    peaks, best, best_peak = peaks_of(surface, 3, 3), None, np.zeros(2)
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
-        if value < _SECOND_PEAK * peaks.value[0]:
+        if value < max(_LEAST_ALIKE, _SECOND_PEAK * peaks.value[0]):
             break
         at = peak + start_px - radius_px
         fit = fit_position(template, picture, at, reference_px, settings.mtf_at_nyquist)
         if fit.converged and (best is None or fit.correlation > best.correlation):
             best, best_peak = fit, np.round(peak)
-    if best is None:
-        return not_matched(Reason.NOT_CONVERGED, more=(float(len(peaks.value)),))
+    if best is None or not _is_sure(best):
+        return None
     wrong = probability_wrong(surface, best_peak)
     return _Found(best, surface, best_peak, float(peaks.value[0]), wrong, np.zeros((2, 2)))
 
 
 def _is_sure(fit: PositionFit) -> bool:
     """Whether so much agrees with the template that its weights cannot have been chosen by a displacement."""
-    if fit.sigma_px > UNCHANGED_PX or fit.correlation < _UNSURE_CORRELATION:
-        return False
-    return fit.sigma_px < _SURE_PX or fit.correlation > _SURE_CORRELATION
+    alike = fit.sigma_px <= _UNCHANGED_PX and fit.correlation >= _UNSURE_CORRELATION
+    return alike and (fit.sigma_px < _SURE_PX or fit.correlation > _SURE_CORRELATION)
 
 
 def _of_changed(
@@ -211,31 +209,43 @@ def _of_changed(
     """
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
-    one, two = (distinct_edges(view.grey, view.valid) for view in (template, picture))
+    one = distinct_edges(template.grey, template.valid)
+    two = distinct_edges(picture.grey, picture.valid, coarser=template)
     surface = edge_similarity(one, window(two, *around))
     peaks = peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:
         return not_matched(Reason.NO_CORRELATION)
-    start, peak = peaks.xy[0] + start_px - radius_px, np.round(peaks.xy[0])
-    usable = usable_pixels(template.valid, picture.valid, start)
-    fit = fit_changed(one, two, usable, picture.grey, start, reference_px)
+    corner, peak = np.array(around[:2]), np.round(peaks.xy[0])
+    usable = usable_pixels(template.valid, picture.valid, peaks.xy[0] + corner)
+    fit_pair = partial(fit_changed, one, two, usable, peaks.xy[0] + corner, reference_px)
+    fit = fit_pair(affine=True)
+    xy, likelihood = positions_under(surface, peak, REACH_PX, turned=False)
+    shown = False
+    if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
+        A, at = np.eye(2) + fit.affine, np.round(fit.xy_px - reference_px - corner)
+        seen = resampled(two, np.column_stack([A, fit.xy_px - A @ fit.xy_px]), two.shape[1:])
+        other = edge_similarity(one, window(seen, *around))
+        other_xy, other_likelihood = positions_under(other, at, REACH_PX, turned=True)
+        other_likelihood -= _LOG_MAPS
+        shown = bool(np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood))
+        if shown:
+            two, surface, peak = seen, other, at
+        xy, likelihood = np.hstack([xy, other_xy]), np.hstack([likelihood, other_likelihood])
+    if not shown:
+        fit = shifted if (shifted := fit_pair(affine=False)).converged else fit
     if not fit.converged:
         return not_matched(Reason.NOT_CONVERGED, more=(1.0,))
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
-    left, top = (peak.astype(int) + around[:2]).tolist()
+    left, top = (peak + corner).astype(int).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    fit_xy = fit.xy_px - reference_px - start_px + radius_px
-    spread, dates = spread_px2(surface, peak, fit_xy, REACH_PX), _DATES_PX**2 * np.eye(2)
-    fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates), _OF_DATES * spread + dates
+    spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
+    dates = _DATES_PX**2 * np.eye(2)
+    A = np.eye(2) + fit.affine
+    of_corner = np.column_stack([A, fit.xy_px - A @ reference_px])
+    seen = resampled(picture.grey[None], of_corner, (h, w))[0]
+    fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates, found=seen), _OF_DATES * spread + dates
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
-
-
-def _surface(template: View, picture: View, start_px: tuple[int, int], radius_px: int) -> Image:
-    """Correlation (R, C) at whole pixels of the search window."""
-    (h, w), (x, y) = template.grey.shape, start_px
-    around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
-    return correlation_surface(template.normalised, window(picture.normalised, *around))
 
 
 def _tested(found: _Found | Entry, radius_px: int, template: View, settings: MatchSettings) -> _Found | Entry:

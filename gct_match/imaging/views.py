@@ -19,6 +19,7 @@ __all__ = [
     "in_counts",
     "normalised",
     "view_of",
+    "wide_mean",
     "window",
 ]
 
@@ -64,18 +65,18 @@ def normalised(image: Image, valid: Bools) -> Image:
     """Band-passed picture (H, W), divided by its local contrast and limited to ±3; zero where not valid."""
     if valid.all():
         fine = _fine(image)
-        fine -= _wide_mean(fine, _LOCAL_PX)
-        power = _wide_mean(fine * fine, _CONTRAST_PX)
+        fine -= wide_mean(fine, _LOCAL_PX)
+        power = wide_mean(fine * fine, _CONTRAST_PX)
     elif not valid.any():
         return np.zeros_like(image)
     else:
         weight = valid.astype(np.float32)
         image = np.where(valid, image, image[valid].mean()).astype(np.float32)
         fine = _fine(image)
-        fine -= _wide_mean(image * weight, _LOCAL_PX) / (_wide_mean(weight, _LOCAL_PX) + np.float32(1e-6))
+        fine -= wide_mean(image * weight, _LOCAL_PX) / (wide_mean(weight, _LOCAL_PX) + np.float32(1e-6))
         fine *= weight
-        part = _wide_mean(weight, _CONTRAST_PX) + np.float32(1e-6)
-        power = _wide_mean(fine * fine, _CONTRAST_PX) / part
+        part = wide_mean(weight, _CONTRAST_PX) + np.float32(1e-6)
+        power = wide_mean(fine * fine, _CONTRAST_PX) / part
     some = power[tuple(slice(None, None, max(1, n // 64)) for n in power.shape)]
     median = np.partition(some.ravel(), some.size // 2)[some.size // 2]
     floor = np.float32(_FLOOR**2 * float(median) + 1e-12)
@@ -99,7 +100,7 @@ def _fine(image: Image) -> Image:
     return cv2.GaussianBlur(image, (0, 0), _FINE_PX)
 
 
-def _wide_mean(image: Image, sigma_px: float) -> Image:
+def wide_mean(image: Image, sigma_px: float) -> Image:
     """Mean over a wide Gaussian, computed from means of 2 x 2 pixels."""
     h, w = image.shape
     small = cv2.resize(image, (max(1, w // 2), max(1, h // 2)), interpolation=cv2.INTER_AREA)

@@ -28,7 +28,7 @@ from boresight.gct_match.refine.template_blocks import Blocks, blocks_of
 from boresight.gct_match.refine.weighting import weighting
 from boresight.records.record import Bools, Floats, array, record, scalar
 
-__all__ = ["UNCHANGED_PX", "PositionFit", "fit_position", "usable_pixels"]
+__all__ = ["PositionFit", "fit_position", "usable_pixels"]
 
 _FARTHEST_PX = 2.5  # from the start
 _RIM = 3  # px: the filters reach this far over the template's edge, and over a hole's
@@ -38,11 +38,6 @@ _ROUNDS = 4  # of weighting anew and fitting, at most (set by hand)
 _NEAR_PX = 0.05  # a coherence measured at a larger misalignment is biased
 _SETTLED_PX = 0.02  # a step below this leaves a thirtieth of it as error, from errors of the derivatives
 _SETTLED_RIM_PX = 0.06  # the same at the template's rim, where an affine map is three times less accurate
-# A standard error below which weights are those of the noise and hold no fit, and the displacement with which
-# this is tried beyond it: about as large as the error, and less than the width of an edge.
-_FREE_PX, _TRIAL_PX = 0.03, 0.2
-UNCHANGED_PX = 0.1  # a larger standard error: the weights may have chosen what agrees with the template
-_LEAST_TAKEN_BACK = 0.3  # less is within the error of the trial
 _PIECE = 2048  # pixels whose columns stay in the processor's cache
 # A tone curve acts on the scene, of which the template shows only means over a pixel. The part of its
 # effect that the fit cannot model shifts the position where light and shadow lie on the same side of trees
@@ -133,7 +128,7 @@ def fit_position(
     if not warp.affine and last.blocks.show_affine(response):
         warp = _stepped(pair, warp, last.blocks.displacement(affine=True) / response)
         last = _round(pair, warp, weight)
-    return _fit_of(pair, last, weight)
+    return _fit_of(pair, last)
 
 
 def usable_pixels(template_valid: Bools, valid: Bools, start_px: Floats) -> Image:
@@ -252,16 +247,13 @@ def _near_start(pair: _Pair, matrix: Floats) -> Floats:
     return out
 
 
-def _fit_of(pair: _Pair, last: _Round, weight: Image) -> PositionFit:
-    """The fit after its last round, which began with the weights `weight` (h, w)."""
+def _fit_of(pair: _Pair, last: _Round) -> PositionFit:
+    """The fit after its last round."""
     equations, warp = last.equations, last.warp
     total = float(equations.weight.sum())
     cov = last.blocks.covariance(affine=warp.affine) / equations.response**2
     cov += _TONE_STRUCTURE_PX**2 / max(total, 1.0) * _tone_px2(equations, last.solution) * np.eye(2)
     far = np.abs(warp.matrix[:2, 2] - pair.start_px).max()
-    if equations.informative and warp.settled and _FREE_PX**2 < 0.5 * np.trace(cov) < UNCHANGED_PX**2:
-        freed = np.linalg.inv(_part_taken_back(pair, warp, weight))
-        cov = freed @ cov @ freed
     return PositionFit(
         xy_px=warp.matrix[:2, 2].copy(),
         cov_px=cov if equations.informative else np.diag([np.inf, np.inf]),
@@ -271,22 +263,6 @@ def _fit_of(pair: _Pair, last: _Round, weight: Image) -> PositionFit:
         found=last.found,
         residual=last.residual,
     )
-
-
-def _part_taken_back(pair: _Pair, warp: _Warp, weight: Image) -> Floats:
-    """Part (2, 2), symmetric, from `_LEAST_TAKEN_BACK` to one, of a displacement that a round takes back.
-
-    Weights and filter follow from the pair as it is displaced and hold it there in part: noise that displaces
-    a fit by d with weights that are given displaces it by d divided by this part.
-    """
-    back = np.empty((2, 2))
-    for k, axis in enumerate(np.eye(2)):
-        displaced = _stepped(pair, warp, np.column_stack([np.zeros((2, 2)), _TRIAL_PX * axis]))
-        after = _round(pair, displaced, weight).warp
-        back[:, k] = (after.matrix[:2, 2] - displaced.matrix[:2, 2]) / _TRIAL_PX
-    part, directions = np.linalg.eigh(0.5 * (back + back.T))
-    taken: Floats = (directions * np.clip(part, _LEAST_TAKEN_BACK, 1.0)) @ directions.T
-    return taken
 
 
 def _tone_px2(equations: _Equations, solution: Floats) -> float:

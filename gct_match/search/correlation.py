@@ -18,6 +18,7 @@ __all__ = [
     "Peaks",
     "correlation_surface",
     "peaks_of",
+    "positions_under",
     "probability_wrong",
     "self_similarity",
     "spread_px2",
@@ -27,8 +28,8 @@ __all__ = [
 _FAR, _SHARED = 0.25, 0.25
 _PRIOR_ABSENT = 0.05  # prior probability that the target is not visible where it should be
 # Share of the independent values that changes of season leave to decide between places; and between positions
-# under one peak (NAIP: errors are then as stated).
-_CHANGED, _MOVED = 0.5, 0.6
+# under one peak, also of a picture that was turned to agree (NAIP: errors are then as stated).
+_CHANGED, _MOVED, _TURNED = 0.5, 0.6, 0.5
 _PARTS = 4  # of a pixel, between which likelihoods of positions are nearly linear
 
 
@@ -90,20 +91,23 @@ def probability_wrong(
     return float(np.exp(wrong - np.logaddexp(wrong, here)))
 
 
-def spread_px2(surface: Image, peak_xy: Floats, fit_xy: Floats, reach_px: int) -> Floats:
-    """Mean square (2, 2), px², of the distances from a fit (x, y) of the positions within `reach_px` of a
-    peak (x, y) that a correlation surface (R, C) leaves possible.
-
-    Likelihoods are those of `probability_wrong`, at fractions of a pixel.
+def positions_under(surface: Image, peak: Floats, reach_px: int, *, turned: bool) -> tuple[Floats, Floats]:
+    """Positions (2, N) within `reach_px` of a peak (x, y) of a correlation surface (R, C), at fractions of a
+    pixel, and the log-likelihood (N,) of each; lower for a picture that was `turned` to agree.
     """
-    under = _under(surface, peak_xy, reach_px)
+    under = _under(surface, peak, reach_px)
     offset = np.linspace(-reach_px, reach_px, 2 * reach_px * _PARTS + 1)
-    x, y = np.meshgrid(*(np.round(peak_xy)[:, None] + offset).astype(np.float32))
+    x, y = np.meshgrid(*(np.round(peak)[:, None] + offset).astype(np.float32))
     inside = cv2.remap(under.astype(np.uint8), x, y, cv2.INTER_NEAREST) > 0
     fine = cv2.remap(surface, x, y, cv2.INTER_CUBIC)[inside]
-    log_likelihood = _log_likelihood(fine, surface[~under], _MOVED)
-    weight = np.exp(log_likelihood - log_likelihood.max())
-    off = np.stack([x[inside], y[inside]]) - fit_xy[:, None]
+    return np.stack([x[inside], y[inside]]).astype(float), _log_likelihood(
+        fine, surface[~under], _TURNED if turned else _MOVED
+    )
+
+
+def spread_px2(xy: Floats, log_likelihood: Floats, fit_xy: Floats) -> Floats:
+    """Mean square (2, 2), px², of the distances of positions (2, N) from a fit (x, y)."""
+    weight, off = np.exp(log_likelihood - log_likelihood.max()), xy - fit_xy[:, None]
     spread: Floats = (weight * off) @ off.T / weight.sum()
     return spread
 

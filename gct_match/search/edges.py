@@ -18,6 +18,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from boresight.gct_match.imaging.views import View, wide_mean
 from boresight.gct_match.records import Image
 from boresight.records.record import Bools
 
@@ -37,6 +38,8 @@ FULL = np.float32(127.0)  # 8 bit value of |z| = 1
 
 _FLOOR = np.float32(0.1)  # of the template's power: least power of the edges under it
 _AROUND_PX = 6.0  # sigma of a Gaussian: neighbourhood whose mean direction tells nothing about the place
+# Pairs of one resolution differ in `_fineness` by 1.0 (0.5 to 1.6), references of 4 x coarser pixels by 2.5.
+_SHARPER, _COARSER_PX = 2.0, 1.0
 _PARTS = 6  # along a template's longer side, for `agreeing_parts`: of 21 px on a chip of 128 px
 _BAND = 64  # rows of the field at a time: they stay in the cache
 _STRIPS, _ROWS = 24, 16  # strips of so many rows from which a large picture's median is estimated
@@ -47,15 +50,27 @@ def edge_field(image: Image) -> Image:
     return _field(image, _median_power(_strips(image)))
 
 
-def distinct_edges(grey: Image, valid: Bools) -> Image:
+def distinct_edges(grey: Image, valid: Bools, coarser: View | None = None) -> Image:
     """(2, H, W) edge field z of a picture (H, W) less its mean around each pixel; zero where not `valid`.
 
     Furrows, dunes and lines of trees have one direction over a large area: z alone correlates with itself
-    along all of it.
+    along all of it. A picture with more fine detail than a `coarser` reference is smoothed first: its finest
+    edges would not agree.
     """
-    field = edge_field(np.where(valid, grey, np.float32(np.nan)))
+    image = np.where(valid, grey, np.float32(np.nan))
+    if coarser and _fineness(grey, valid) > _SHARPER * _fineness(coarser.grey, coarser.valid):
+        image = cv2.GaussianBlur(image, (0, 0), _COARSER_PX)
     inner = cv2.erode(valid.astype(np.float32), np.ones((3, 3), np.uint8))
-    return np.stack([(plane - cv2.GaussianBlur(plane, (0, 0), _AROUND_PX)) * inner for plane in field])
+    return np.stack([(plane - wide_mean(plane, _AROUND_PX)) * inner for plane in edge_field(image)])
+
+
+def _fineness(grey: Image, valid: Bools) -> float:
+    """Power of a picture's slopes over that after a Gaussian of 2 px."""
+    image = np.where(valid, grey, np.float32(np.nan))
+    some = range(0, len(image), 16)  # of the rows, for speed
+    smooth = cv2.GaussianBlur(image, (0, 0), 2.0)
+    fine, coarse = (_median_power([one[k : k + 6] for k in some]) for one in (image, smooth))
+    return float(fine / coarse)
 
 
 def coarse_edge_fields(image: Image) -> tuple[Image, Image]:
@@ -89,15 +104,12 @@ def edge_similarity(template: Image, field: Image) -> Image:
     (2, H, W); normalisation removes the preference for ground full of edges.
     """
     h, w = template.shape[1:]
-    inner = slice(0, field.shape[1] - h + 1), slice(0, field.shape[2] - w + 1)
-    real, imaginary = (
-        cv2.filter2D(plane, -1, kernel, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
-        for kernel, plane in zip(centred(template), field, strict=True)
-    )
+    planes = zip(field, centred(template), strict=True)
+    product = sum(cv2.matchTemplate(plane, kernel, cv2.TM_CCORR) for plane, kernel in planes)
     power = field[0] * field[0]
     power += field[1] * field[1]
-    under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[inner]
-    return normalised_correlation(real + imaginary, template, under)
+    under = cv2.boxFilter(power, -1, (w, h), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    return normalised_correlation(product, template, under[: len(product), : product.shape[1]])
 
 
 def agreeing_parts(template: Image, field: Image) -> float:

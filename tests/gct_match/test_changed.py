@@ -41,7 +41,7 @@ def dates(seed: int) -> tuple[NDArray, NDArray, NDArray]:
 
 @pytest.fixture(scope="module")
 def outcomes() -> list[tuple[TemplateMatch | Entry, NDArray]]:
-    return [(looked_for(t, w, SETTINGS), at) for t, w, at in map(dates, range(40))]
+    return [(looked_for(t, w, SETTINGS), at) for t, w, at in map(dates, range(120))]
 
 
 def test_chips_of_changed_ground_are_kept(outcomes: list):

@@ -8,6 +8,7 @@ from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.correlation import (
     correlation_surface,
     peaks_of,
+    positions_under,
     probability_wrong,
     spread_px2,
 )
@@ -68,7 +69,8 @@ def test_spread_of_positions_grows_with_their_distance_from_the_fit_and_for_a_lo
 
     def spread(height: float, fit_x: float = 16.4) -> NDArray:
         seen = far + height * np.exp(-((x - 16.4) ** 2 + (y - 16.3) ** 2) / (2.0 * 2.0**2))
-        return spread_px2(seen, np.array([16.0, 16.0]), np.array([fit_x, 16.3]), 3)
+        xy, likelihood = positions_under(seen, np.array([16.0, 16.0]), 3, turned=False)
+        return spread_px2(xy, likelihood, np.array([fit_x, 16.3]))
 
     high, low = spread(0.5), spread(0.2)
     assert np.linalg.eigvalsh(low).min() > np.linalg.eigvalsh(high).max()  # a lower peak tells less
