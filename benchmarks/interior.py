@@ -22,10 +22,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from four_ccds import four_ccds, map_difference_px
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.features.interior.interior_estimate import (
-    InteriorEstimate,
-    calibrate_interior,
-)
+from boresight.features.interior.interior_estimate import InteriorEstimate, calibrate_interior
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.features.interior.interior_parameters import InteriorModel, InteriorPriors
 from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude

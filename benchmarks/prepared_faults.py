@@ -100,9 +100,7 @@ def principal_point(dump: Path, moved_px: float = PRINCIPAL_PX) -> None:
     text = (dump / "star_camera.toml").read_text()
     x = float(re.search(r"principal_point_px = \[([\d.]+)", text).group(1))
     change(
-        dump / "star_camera.toml",
-        r"principal_point_px = \[[\d.]+",
-        f"principal_point_px = [{x + moved_px}",
+        dump / "star_camera.toml", r"principal_point_px = \[[\d.]+", f"principal_point_px = [{x + moved_px}"
     )
 
 
@@ -181,10 +179,7 @@ def first_screen(page: str) -> str:
 def said(page: str, opened: str) -> Iterator[str]:
     """Verdict, what is to be looked at, and the reason on the card."""
     header = page[page.index("<header>") : page.index("</header>")]
-    for kind, inner in (
-        ("verdict", r'<p class="verdict.*?</strong>'),
-        ("says", r"<li>.*?</li>"),
-    ):
+    for kind, inner in (("verdict", r'<p class="verdict.*?</strong>'), ("says", r"<li>.*?</li>")):
         part = header.partition('<div class="buttons">')[0]  # the map has lists of its own
         for found in re.findall(inner, part, flags=re.DOTALL):
             yield f"{kind:10s}{plain(found)}"

@@ -333,11 +333,7 @@ def noise(options: argparse.Namespace) -> None:
     print(f"{chance / strips:.4f} names a strip where the mounting is known beforehand")
 
 
-WHAT = {
-    "missions": (missions, 12),
-    "trackers": (trackers, 8),
-    "noise": (noise, 40),
-}
+WHAT = {"missions": (missions, 12), "trackers": (trackers, 8), "noise": (noise, 40)}
 
 
 def main() -> int:

@@ -22,15 +22,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.records.record import array, record, scalar
 
-__all__ = [
-    "InformationPairs",
-    "Iteration",
-    "Solution",
-    "corrected",
-    "exact_sum",
-    "solve_total",
-    "theta_of",
-]
+__all__ = ["InformationPairs", "Iteration", "Solution", "corrected", "exact_sum", "solve_total", "theta_of"]
 
 Array = NDArray[np.float64]
 

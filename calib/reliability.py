@@ -569,12 +569,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
 
 
 def _finding(
-    one: _Adjustment,
-    best: int,
-    trials: dict[int, _Fit],
-    rivals: Sequence[int],
-    p_value: float,
-    before: _Fit,
+    one: _Adjustment, best: int, trials: dict[int, _Fit], rivals: Sequence[int], p_value: float, before: _Fit
 ) -> Finding:
     """The cause `best`; its harm is that of the rival which moves the matrix most."""
     h, fit = one.table[best], trials[best]

@@ -20,12 +20,7 @@ from boresight.calib.hypotheses import MovedInput
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_estimate import AttitudeSettings, with_attitudes
 from boresight.geometry.gyro import GyroRows, longest_without_gap
-from boresight.geometry.sightings import (
-    ExposureAttitudes,
-    GroundSightings,
-    HeadAttitudes,
-    StripSightings,
-)
+from boresight.geometry.sightings import ExposureAttitudes, GroundSightings, HeadAttitudes, StripSightings
 from boresight.records.record import Floats, Ints, concatenated
 
 __all__ = ["groups_of", "moved_in_passes", "passes_of"]

@@ -28,22 +28,11 @@ from boresight.star_id.fisheye import FISHEYE_RAD
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_model import LARGEST_UNMODELLED_PX, LensModel, choose_lens, unmodelled_px
-from boresight.star_id.observer import (
-    ABERRATION_SCALE,
-    Observer,
-    proper_motion_covariance,
-    star_directions,
-)
+from boresight.star_id.observer import ABERRATION_SCALE, Observer, proper_motion_covariance, star_directions
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import select_for_calibration
 
-__all__ = [
-    "CameraCalibration",
-    "ResidualMap",
-    "SkyFrame",
-    "calibrate_camera",
-    "residual_map",
-]
+__all__ = ["CameraCalibration", "ResidualMap", "SkyFrame", "calibrate_camera", "residual_map"]
 
 
 # Random pixel maps drawn from the covariance for the error that holds anywhere on the detector with 95 %;

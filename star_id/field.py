@@ -53,12 +53,7 @@ from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
 from boresight.star_id.lens_misfit import PER_PARAMETER
 from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
-from boresight.star_id.observer import (
-    ABERRATION_SCALE,
-    Observer,
-    proper_motion_covariance,
-    star_directions,
-)
+from boresight.star_id.observer import ABERRATION_SCALE, Observer, proper_motion_covariance, star_directions
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.sight import explained, field_of_camera, select_for_calibration, tangent_coordinates
 

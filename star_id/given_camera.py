@@ -93,10 +93,7 @@ def fit_scaled_camera(
         departing = _departing(camera, xy_px, cov_px, u_i, fit)
         if departing is not None and departing.misfit_px > 0.0:
             return ScaledFit(
-                R_si=departing.R_si,
-                log_scale=0.0,
-                covariance=departing.cov_s,
-                misfit_px=departing.misfit_px,
+                R_si=departing.R_si, log_scale=0.0, covariance=departing.cov_s, misfit_px=departing.misfit_px
             )
     variance_factor = max(1.0, fit.chi2 / max(fit.dof, 1))
     return ScaledFit(

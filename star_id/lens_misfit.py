@@ -507,13 +507,7 @@ def _multiplied(columns: Floats, matrix: Floats) -> Floats:
 
 
 def _columns(
-    camera: StarCamera,
-    u_s: Floats,
-    xy_px: Floats,
-    slopes: Floats,
-    free: tuple[str, ...],
-    *,
-    stretched: bool,
+    camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats, free: tuple[str, ...], *, stretched: bool
 ) -> Floats:
     """(N, 2, P) derivatives of the pixels of directions (N, 3), frame s, by the unknowns."""
     A, known = rotation_derivatives(camera, u_s), 3 + len(free)

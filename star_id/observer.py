@@ -16,13 +16,7 @@ from boresight.geometry.starlight import Air, apparent_star_directions, catalogu
 from boresight.records.record import Floats, Ints, array, record, scalar
 from boresight.star_id.identification.triangle_index import StarIndex
 
-__all__ = [
-    "ABERRATION_SCALE",
-    "Observer",
-    "proper_motion_covariance",
-    "sky_directions",
-    "star_directions",
-]
+__all__ = ["ABERRATION_SCALE", "Observer", "proper_motion_covariance", "sky_directions", "star_directions"]
 
 # Steps of inverting the refraction: each reduces the error by its change with altitude, 100 times and more.
 REFRACTION_STEPS = 4

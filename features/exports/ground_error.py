@@ -12,10 +12,7 @@ import numpy as np
 
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.results.place_errors import PassErrors, covariance_of_places
-from boresight.pipeline.results.strip_model import (
-    Calibrated,
-    StripModel,
-)
+from boresight.pipeline.results.strip_model import Calibrated, StripModel
 from boresight.records.record import record, scalar
 
 __all__ = ["GroundError", "ground_error"]

@@ -13,15 +13,7 @@ from numpy.typing import NDArray
 from boresight.gct_match.records import Image
 from boresight.records.record import Bools, array, record
 
-__all__ = [
-    "View",
-    "filled_with_mean",
-    "in_counts",
-    "normalised",
-    "view_of",
-    "wide_mean",
-    "window",
-]
+__all__ = ["View", "filled_with_mean", "in_counts", "normalised", "view_of", "wide_mean", "window"]
 
 _FINE_PX, _LOCAL_PX, _CONTRAST_PX = 0.8, 4.0, 6.0  # pass band and the neighbourhood of the contrast
 _COUNTS = 50.0  # standard deviation of a usual picture of 8 bits

@@ -263,10 +263,7 @@ def _heights(basis: Basis, targets: Mapping[str, Target], tasks: Sequence[StripT
 
 
 def heights(
-    names: Sequence[str],
-    above_m: Floats,
-    geoid_m: Callable[[], float],
-    strips: Mapping[str, Collection[str]],
+    names: Sequence[str], above_m: Floats, geoid_m: Callable[[], float], strips: Mapping[str, Collection[str]]
 ) -> Iterator[Finding]:
     """Targets (N) that lie above or below the terrain model: all of them, several alike, or single ones;
     `strips` have the names of those in view, `geoid_m` the geoid's height over the ellipsoid there.

@@ -38,11 +38,7 @@ from boresight.pipeline.stages.strip_tasks import strip_tasks
 from boresight.records.ledger import Entry, Kind, Reason, list_words
 from boresight.records.record import Floats
 
-__all__ = [
-    "cause_of_no_result",
-    "what_is_missing",
-    "wrong_convention",
-]
+__all__ = ["cause_of_no_result", "what_is_missing", "wrong_convention"]
 
 MIRROR_TRIALS = 3  # exposures
 FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain

@@ -20,13 +20,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import Finding
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
-from boresight.pipeline.diagnosis.losses import (
-    Crossings,
-    as_bright_as_named,
-    crossings,
-    names,
-    stars_found,
-)
+from boresight.pipeline.diagnosis.losses import Crossings, as_bright_as_named, crossings, names, stars_found
 from boresight.pipeline.files.dates import other_scales
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import StripPoints

@@ -55,12 +55,7 @@ def strips_on_sky(saved: Saved, rows: Sequence[SeenCard]) -> Drawing | None:
 
 
 def _panel(
-    saved: Saved,
-    figure: Figure,
-    cell: Sequence[float],
-    strip: str,
-    rows: Sequence[SeenCard],
-    largest: float,
+    saved: Saved, figure: Figure, cell: Sequence[float], strip: str, rows: Sequence[SeenCard], largest: float
 ) -> list[Spot]:
     """Draws one strip; the marks of its stars."""
     index = np.array([row.row for row in rows])

@@ -60,12 +60,7 @@ class PassErrors:
 
     @classmethod
     def of(
-        cls,
-        result: SavedResult,
-        dump: Dump,
-        strip: Strip,
-        track: AttitudeTrack,
-        sigma_terrain_m: float,
+        cls, result: SavedResult, dump: Dump, strip: Strip, track: AttitudeTrack, sigma_terrain_m: float
     ) -> PassErrors:
         """Of a strip with its attitudes."""
         (first, last), (begin, end) = dump.span_s(strip), track.span_s

@@ -63,10 +63,7 @@ def sight_head(dump: Dump, head: Head, settings: Settings, runner: StageRunner) 
     failed = [one for one in outcomes if isinstance(one, Entry)]
     fit = calibration_settings(settings, dump.errors, dump.line_camera).attitudes
     return HeadSightings(
-        head=head,
-        stars=tuple(stars),
-        attitudes=fit_exposures(stars, fit),
-        omissions=(*uncovered, *failed),
+        head=head, stars=tuple(stars), attitudes=fit_exposures(stars, fit), omissions=(*uncovered, *failed)
     )
 
 

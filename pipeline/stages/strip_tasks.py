@@ -23,20 +23,11 @@ from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
-from boresight.pipeline.stages.strip import (
-    StripTask,
-    pushbroom_of,
-    targets_near,
-)
+from boresight.pipeline.stages.strip import StripTask, pushbroom_of, targets_near
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.records.record import Bools, Floats
 
-__all__ = [
-    "before_launch",
-    "fitting_slip",
-    "strip_tasks",
-    "strips_to_match",
-]
+__all__ = ["before_launch", "fitting_slip", "strip_tasks", "strips_to_match"]
 
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
 

@@ -34,11 +34,7 @@ from boresight.star_id.finding.psf import (
 )
 from boresight.star_id.finding.windows import StarWindows, star_windows
 
-__all__ = [
-    "explains_better",
-    "find_coma",
-    "find_trail",
-]
+__all__ = ["explains_better", "find_coma", "find_trail"]
 
 # Squared length of a comatic fan over half the trace of its second moments: turns the growth of widths into
 # the length to start from.

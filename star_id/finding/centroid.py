@@ -132,13 +132,7 @@ def covariance_inflation(chi2: Floats, dof: Floats, snr: Floats) -> Floats:
 
 
 def _fit(
-    windows: StarWindows,
-    pixels: Ints,
-    start: Floats,
-    sigma: Floats,
-    psf: Psf,
-    gain: float,
-    one_step: bool,
+    windows: StarWindows, pixels: Ints, start: Floats, sigma: Floats, psf: Psf, gain: float, one_step: bool
 ) -> StarFits:
     if len(pixels) == 0:
         return _no_fits()

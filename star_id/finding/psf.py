@@ -70,8 +70,7 @@ class Psf:
         default=0.0,
     )
     scale_sigma: float = scalar(
-        "1-sigma error of all distances from the image's middle, relative, by that of the fan",
-        default=0.0,
+        "1-sigma error of all distances from the image's middle, relative, by that of the fan", default=0.0
     )
     shape: NDArray[Any] | None = scalar(
         "(T, T) spline coefficients of a star's image, FINE points a pixel; None: a smeared Gaussian",

@@ -11,10 +11,7 @@ from four_ccds import four_ccds, map_difference_px
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
-from boresight.features.interior.interior_estimate import (
-    InteriorEstimate,
-    calibrate_interior,
-)
+from boresight.features.interior.interior_estimate import InteriorEstimate, calibrate_interior
 from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera

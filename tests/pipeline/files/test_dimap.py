@@ -128,15 +128,9 @@ DAMAGED = {
         as_version_2(dimap_text()).replace("<LINE_PERIOD>0.0735<", "<LINE_PERIOD>0.1<"),
         "^a.xml: [^:]*LINE_PERIOD",
     ),
-    "another model": (
-        as_version_2(dimap_text()).replace("Refined_Model>", "Other>"),
-        "^a.xml: root element",
-    ),
+    "another model": (as_version_2(dimap_text()).replace("Refined_Model>", "Other>"), "^a.xml: root element"),
     "no such polynomial": (as_version_2(dimap_text()).replace("XLOS_0>", "XLOS_9>"), "^a.xml: [^:]*XLOS_0"),
-    "no offset": (
-        as_version_2(dimap_text()).replace("<OFFSET>38935.0</OFFSET>", ""),
-        "^a.xml: [^:]*OFFSET",
-    ),
+    "no offset": (as_version_2(dimap_text()).replace("<OFFSET>38935.0</OFFSET>", ""), "^a.xml: [^:]*OFFSET"),
     "quaternions that are none": (
         as_version_2(dimap_text(), listed=True).replace("<Q0>0.", "<Q0>0.9", 1),
         "length",

@@ -18,10 +18,7 @@ from boresight.pipeline.diagnosis.input_findings import heights
 from boresight.pipeline.diagnosis.losses import lost_strip, lost_targets
 from boresight.pipeline.diagnosis.suspects import single_targets
 from boresight.pipeline.files.terrain_files import surface_of
-from boresight.pipeline.report.findings import (
-    clouds,
-    spread,
-)
+from boresight.pipeline.report.findings import clouds, spread
 from boresight.pipeline.report.unmatched import pictures_at
 from boresight.pipeline.stages.strip import _not_matched, compass, displaced_m, pushbroom_of
 from boresight.records.ledger import Entry, Kind, Reason, State, Subject

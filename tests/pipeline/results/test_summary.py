@@ -49,10 +49,7 @@ def calibration(**changed: Any) -> Any:
         "periodic": (),
         "targets": SimpleNamespace(doubtful=()),
     } | changed
-    ranges_m = [
-        np.array([510e3, np.nan, 560e3]),
-        np.array([640e3]),
-    ]  # one look sees none; mean 570 km
+    ranges_m = [np.array([510e3, np.nan, 560e3]), np.array([640e3])]  # one look sees none; mean 570 km
     estimate["of_camera"] = lambda name: (estimate["R_cs"], None)
     return SimpleNamespace(
         estimate=SimpleNamespace(**estimate),
