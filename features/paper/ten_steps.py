@@ -1,5 +1,5 @@
-"""The paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B (section 2.3,
-appendix B).
+"""Nine of the paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B (section
+2.3, appendix B).
 
 This is the reference that the fast forms are held to. Frames: star vectors `u_s` in s, targets `w_c` in c,
 their known directions `v_stars`, `v_targets` in i; one attitude for the whole frame. Sign of H: the paper
@@ -14,9 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.installation import deviation_from_theta
-
-__all__ = ["calibrate_literally", "frame_information_literally"]
+__all__ = ["frame_information_literally"]
 
 Array = NDArray[np.float64]
 
@@ -53,28 +51,3 @@ def frame_information_literally(
     zeta, C, S = zeta[:l_max], C[:l_max], S[:l_max]  # step 8
     weighted = C / S[:, None] ** 2
     return weighted.T @ C, weighted.T @ zeta  # step 9, (A13)
-
-
-def calibrate_literally(
-    frames: list[tuple[Array, Array, Array, Array, Array, Array]],
-    R_cs0: Rotation,
-    *,
-    most_iterations: int = 10,
-) -> tuple[Rotation, Array, int]:
-    """All ten steps over frames (u_s, v_stars, sigma_s, w_c, v_targets, sigma_c), iterated until M is the
-    identity.
-
-    Returns R_cs, its covariance P_theta_theta (3, 3) rad² in frame c, and the number of iterations. Raises
-    `ValueError` when M has not come to within 1e-12 rad of the identity.
-    """
-    R_cs = R_cs0
-    for iteration in range(1, most_iterations + 1):
-        pairs = [frame_information_literally(*frame, R_cs) for frame in frames]
-        F = np.sum([pair[0] for pair in pairs], axis=0)
-        theta = np.linalg.solve(F, np.sum([pair[1] for pair in pairs], axis=0))
-        R_cs = deviation_from_theta(theta) * R_cs  # step 10, (11)
-        if np.linalg.norm(theta) < 1e-12:
-            return R_cs, np.linalg.inv(F), iteration
-    raise ValueError(
-        f"M is still {np.linalg.norm(theta):.2g} rad from the identity after {most_iterations} iterations"
-    )

@@ -16,7 +16,7 @@ from strips import R_CS, strip
 from boresight.calib.information import solve_total
 from boresight.features.exports.virtual_ccd import virtual_camera
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.features.paper.ten_steps import calibrate_literally, frame_information_literally
+from boresight.features.paper.ten_steps import frame_information_literally
 from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
@@ -243,10 +243,22 @@ def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray,
     shown("A12", "relative slope of the likelihood at theta", slope, 1e-6)
 
 
+def in_ten_steps(frames: list[tuple[np.ndarray, ...]], R_cs: Rotation) -> tuple[Rotation, np.ndarray, int]:
+    """All ten steps over frames, until M is the identity to 1e-12 rad: R_cs, its covariance, iterations."""
+    for iteration in range(1, 11):
+        pairs = [frame_information_literally(*frame, R_cs) for frame in frames]
+        F, right = (np.sum(part, axis=0) for part in zip(*pairs))
+        theta = np.linalg.solve(F, right)
+        R_cs = deviation_from_theta(theta) * R_cs  # step 10, (11)
+        if np.linalg.norm(theta) < 1e-12:
+            return R_cs, np.linalg.inv(F), iteration
+    raise AssertionError(f"M is still {np.linalg.norm(theta):.2g} rad from the identity")
+
+
 def forms_and_line(rng: np.random.Generator, shown: Shown) -> None:
     frames = draw_frames(6, 60, 20, 0.06, 0.3, CAMERAS, rng)
     each = [frames.frame(k) for k in range(len(frames))]
-    R_cs, covariance, iterations = calibrate_literally(each, R_CS0)
+    R_cs, covariance, iterations = in_ten_steps(each, R_CS0)
     F, _ = frame_pairs(prepare_frames(frames), R_cs)
     literal = np.array([frame_information_literally(*frame, R_cs)[0] for frame in each])
     shown("A13", "information form and truncated SVD", largest(F, literal) / np.abs(literal).max(), 1e-9)
