@@ -1,5 +1,5 @@
-"""Nine of the paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B (section
-2.3, appendix B).
+"""Nine of the paper's ten steps, literally: one frame of vectors to (F, F theta) through the SVD of B
+(section 2.3, appendix B).
 
 This is the reference that the fast forms are held to. Frames: star vectors `u_s` in s, targets `w_c` in c,
 their known directions `v_stars`, `v_targets` in i; one attitude for the whole frame. Sign of H: the paper

@@ -42,8 +42,8 @@ def fit_changed(
     power = float(np.vdot(weighted, template)) + 1e-30
     gx, gy = map(np.stack, zip(*map(gradient, template)))
     # a derivative's transpose is its negative: common slopes are the picture's product with this
-    bent = np.stack([-gradient(usable * x)[0] - gradient(usable * y)[1] for x, y in zip(gx, gy)])
-    own = float(np.vdot(bent, template)) + 1e-30
+    slopes = np.stack([-gradient(usable * x)[0] - gradient(usable * y)[1] for x, y in zip(gx, gy)])
+    own = float(np.vdot(slopes, template)) + 1e-30
     first = start_px + reference_px
     warp, from_corner, settled = np.eye(3), np.eye(3), False
     warp[:2, 2], from_corner[:2, 2] = first, -reference_px
@@ -51,7 +51,7 @@ def fit_changed(
         found = resampled(picture, warp @ from_corner, shape)
         gain = float(np.vdot(weighted, found)) / power
         residual = found - np.float32(gain) * template
-        response = max(float(np.vdot(bent, found)) / own, 1e-3)
+        response = max(float(np.vdot(slopes, found)) / own, 1e-3)
         blocks = blocks_of(gx, gy, residual, usable, reference_px, 1.0, _ALONG_SIDE)
         blocks = blocks.with_prior(warp[:2, :2] - np.eye(2), response)
         P = blocks.displacement(affine=affine) / response
