@@ -1,6 +1,5 @@
 """The page of trends in a real headless Chromium: widths, both schemes, axe, and points by keyboard."""
 
-import asyncio
 import sys
 from pathlib import Path
 
@@ -10,9 +9,9 @@ from drawn_mission import utc_at
 from test_archive import mission_in
 
 sys.path.append(str(Path(__file__).parents[2] / "pipeline" / "report"))
-from test_report_in_browser import CHROMIUM, address, brightness, opened, violations
+from test_report_in_browser import CHROMIUM, brightness, browser, chromium, violations
 
-__all__ = ["address"]  # a fixture
+__all__ = ["browser", "chromium"]  # fixtures
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="NO CHROMIUM FOUND: the page was not looked at")
 
 
@@ -28,21 +27,16 @@ def page(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(400, "light"), (1280, "dark"), (2560, "light")])
-def test_the_page_of_trends_fits_and_is_walked_by_keyboard(address, page, width, scheme):
-    async def look():
-        browser = await opened(address)
-        facts = await browser.go(page, width, scheme)
-        found = await violations(browser)
-        here = "document.activeElement.closest('svg a') ? document.activeElement.ariaLabel : ''"
-        labels = []
-        for _ in range(12):
-            for kind in ("rawKeyDown", "keyUp"):
-                await browser.do("Input.dispatchKeyEvent", type=kind, key="Tab", windowsVirtualKeyCode=9)
-            labels.append(await browser.value(here))
-        return facts, browser, found, [label for label in labels if label]
-
-    facts, browser, found, labels = asyncio.run(look())
-    assert browser.complaints() == [] and browser.requests() == {page.as_uri()}
+def test_the_page_of_trends_fits_and_is_walked_by_keyboard(browser, page, width, scheme):
+    facts, found, labels = browser.go(page, width, scheme), violations(browser), list[str]()
+    for _ in range(12):
+        for kind in ("rawKeyDown", "keyUp"):
+            browser.do("Input.dispatchKeyEvent", type=kind, key="Tab", windowsVirtualKeyCode=9)
+        labels.append(
+            browser.value("document.activeElement.closest('svg a') ? document.activeElement.ariaLabel : ''")
+        )
+    labels = [label for label in labels if label]
+    assert browser.requests() == {page.as_uri()}
     assert found == []
     assert facts["scroll"] <= facts["client"] and facts["sticking_out"] == 0 and facts["broken"] == 0
     assert len(facts["plot"]) == 3 and all(one > 250 for one in facts["plot"])
