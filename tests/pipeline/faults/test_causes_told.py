@@ -103,6 +103,11 @@ def numbers_exchanged(one: str, other: str, strips: tuple[str, ...] = STRIPS) ->
     return partial(edited, POINTS, edit)
 
 
+def two_at_once(dump: Path) -> None:
+    files_exchanged("exposures.csv", [(2, 9)], dump)
+    number(REMOTE, "x_offset_mm", lambda v: 0.0)(dump)
+
+
 def strips_exchanged(dump: Path) -> None:
     ids = [row[0] for row in table(dump / "strips.csv")[1:]]
     places = ([n for n, one in enumerate(ids) if one == strip] for strip in ("s01", "s02"))
@@ -195,6 +200,9 @@ ROWS = [
         [(CLOCK, "strip s02", "strips.csv", -8.0, ""), (CLOCK, "strip s01", "strips.csv", 5.0, "")]),
     ("ground", ccds_exchanged, FINDINGS,
         [("files of two CCDs", "CCD 0 and CCD 1 in strip s02", "strips.csv", None, "")]),
+    ("ground", two_at_once, REFUTED,
+        [("images or look directions of a CCD", "CCDs 0, 2", REMOTE, None, ""),
+         ("files or times of exposures", "exposures e0003 and e0010", "exposures.csv", None, "")]),
     ("ground", partial(files_exchanged, "exposures.csv", [(2, 9)]), FINDINGS,
         [("files or times of exposures", "exposures e0003 and e0010", "exposures.csv", None, "")]),
     ("ground", strips_again, CONSISTENT, []),
