@@ -28,6 +28,7 @@ def bucket_served() -> Iterator[tuple[str, Any]]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in environment.items():
             patch.setenv(name, value)
+        fsspec.get_filesystem_class("s3").clear_instance_cache()  # an earlier server
         files = fsspec.filesystem("s3", skip_instance_cache=True, s3_additional_kwargs={"ACL": "public-read"})
         files.mkdir("archive")
         yield address, files

@@ -315,7 +315,7 @@ def _cycles(order: Ints) -> list[list[int]]:
 
 def _likelihood(of_head: Attitudes, rows: Ints) -> float:
     """Logarithm, of some rows with errors as stated."""
-    return float(sum(part.log_likelihoods()[:, 0].sum() for part in of_head.stretches(rows)))
+    return float(sum(part.log_likelihoods(FACTORS[:1]).sum() for part in of_head.stretches(rows)))
 
 
 def _off(of_head: Attitudes, row: int, rows: Ints) -> float:

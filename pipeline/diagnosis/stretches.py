@@ -60,14 +60,14 @@ class Stretch:
         for noise, own in zip(self.noise, self.own):
             yield motion_modes(noise, own**2 * np.array(shapes), np.vander(t, 3))
 
-    def log_likelihoods(self) -> Floats:
-        """(3, F) about each axis with errors larger by each of the `FACTORS`, the motion as fits best."""
-        return np.array([fit.max(axis=(1, 2)) for fit in self._fits(self.sizes)])
+    def log_likelihoods(self, factors: Floats = FACTORS) -> Floats:
+        """(3, F) about each axis with errors larger by each of the factors, the motion as fits best."""
+        return np.array([fit.max(axis=(1, 2)) for fit in self._fits(self.sizes, factors)])
 
-    def _fits(self, sizes: Floats) -> Iterator[Floats]:
+    def _fits(self, sizes: Floats, factors: Floats = FACTORS) -> Iterator[Floats]:
         """Of each axis the logarithm of the likelihood (F, A, S) by factors, sizes (A,) and shapes."""
         for (variance, modes), y in zip(self._modes(), self.turns.T):
-            of_mode = FACTORS[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
+            of_mode = factors[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
             yield -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
 
     def smooth_fit(self) -> tuple[float, float]:
