@@ -28,11 +28,8 @@ ROOM_BYTES = 4 * 2**30  # some four times what a run of all tests writes
 
 def pytest_configure() -> None:
     """Temporary files in memory where it has room: a disk takes milliseconds to flush or to remove each of
-    some 15 000. Modules are compiled once, not by every process, whatever the shell says. No search for
-    garbage while libraries and tests are loaded, or of them afterwards.
+    some 15 000. No search for garbage while libraries and tests are loaded, or of them afterwards.
     """
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    sys.dont_write_bytecode = False
     if "TMPDIR" not in os.environ and has_room(IN_MEMORY):
         os.environ["TMPDIR"], tempfile.tempdir = str(IN_MEMORY), None
     gc.disable()
