@@ -153,42 +153,74 @@ def _group_starts(t_s: Floats, reach_s: float) -> Ints:
     return np.array(rows, dtype=np.int64)
 
 
-def _process(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, float]:
-    """Prior information on the states: blocks (N, D, D), those below the diagonal (N - 1, D, D), and the
-    logarithm of its determinant; `q` (3,).
-    """
-    N, D, _ = nodes.information.shape
-    goes = ~nodes.begins[1:]
-    dt = np.diff(nodes.t_s)[goes, None]
-    F, first = _step(dt[:, 0]), np.flatnonzero(nodes.begins)[:, None]
-    loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
-    walks = [(0, _spread(dt[:, 0], INVERSE, -1.0)[..., None] / q, loose2)]
-    if nodes.drift is not None:
-        of_gyro = np.linalg.inv(nodes.drift.spread(dt[:, 0]))[..., None] * np.ones(3)
-        bias2 = np.where(np.arange(MOTION) < 3, loose2, nodes.drift.bias_rad_s**2)
-        walks.append((D - MOTION, of_gyro, bias2))
-    g = MOTION + np.arange(len(nodes.variance))
-    decay = np.exp(-dt / nodes.time_s)
-    spread = -np.expm1(-2.0 * dt / nodes.time_s) * nodes.variance
-    diagonal, below = np.zeros((N, D, D)), np.zeros((N - 1, D, D))
-    before, after = np.flatnonzero(goes)[:, None], np.flatnonzero(goes)[:, None] + 1
-    size = -np.log(spread).sum() - len(first) * np.log(nodes.variance).sum()
-    for column, Q_inverse, begin2 in walks:
-        back = -np.einsum("nija,njk->nika", Q_inverse, F)
-        told = -np.einsum("nji,njka->nika", F, back)
-        for i, k in np.ndindex(ORDER, ORDER):
-            rows, columns = column + np.arange(3) + 3 * i, column + np.arange(3) + 3 * k
-            diagonal[before, rows, columns] += told[:, i, k]
-            diagonal[after, rows, columns] += Q_inverse[:, i, k]
-            below[before, rows, columns] = back[:, i, k]
-        own = column + np.arange(MOTION)
-        diagonal[first, own, own] += 1.0 / begin2
-        size += np.linalg.slogdet(np.moveaxis(Q_inverse, 3, 1))[1].sum() - len(first) * np.log(begin2).sum()
-    diagonal[before, g, g] += decay**2 / spread
-    diagonal[after, g, g] += 1.0 / spread
-    below[before, g, g] = -decay / spread
-    diagonal[first, g, g] += 1.0 / nodes.variance
-    return diagonal, below, float(size)
+@record
+class _Equations:
+    """Equations for the states at nodes: linear in one over the densities q of the motion."""
+
+    nodes: _Nodes
+    fixed: Floats  # (2 D, N, D) banded information on the states that does not depend on q
+    moving: Floats  # (2 D, N, MOTION) that of the motion's walks, each q being 1: a column has its own axis
+    size: float  # logarithm of the prior's determinant, each q being 1
+    steps: int  # from node to node
+
+    @classmethod
+    def of(cls, nodes: _Nodes) -> _Equations:
+        """With the processes between the nodes as prior."""
+        N, D, _ = nodes.information.shape
+        goes = ~nodes.begins[1:]
+        dt = np.diff(nodes.t_s)[goes, None]
+        F, first = _step(dt[:, 0]), np.flatnonzero(nodes.begins)[:, None]
+        loose2 = DIFFUSE**2 * nodes.white2 * nodes.step_s ** (-2.0 * np.repeat(np.arange(ORDER), 3))
+        fixed, moving = ((np.zeros((N, D, D)), np.zeros((N - 1, D, D))) for _ in range(2))
+        walks = [(moving, 0, _spread(dt[:, 0], INVERSE, -1.0)[..., None] * np.ones(3), loose2)]
+        if nodes.drift is not None:
+            of_gyro = np.linalg.inv(nodes.drift.spread(dt[:, 0]))[..., None] * np.ones(3)
+            bias2 = np.where(np.arange(MOTION) < 3, loose2, nodes.drift.bias_rad_s**2)
+            walks.append((fixed, D - MOTION, of_gyro, bias2))
+        g = MOTION + np.arange(len(nodes.variance))
+        decay = np.exp(-dt / nodes.time_s)
+        spread = -np.expm1(-2.0 * dt / nodes.time_s) * nodes.variance
+        before, after = np.flatnonzero(goes)[:, None], np.flatnonzero(goes)[:, None] + 1
+        size = -np.log(spread).sum() - len(first) * np.log(nodes.variance).sum()
+        for (diagonal, below), column, Q_inverse, begin2 in walks:
+            back = -np.einsum("nija,njk->nika", Q_inverse, F)
+            told = -np.einsum("nji,njka->nika", F, back)
+            for i, k in np.ndindex(ORDER, ORDER):
+                rows, columns = column + np.arange(3) + 3 * i, column + np.arange(3) + 3 * k
+                diagonal[before, rows, columns] += told[:, i, k]
+                diagonal[after, rows, columns] += Q_inverse[:, i, k]
+                below[before, rows, columns] = back[:, i, k]
+            own = column + np.arange(MOTION)
+            fixed[0][first, own, own] += 1.0 / begin2
+            size += np.linalg.slogdet(np.moveaxis(Q_inverse, 3, 1))[1].sum()
+            size -= len(first) * np.log(begin2).sum()
+        diagonal, below = fixed
+        diagonal += nodes.information
+        diagonal[before, g, g] += decay**2 / spread
+        diagonal[after, g, g] += 1.0 / spread
+        below[before, g, g] = -decay / spread
+        diagonal[first, g, g] += 1.0 / nodes.variance
+        of_motion = np.ascontiguousarray(_banded(*moving)[:, :, :MOTION])
+        return cls(nodes, _banded(*fixed), of_motion, float(size), len(dt))
+
+    def solved(self, q: Floats) -> tuple[Floats, Floats, Floats, float]:
+        """For densities (3,): lower Cholesky factor, banded (2 D, N D); states (N, D, 1 + 3 H) by rows and
+        constants; what is left of the sums of squares, (1 + 3 H, 1 + 3 H); and the logarithm of the
+        likelihood, the constants unknown.
+        """
+        N, D, m = self.nodes.by_rows.shape
+        band = self.fixed.copy()
+        band[:, :, :MOTION] += self.moving / np.tile(q, ORDER)
+        factor = cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True)
+        right = self.nodes.by_rows.reshape(N * D, m)
+        states = np.asarray(cho_solve_banded((factor, True), right))
+        left = self.nodes.squares - right.T @ states
+        left = 0.5 * (left + left.T)
+        known = left[1:, 1:] + np.eye(m - 1) / DIFFUSE_RAD**2
+        chi2 = left[0, 0] - left[0, 1:] @ np.linalg.solve(known, left[1:, 0])
+        of_prior = self.size - ORDER * self.steps * np.log(q).sum()
+        size = 2.0 * np.log(factor[0]).sum() - of_prior + np.linalg.slogdet(known)[1]
+        return np.asarray(factor), states.reshape(N, D, m), left, -0.5 * float(size + chi2)
 
 
 # Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
@@ -209,32 +241,14 @@ def _spread(dt: Floats, of_second: Floats, sign: float = 1.0) -> Floats:
     return np.asarray(of_second * dt[:, None, None] ** (sign * _POWER))
 
 
-def _factor(diagonal: Floats, below: Floats) -> Floats:
-    """Lower Cholesky factor, banded (2 D, N D), of blocks (N, D, D) and those below them (N - 1, D, D)."""
+def _banded(diagonal: Floats, below: Floats) -> Floats:
+    """Lower band (2 D, N, D) of the matrix of blocks (N, D, D) and those below them (N - 1, D, D)."""
     N, D, _ = diagonal.shape
     band = np.zeros((2 * D, N, D))
     for column in range(D):
         band[: D - column, :, column] = diagonal[:, column:, column].T
         band[D - column : 2 * D - column, :-1, column] = below[:, :, column].T
-    return np.asarray(cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True))
-
-
-def _solved(nodes: _Nodes, q: Floats) -> tuple[Floats, Floats, Floats, float]:
-    """The factor; states (N, D, 1 + 3 H) by rows and constants; what is left of the sums of squares,
-    (1 + 3 H, 1 + 3 H); and the logarithm of the likelihood, the constants unknown.
-    """
-    diagonal, below, of_prior = _process(nodes, q)
-    diagonal += nodes.information
-    factor = _factor(diagonal, below)
-    N, D, m = nodes.by_rows.shape
-    right = nodes.by_rows.reshape(N * D, m)
-    states = np.asarray(cho_solve_banded((factor, True), right))
-    left = nodes.squares - right.T @ states
-    left = 0.5 * (left + left.T)
-    known = left[1:, 1:] + np.eye(m - 1) / DIFFUSE_RAD**2
-    chi2 = left[0, 0] - left[0, 1:] @ np.linalg.solve(known, left[1:, 0])
-    size = 2.0 * np.log(factor[0]).sum() - of_prior + np.linalg.slogdet(known)[1]
-    return factor, states.reshape(N, D, m), left, -0.5 * float(size + chi2)
+    return band
 
 
 def most_likely_motion(
@@ -251,10 +265,11 @@ def most_likely_motion(
         kind = (one.by_rows.shape[1:], one.drift, *one.variance.tolist(), *one.time_s.tolist())
         groups.setdefault(kind, []).append(one)
     nodes = _Nodes.together(max(groups.values(), key=lambda group: sum(len(one.t_s) for one in group)))
+    equations = _Equations.of(nodes)
 
     def posterior(q: Floats) -> float:
         away = np.log(q / stated) / SPREAD if stated else np.zeros(3)
-        return _solved(nodes, q)[3] - 0.5 * float(away @ away)
+        return equations.solved(q)[3] - 0.5 * float(away @ away)
 
     scale, every = nodes.white2 * nodes.step_s ** (1 - 2 * ORDER), np.arange(3)
     alike = scale / WINDOWS ** (2 * ORDER)
@@ -302,7 +317,7 @@ class SmoothedAttitude:
         """By the rows of H heads, the first with at least one, and of a gyro; `q` (3,) as above."""
         middle = heads[0].R_so[len(heads[0].t_s) // 2]
         nodes = _Nodes.of(heads, middle, gyro)
-        factor, states, left, _ = _solved(nodes, q)
+        factor, states, left, _ = _Equations.of(nodes).solved(q)
         N, D, _ = states.shape
         L, below = _blocks(factor, N, D)
         back = -np.linalg.solve(np.swapaxes(L[:-1], 1, 2), np.swapaxes(below, 1, 2))
