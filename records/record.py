@@ -149,27 +149,30 @@ def record(cls: Any = None, /, *, kw_only: bool = False, by_value: bool = False)
 def _assign(self: Any, /, *given: Any, **named: Any) -> None:
     """`__init__` of all records."""
     cls: Any = type(self)
-    places, taken, needed, defaults, makers, after = _fields_of(cls)
-    values = dict(zip(places, given)) | named
+    places, taken, needed, setters, defaults, makers, after = _fields_of(cls)
+    values = named if not given else dict(zip(places, given)) | named
     if len(values) != len(given) + len(named) or not needed <= values.keys() <= taken:
         _like(cls)(*given, **named)  # raises what Python says of such a call
-    if makers:
-        values |= {name: make() for name, make in makers.items() if name not in values}
-    for name, value in (defaults | values).items():
-        object.__setattr__(self, name, value)
+    for name, make in makers:
+        if name not in values:
+            values[name] = make()
+    for name, value in (defaults | values if defaults else values).items():
+        setters[name](self, value)
     if after is not None:
         after(self)
 
 
 @cache
 def _fields_of(cls: Any) -> tuple[Any, ...]:
-    """Fields by place, those that a call may name and those that it must, defaults; what runs afterwards."""
+    """Fields by place, those that a call may name and those that it must, what sets each, defaults and their
+    makers; what runs afterwards."""
     every = dataclasses.fields(cls)
+    setters = {field.name: getattr(cls, field.name).__set__ for field in every}
     defaults = {field.name: field.default for field in every if field.default is not dataclasses.MISSING}
     makers = {f.name: f.default_factory for f in every if f.default_factory is not dataclasses.MISSING}
     taken = {field.name for field in every if field.init}
-    needed = taken - defaults.keys() - makers.keys()
-    return cls.__match_args__, taken, needed, defaults, makers, getattr(cls, "__post_init__", None)
+    needed, after = taken - defaults.keys() - makers.keys(), getattr(cls, "__post_init__", None)
+    return cls.__match_args__, taken, needed, setters, defaults, makers.items(), after
 
 
 @cache

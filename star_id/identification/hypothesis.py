@@ -171,8 +171,8 @@ def robust_sigma(distance: Floats, pixel: float) -> float:
 
 def refine(
     image: PlaneDetections, index: StarIndex, hypothesis: AttitudeHypothesis, match: AcceptedPairs
-) -> tuple[Rotation, Floats, int]:
-    """R_si, distortion (4,) and number of fitted parameters, from the matched stars with equal weights.
+) -> tuple[Floats, Floats, int]:
+    """R_si (3, 3), distortion (4,), number of fitted parameters, from the matched stars with equal weights.
 
     An uncalibrated camera gets as many distortion parameters as the number of stars allows: scale, k1, p1,
     p2.
@@ -181,7 +181,7 @@ def refine(
     u_i = index.u_i.take(match.stars, axis=0)
     if image.field.is_calibrated:
         R_si = wahba_matrices((directions_of_tangents(measured).T @ u_i)[None])
-        return Rotation.from_matrix(R_si[0]), hypothesis.distortion, 3
+        return R_si[0], hypothesis.distortion, 3
     n = len(measured)
     free = 2 if n < 16 else 4
     if image.field.scale_error > 0 and n < 8:
@@ -200,7 +200,7 @@ def refine(
         step = np.linalg.lstsq(A[:-1].T, A[-1], rcond=1e-10)[0]
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
         distortion[:free] += step[3:]
-    return Rotation.from_matrix(R), distortion, 3 + free
+    return R, distortion, 3 + free
 
 
 def _rotation_derivatives(t: Complex) -> tuple[Complex, Complex, Complex]:

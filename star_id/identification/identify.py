@@ -78,8 +78,8 @@ _STARS_FOR_SHIFT = 30
 # errors are as expected a right one has less with probability exp(-4) at most, and an image has many right
 # ones.
 _HOPELESS = -4.0
-# Brightest detections by which a proposal is tried before all are: most are wrong, and these tell so (set by
-# hand).
+# Brightest detections by which a proposal is tried before all are, once one was wrong: most others are, too,
+# and these tell so (set by hand).
 _BRIGHT = 100
 # Error of predictions over the mean distance of detections, below which each star's nearest detection is
 # its own: another is nearer in pi * 0.05^2, 1 %, of the cases.
@@ -171,7 +171,7 @@ def identify_stars(
     tables = dict(enumerate(index.tables_for(field.equivalent_fov_rad)))
     if (denser := index.denser_table(field.equivalent_fov_rad)) is not None:
         tables[DENSER] = denser
-    examined, best = tried, -math.inf
+    examined, best, tried_by = tried, -math.inf, [image]
     limit = math.log(settings.max_false_alarm_probability)
     for number, done, brightest in stages:
         size = min(brightest, n, settings.max_identification_stars)
@@ -182,9 +182,11 @@ def identify_stars(
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             corners = image.points[triangle]
-            trial = _try_proposal(bright, index, corners, R, float(log_scale))
-            if n > _BRIGHT and trial is not None and trial.log_ratio > _HOPELESS:
-                trial = _try_proposal(image, index, corners, R, float(log_scale))
+            for seen in tried_by:
+                trial = _try_proposal(seen, index, corners, R, float(log_scale))
+                if trial is None or trial.log_ratio <= _HOPELESS:
+                    break
+            tried_by = [bright, image] if n > _BRIGHT else [image]
             if trial is None:
                 continue
             best = max(best, trial.log_ratio - math.log(examined))
@@ -204,7 +206,7 @@ class _Trial:
     """A refined hypothesis with its matches and its log likelihood ratio."""
 
     match: AcceptedPairs
-    R_si: Rotation
+    R_si: Floats  # (3, 3)
     distortion: Floats
     log_ratio: float
 
@@ -273,12 +275,12 @@ def _refined_trial(
     if match is None:
         return None
     if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, chosen)) < _HOPELESS:
-        return _Trial(match, Rotation.from_matrix(hypothesis.R), hypothesis.distortion, log_ratio)
+        return _Trial(match, hypothesis.R, hypothesis.distortion, log_ratio)
     spacing = math.sqrt(image.area / len(image.points))
     unambiguous = field.is_calibrated and sigma.max(initial=0.0) < _UNAMBIGUOUS * spacing
     for _ in range(1 if field.is_calibrated else 4):  # each fit of the distortion lets further stars match
         R_si, distortion, fitted = refine(image, index, hypothesis, match)
-        hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
+        hypothesis = predict_stars(index, hypothesis.rows, R_si, distortion)
         sigma = np.full(len(hypothesis.rows), field.pixel)
         if not unambiguous:
             near = nearby_pairs(image, hypothesis, sigma)
@@ -297,10 +299,10 @@ def _settled(image: PlaneDetections, index: StarIndex, trial: _Trial) -> _Trial:
     error, pixel = robust_sigma(trial.match.distance, image.field.pixel), image.field.pixel
     if not image.field.is_calibrated or error < pixel:
         return trial
-    hypothesis = predict_field(image, index, trial.R_si.as_matrix(), trial.distortion)
+    hypothesis = predict_field(image, index, trial.R_si, trial.distortion)
     for _ in range(8):  # matching and fitting again
         R_si, distortion, _ = refine(image, index, hypothesis, trial.match)
-        hypothesis = predict_stars(index, hypothesis.rows, R_si.as_matrix(), distortion)
+        hypothesis = predict_stars(index, hypothesis.rows, R_si, distortion)
         sigma = np.full(len(hypothesis.rows), error)
         pairs = one_to_one_pairs(image, hypothesis, nearby_pairs(image, hypothesis, sigma), sigma)
         match = match_within(hypothesis, pairs, max(3.0 * robust_sigma(pairs.distance, pixel), pixel))
@@ -328,7 +330,7 @@ def _identification(
     return Identification(
         detections=trial.match.detections,
         stars=trial.match.stars,
-        R_si=trial.R_si,
+        R_si=Rotation.from_matrix(trial.R_si),
         distortion=trial.distortion,
         false_alarm_probability=math.exp(max(log_probability, -700.0)),
         log_false_alarm_probability=log_probability,
