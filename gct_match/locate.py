@@ -18,11 +18,11 @@ from boresight.gct_match.refine.changed import REACH_PX, fit_changed, resampled
 from boresight.gct_match.refine.least_squares import PositionFit, fit_position, usable_pixels
 from boresight.gct_match.search.correlation import (
     correlation_surface,
+    mean_and_spread,
     peaks_of,
     positions_under,
     probability_wrong,
     self_similarity,
-    spread_px2,
 )
 from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
@@ -43,7 +43,7 @@ _SURE_CORRELATION = 0.95  # fits to parts which have moved reach 0.9
 _TURNED_PX = 0.5  # by which a chip's rim is displaced by a map that must be shown
 _LOG_MAPS = 4.0  # log of the number of maps of which the most likely one is fitted
 _DATES_PX = 0.07  # by which places of two dates differ where nothing seems to have changed (targets suggest)
-_OF_DATES = 0.7  # share of the spread that has moved with the ground of a date (closure of triples of years)
+_OF_DATES = 0.6  # share of the spread that has moved with the ground of a date (closure of triples of years)
 _LEAST_VALID = 0.4  # share of the template that clouds and the picture's edges must leave
 _LEAST_RADIUS_PX = 4  # smaller windows hold too few values to estimate how probable a false match is
 _DEFAULTS = MatchSettings()  # for the functions of this module that take single settings
@@ -204,8 +204,9 @@ def _of_changed(
     """The fit to the whole template by the directions of its edges, which outlast crops, season and light,
     whichever side is brighter.
 
-    Shores, crops and shadows that have moved displace it: its covariance grows by the spread of the positions
-    that the edges leave possible, and by what dates differ where nothing seems to.
+    Shores, crops and shadows that have moved displace it: the position is the mean of those that the edges
+    leave possible about it, and its covariance grows by their spread and by what dates differ where nothing
+    seems to.
     """
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
@@ -239,12 +240,13 @@ def _of_changed(
     left, top = (peak + corner).astype(int).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
     wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    spread = spread_px2(xy, likelihood, fit.xy_px - reference_px - corner)
+    mean, spread = mean_and_spread(xy, likelihood)
     dates = _DATES_PX**2 * np.eye(2)
     A = np.eye(2) + fit.affine
     of_corner = np.column_stack([A, fit.xy_px - A @ reference_px])
     seen = resampled(picture.grey[None], of_corner, (h, w))[0]
-    fit, moved = replace(fit, cov_px=fit.cov_px + spread + dates, found=seen), _OF_DATES * spread + dates
+    xy_px, moved = mean + reference_px + corner, _OF_DATES * spread + dates
+    fit = replace(fit, xy_px=xy_px, cov_px=fit.cov_px + spread + dates, found=seen)
     return _Found(fit, surface, peak, float(peaks.value[0]), wrong, moved)
 
 

@@ -17,11 +17,11 @@ from boresight.records.record import Bools, Floats, array, record
 __all__ = [
     "Peaks",
     "correlation_surface",
+    "mean_and_spread",
     "peaks_of",
     "positions_under",
     "probability_wrong",
     "self_similarity",
-    "spread_px2",
 ]
 
 # Of a chip held against its own displaced copy: least displacement, of its side; least overlap, of its area.
@@ -105,11 +105,12 @@ def positions_under(surface: Image, peak: Floats, reach_px: int, *, turned: bool
     )
 
 
-def spread_px2(xy: Floats, log_likelihood: Floats, fit_xy: Floats) -> Floats:
-    """Mean square (2, 2), px², of the distances of positions (2, N) from a fit (x, y)."""
-    weight, off = np.exp(log_likelihood - log_likelihood.max()), xy - fit_xy[:, None]
-    spread: Floats = (weight * off) @ off.T / weight.sum()
-    return spread
+def mean_and_spread(xy: Floats, log_likelihood: Floats) -> tuple[Floats, Floats]:
+    """Mean (2,) of positions (2, N), px, and their covariance (2, 2), px², by the likelihood of each."""
+    weight = np.exp(log_likelihood - np.logaddexp.reduce(log_likelihood))
+    mean = xy @ weight
+    off = xy - mean[:, None]
+    return mean, (weight * off) @ off.T
 
 
 def self_similarity(template: Image) -> float:

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 from boresight.gct_match.imaging.views import normalised
 from boresight.gct_match.search.correlation import (
     correlation_surface,
+    mean_and_spread,
     peaks_of,
     positions_under,
     probability_wrong,
-    spread_px2,
 )
 
 
@@ -63,15 +63,14 @@ def test_highest_of_nothing_but_chance_is_not_believed():
     assert min(wrong) > 0.01  # the limit at which matches are refused
 
 
-def test_spread_of_positions_grows_with_their_distance_from_the_fit_and_for_a_lower_peak():
+def test_positions_are_spread_about_the_peak_the_wider_the_lower_it_is():
     y, x = np.mgrid[:33, :33].astype(np.float32)
     far = 0.05 * noise(8, 33) * (np.hypot(x - 16.0, y - 16.0) > 8.0)
 
-    def spread(height: float, fit_x: float = 16.4) -> NDArray:
+    def positions(height: float) -> tuple[NDArray, NDArray]:
         seen = far + height * np.exp(-((x - 16.4) ** 2 + (y - 16.3) ** 2) / (2.0 * 2.0**2))
-        xy, likelihood = positions_under(seen, np.array([16.0, 16.0]), 3, turned=False)
-        return spread_px2(xy, likelihood, np.array([fit_x, 16.3]))
+        return mean_and_spread(*positions_under(seen, np.array([16.0, 16.0]), 3, turned=False))
 
-    high, low = spread(0.5), spread(0.2)
+    (middle, high), (_, low) = positions(0.5), positions(0.2)
     assert np.linalg.eigvalsh(low).min() > np.linalg.eigvalsh(high).max()  # a lower peak tells less
-    assert spread(0.5, 17.0)[0, 0] - high[0, 0] == pytest.approx(0.6**2, abs=0.06)  # px², quarters of a pixel
+    assert middle == pytest.approx([16.4, 16.3], abs=0.1)  # px, a twentieth of the peak's width
