@@ -78,6 +78,9 @@ _STEP_PX = 0.01
 # Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
 # curvature that is assumed, and longest step (set by hand).
 _DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP = 0.1, 0.3, 0.8
+# Least share of the common variance that a smooth distortion leaves: where it leaves none, the evidence rises
+# ever more slowly towards zero.
+_LEAST_SHARE = 1e-4
 
 
 @record(kw_only=True)
@@ -350,15 +353,14 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tupl
     def solved(common: float, warp: float) -> _Linear:
         return normal(common).solved(np.append(equations.sigma, warp * decay))
 
-    floor = 1e-4 * common_px2
-
     def sized(size: Floats) -> tuple[float, float]:
-        return float(np.exp(2.0 * size[0])) + floor, float(np.exp(size[1]))
+        return float(np.exp(2.0 * size[0])), float(np.exp(size[1]))
 
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
+    least = np.array([start[0] + 0.5 * np.log(_LEAST_SHARE), -np.inf])
     if solved(*sized(start)).log_evidence <= plain.log_evidence:  # then no size raises it
         return None
-    size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start)
+    size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start, least)
     share = share_by_evidence(log_evidence - plain.log_evidence, len(size) * PER_PARAMETER)
     if share == 0.0:
         return None
@@ -401,19 +403,21 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
     return size * share_by_evidence(float(likeliest[0]), PER_PARAMETER) ** 0.5
 
 
-def _largest(function: Callable[[Floats], float], start: Floats) -> tuple[Floats, float]:
-    """Place (2,) and value of the maximum of a smooth function near `start` (2,), by Newton steps that ascend
-    whatever the curvature (`scipy.optimize` takes 0.1 s to load)."""
+def _largest(function: Callable[[Floats], float], start: Floats, least: Floats) -> tuple[Floats, float]:
+    """Place (2,), nowhere below `least` (2,), and value of the maximum of a smooth function near `start` (2,)
+    by Newton steps that ascend whatever the curvature (`scipy.optimize` takes 0.1 s to load)."""
     h, place = _DERIVATIVE_STEP, start
     moves = h * np.eye(2)
     for _ in range(ROUNDS):
         here, both = function(place), function(place + h)
         more, less = (np.array([function(place + sign * move) for move in moves]) for sign in (1.0, -1.0))
         slope, along, across = (more - less) / (2.0 * h), more + less - 2.0 * here, both - more.sum() + here
+        held = (place <= least) & (slope < 0.0)
+        slope, across = np.where(held, 0.0, slope), 0.0 if held.any() else across
         curvature, axes = np.linalg.eigh(np.array([[along[0], across], [across, along[1]]]) / h**2)
         step = axes @ (axes.T @ slope / np.maximum(np.abs(curvature), _LEAST_CURVATURE))
         length = float(np.hypot(*step))
-        place = place + step * min(1.0, _LONGEST_STEP / max(length, SMALL_STEP))
+        place = np.maximum(place + step * min(1.0, _LONGEST_STEP / max(length, SMALL_STEP)), least)
         if length < SMALL_STEP:
             break
     return place, function(place)
