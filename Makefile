@@ -7,7 +7,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Empty: modules are compiled once, not by every process, whatever the shell says (pip leaves that to Python).
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: demo test suite lint types docs pictures benchmarks install lock clean
+.PHONY: demo test suite answers lint types docs pictures benchmarks install lock clean
 
 install: $(VENV)/.installed
 
@@ -42,6 +42,10 @@ test: lint
 
 suite: install
 	$(BIN)/pytest -n 2 --dist worksteal  # neighbours share a process, and with it the fixtures of their module
+
+# All recorded answers of real star images, before a change of star_id is finished; `make suite` asks for a third.
+answers: install
+	EVERY_FRAME=1 $(BIN)/pytest -n 2 --dist worksteal tests/star_id/test_known_answers.py tests/star_id/test_real_images.py
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
