@@ -8,7 +8,7 @@ ground's texels are read by linear interpolation at those places.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import cv2
@@ -90,15 +90,21 @@ def needed_sample_step(model: Pushbroom, surface: TerrainGrid, lines: int) -> in
         low, high = (model.ground_points(ccd, sample, line, ConstantHeight(h)) for h in (0.0, 100.0))
         climb = np.linalg.norm(high - low, axis=1) / 100.0  # 1 / cos z
         ends.append(np.sqrt(np.maximum(climb.max() ** 2 - 1.0, 0.0)))
-    a, _, _, _, e, f = surface.transform
-    cell_m = np.radians(abs(e)) * WGS84.semi_major_m * np.array([1.0, abs(a / e) * np.cos(np.radians(f))])
-    bends = [np.nanquantile(np.abs(np.diff(surface.heights_m, 2, axis=n)), 0.999) / cell_m[n] for n in (0, 1)]
-    miss_per_sample = max(bends) * max(ends) / 8.0
+    miss_per_sample = _largest_bend(surface) * max(ends) / 8.0
     return int(
         np.clip(
             _TERRAIN_MISS_PX / max(miss_per_sample, 1e-9), 1, min(_SAMPLE_STEP, model.camera.n_px(0) // 16)
         )
     )
+
+
+@lru_cache(maxsize=1)  # a mission's strips are of one terrain
+def _largest_bend(surface: TerrainGrid) -> float:
+    """By how much its slope changes from cell to cell, in one of a thousand places."""
+    a, _, _, _, e, f = surface.transform
+    cell_m = np.radians(abs(e)) * WGS84.semi_major_m * np.array([1.0, abs(a / e) * np.cos(np.radians(f))])
+    bends = [np.nanquantile(np.abs(np.diff(surface.heights_m, 2, axis=n)), 0.999) / cell_m[n] for n in (0, 1)]
+    return float(max(bends))
 
 
 def all_panels(lines: int, samples: int) -> NDArray[np.bool_]:
