@@ -163,7 +163,7 @@ def identify_stars(
     n = len(xy)
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
-    image, bright = PlaneDetections.from_xy(xy, field), PlaneDetections.from_xy(xy[:_BRIGHT], field)
+    image = PlaneDetections.from_xy(xy, field)
     if prior is not None:
         tracked, tried = _track(image, index, prior, settings)
         if tracked is not None:
@@ -186,12 +186,12 @@ def identify_stars(
                 trial = _try_proposal(seen, index, corners, R, float(log_scale))
                 if trial is None or trial.log_ratio <= _HOPELESS:
                     break
-            tried_by = [bright, image] if n > _BRIGHT else [image]
-            if trial is None:
-                continue
-            best = max(best, trial.log_ratio - math.log(examined))
-            if math.log(examined) - trial.log_ratio < limit:
-                return _identification(image, index, trial, examined)
+            if trial is not None:
+                best = max(best, trial.log_ratio - math.log(examined))
+                if math.log(examined) - trial.log_ratio < limit:
+                    return _identification(image, index, trial, examined)
+            if n > _BRIGHT and len(tried_by) == 1:
+                tried_by = [PlaneDetections.from_xy(xy[:_BRIGHT], field), image]
     return NotIdentified(
         f"{n} stars found, {examined} triangles agree with the catalogue, none explains the image"
         f" (best log odds {best:.1f}, {-limit:.1f} needed)",
