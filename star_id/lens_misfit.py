@@ -78,9 +78,6 @@ _STEP_PX = 0.01
 # Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
 # curvature that is assumed, and longest step (set by hand).
 _DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP = 0.1, 0.3, 0.8
-# Least share of the common variance that a smooth distortion leaves: where it leaves none, the evidence rises
-# ever more slowly towards zero.
-_LEAST_SHARE = 1e-4
 
 
 @record(kw_only=True)
@@ -357,7 +354,8 @@ def _warped(equations: LensEquations, plain: _Linear, common_px2: float) -> tupl
         return float(np.exp(2.0 * size[0])), float(np.exp(size[1]))
 
     start = 0.5 * np.log([common_px2, 4.0 * common_px2])
-    least = np.array([start[0] + 0.5 * np.log(_LEAST_SHARE), -np.inf])
+    # where a smooth distortion leaves no common variance, the evidence rises ever more slowly towards zero
+    least = np.array([start[0] + 0.5 * np.log(SMALL_CHANGE), -np.inf])
     if solved(*sized(start)).log_evidence <= plain.log_evidence:  # then no size raises it
         return None
     size, log_evidence = _largest(lambda size: solved(*sized(size)).log_evidence, start, least)
