@@ -109,6 +109,32 @@ def test_a_line_of_sight_stated_wrongly_moves_the_matrix_as_its_blind_spot_says(
         assert np.abs(moved - told).max() < 0.1, (moved, told)
 
 
+@pytest.mark.parametrize("stated", ["sigma_{}_arcsec", "cov_{}_arcsec2"])
+def test_errors_of_attitudes_are_read_back_as_they_were_given(attitudes: dict, stated: str) -> None:
+    """A covariance of three unlike axes, all of it or its diagonal alone, as sigmas."""
+    of_sigmas = stated.startswith("sigma")
+    cov = np.diag([16.0, 81.0, 2500.0]) if of_sigmas else np.array([[16, -9, 8], [-9, 81, 70], [8, 70, 2500]])
+    names = "xyz" if of_sigmas else ("xx", "xy", "xz", "yy", "yz", "zz")
+    values = np.sqrt(np.diag(cov)) if of_sigmas else cov[np.triu_indices(3)]
+    errors = dict(zip(map(stated.format, names), values.tolist()))
+    rows = [
+        {key: row[key] for key in ("time", "qx", "qy", "qz", "qw")} | errors for row in attitudes["attitudes"]
+    ]
+    line_of_sight_s = BOLD.apply([0.0, 0.0, 1.0])
+    dump = bs.dump_from_arrays(**attitudes | {"attitudes": rows}, line_of_sight_s=line_of_sight_s)
+    found = dump.heads[0].source.rows.covariance_s / ARCSEC**2
+    np.testing.assert_allclose(found, np.broadcast_to(cov, found.shape), rtol=1e-12)
+
+
+def test_exposures_without_ids_are_numbered_from_one() -> None:
+    given = arrays_of(MINI)
+    rows = given["exposures"].drop(columns="id").to_dict("records")
+    rows[4]["id"] = "named"
+    dump = bs.dump_from_arrays(**given | {"exposures": rows})
+    ids = pd.read_csv(Path(dump.root) / "exposures.csv")["id"].tolist()
+    assert ids == [f"e00{n:02d}" if n != 5 else "named" for n in range(1, 15)]
+
+
 def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None:
     with pytest.raises(ValueError, match="line_of_sight_s: found None, expected a unit vector"):
         bs.dump_from_arrays(**attitudes)

@@ -5,6 +5,7 @@ import dataclasses
 import doctest
 import importlib
 import inspect
+import io
 import json
 import re
 import resource
@@ -224,6 +225,12 @@ def test_tables_of_a_matrix_and_of_several_have_their_numbers(estimate: bs.Calib
         np.testing.assert_allclose(stated[0], result.theta, rtol=1e-12)
         found = table[[f"correlation_{name}" for name in of]].to_numpy() * np.outer(stated[1], stated[1])
         np.testing.assert_allclose(found, result.cov_theta, rtol=1e-12, atol=1e-20)
+        (shown,) = pd.read_html(io.StringIO(result._repr_html_()), index_col=0)
+        printed = [shown.loc[[f"{name}, arcsec"]].to_numpy() for name in ("theta", "1 sigma")]
+        rows = [
+            (values / ARCSEC).reshape(-1, 3) for values in (result.theta, stated[1])
+        ]  # X, Y, Z of a camera
+        np.testing.assert_allclose(printed, rows, rtol=0.0, atol=5.1e-5)  # four digits are printed
 
 
 def drawn(axes: Axes) -> np.ndarray:
