@@ -212,8 +212,8 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
 
 
 def test_places_on_the_sky_are_those_of_the_gnomonic_projection_of_astropy() -> None:
-    """About a middle near right ascension 0, where east and north are no axes of the catalogue."""
-    stars = SkyCoord([359.1, 1.4, 0.3, 2.0], [-63.5, -62.9, -65.2, -64.1], unit="deg")
+    """About a middle at right ascension 359.8, where east and north are no axes of the catalogue."""
+    stars = SkyCoord([358.1, 1.4, 359.3, 0.5], [-63.5, -62.9, -65.2, -64.1], unit="deg")
     place, middle = _tangents(stars.cartesian.xyz.value.T)
     wcs = WCS(naxis=2)
     wcs.wcs.ctype, wcs.wcs.crval = ("RA---TAN", "DEC--TAN"), middle
