@@ -188,7 +188,6 @@ def test_of_causes_that_explain_the_same_the_one_of_most_observations_is_told_an
 
 
 def test_a_displaced_target_is_told_by_the_linear_form_and_far_off_by_rays():
-    """2 km off, that curves by 10 m at a distance of 400 km; all that concerns it is posed from metres."""
     rng = np.random.default_rng(4)
     by_place, axes_o = rng.normal(size=(2, 3)), rng.normal(size=(3, 2))
     P, stated_m = by_place @ axes_o, np.array([1200.0, -1600.0])
@@ -198,6 +197,6 @@ def test_a_displaced_target_is_told_by_the_linear_form_and_far_off_by_rays():
         known = {"residual": P @ linear_m, "estimated": P @ taken_m, "covariance": P @ cov_m2 @ P.T}
         one = Contradiction(subject=Subject("target"), distance=9.0, by_place=by_place, **known)
         off_m, covariance = one.displaced_m(stated_m, axes_o)
-        rays = 10.0**2 / (10.0**2 + variance_m2)  # their weight beside the linear form's
+        rays = 10.0**2 / (10.0**2 + variance_m2)  # 2 km curve by 10 m at 400 km
         np.testing.assert_allclose(off_m, rays * (stated_m + taken_m) + (1 - rays) * linear_m, rtol=1e-9)
         np.testing.assert_allclose(covariance, cov_m2, rtol=1e-9)

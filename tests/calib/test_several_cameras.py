@@ -128,7 +128,8 @@ def test_rotations_between_three_cameras_have_the_covariance_of_finite_turns() -
     rng, R = np.random.default_rng(9), Rotation.random(3, random_state=1)
     R0 = Rotation.from_rotvec(0.02 * rng.normal(size=(3, 3))) * R
     L, sigma, h = 1e-2 * rng.normal(size=(9, 9)), 1e-2 * rng.uniform(1.0, 3.0, 9), 1e-6  # rad
-    changed = {"cameras": ("a", "b", "c"), "theta": np.ones(9), "theta_with_shared": np.ones((9, 62))}
+    shared = np.zeros((9, len(first().shared_values)))
+    changed = {"cameras": ("a", "b", "c"), "theta": np.ones(9), "theta_with_shared": shared}
     found = replace(first(), R_cs=R, R_cs0=R0, cov_theta=L @ L.T, **changed)
     turned = [Rotation.from_rotvec(-h * turn) * R for turn in np.eye(9).reshape(9, 3, 3)]  # by -theta
     for one, (a, b) in zip(found.between(sigma), ((0, 1), (0, 2), (1, 2)), strict=True):

@@ -52,19 +52,13 @@ def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
 
 def test_p_values_of_the_grid_have_the_degrees_of_freedom_of_its_pixels_and_of_its_vectors():
     """Two cells of 5 missions and of 40 redrawn runs; tail of F by the incomplete beta function."""
-    squares = {"X": (1.9, 1.1), "Y": (0.6, 0.9), "Z": (1.2, 1.3), "NEES": (4.1, 2.8)}
-    rows = [
-        (name, axis, (5, 40)[n], squares["NEES"][n] + off, squares[axis][n] + off)
-        for n, name in enumerate(("pixels", "vectors"))
-        for axis in "XYZ"
-        for off in (-0.2, 0.2)  # of the two cells
-    ]
+    both = ("pixels", 5, 4.1), ("vectors", 40, 2.8)
+    rows = [(name, axis, runs, square, square) for name, runs, square in both for axis in "XYZ"]
     rest = "row_s_px row_c_px rms_arcsec bound_arcsec cpu_s paper_arcsec paper_bound_arcsec".split()
-    table = pd.DataFrame(rows, columns=["method", "axis", "runs", "nees", "mean_square"])
+    table = pd.DataFrame(2 * rows, columns=["method", "axis", "runs", "nees", "mean_square"])
     lines = list(compare_grid_pixels(table.assign(**dict.fromkeys(rest, 1.0))))
-    for name, (square, other) in squares.items():
-        words = next(line for line in lines if line.startswith(f"{name}  ")).split()
-        n, m = np.array([5, 40]) * 2 * (3 if name == "NEES" else 1)
-        above = betainc(m / 2, n / 2, m / (m + n * square / other))
-        p = float(words[-1] if name == "NEES" else words[7])
+    for name, dof, word in (("X", 1, 7), ("Y", 1, 7), ("Z", 1, 7), ("NEES", 3, -1)):
+        p = float(next(line for line in lines if line.startswith(f"{name}  ")).split()[word])
+        n, m = dof * 2 * 5, dof * 2 * 40
+        above = betainc(m / 2, n / 2, m / (m + n * 4.1 / 2.8))
         assert p == pytest.approx(2.0 * min(above, 1.0 - above), abs=5.1e-4)  # three digits are printed

@@ -181,12 +181,10 @@ def test_the_motion_by_which_attitudes_are_carried_is_smoothed_whatever_their_st
 
 
 def test_a_single_head_is_told_from_the_nominal_motion() -> None:
-    """The rotation between actual and nominal attitude, against that at the middle of the record."""
-    rng = np.random.default_rng(6)
-    off, middle = 1e-3 * rng.normal(size=(len(T), 3)), len(T) // 2
+    off = 1e-3 * np.random.default_rng(6).normal(size=(len(T), 3))
     R_oi = Rotation.random(len(T), random_state=7)
     track = HeadTrack(name="a", t_s=T, R_hi=Rotation.from_rotvec(off) * R_SH * R_oi, R_oi=R_oi)
-    apart = Rotation.from_rotvec(off) * Rotation.from_rotvec(-off[middle])
+    apart = Rotation.from_rotvec(off) * Rotation.from_rotvec(-off[len(T) // 2])
     signal = _single(track, 0.4)
     np.testing.assert_allclose(signal.values, apart.as_rotvec(), rtol=0.0, atol=1e-14)  # rad: rounding
     assert (signal.step_s, signal.lowest_hz, signal.pieces) == (pytest.approx(STEP), 0.4, (slice(0, ROWS),))

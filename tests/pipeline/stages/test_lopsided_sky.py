@@ -20,14 +20,9 @@ from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.diagnosis.readings import orders_of
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.strip_table import Strip
+from boresight.pipeline.stages import sky_strip
 from boresight.pipeline.stages.sky_side import SkySide
-from boresight.pipeline.stages.sky_strip import (
-    NamedStars,
-    SkyTask,
-    _without_stars,
-    sky_sightings,
-    strip_motion,
-)
+from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings, strip_motion
 from boresight.star_id.strip_stars.find import StripStars
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
@@ -213,15 +208,11 @@ def test_rows_and_columns_in_reverse_begin_at_the_other_end(task, named) -> None
 
 
 def test_a_strip_without_stars_tells_its_size_or_its_one_grey_level(task: SkyTask) -> None:
-    """7 x 300, 40 x 25 and 8 x 1000 pixels, the last one of the last middle line `unlike` the others."""
     shapes = {0: (7, 300), 2: (40, 25), 5: (8, 1000)}
-    for level, unlike, text in (
-        (4094, 0, "grey level 4094 throughout: no star in it"),
-        (4095, 0, "grey level 4095 throughout, saturated: no star in it"),  # of 12 bits
-        (4094, 1, "no star in its 1.11e+04 pixels"),
-        (4094, -1, "no star in its 1.11e+04 pixels"),
-    ):
+    for level, unlike in ((4094, 0), (4095, 0), (4094, 1), (4094, -1)):  # 4095 is full scale
         counts = {ccd: np.full(shape, level) for ccd, shape in shapes.items()}
-        counts[5][4, 999] += unlike
+        counts[5][4, 999] += unlike  # the last pixel of the last middle line
         images = Mock(shapes=shapes, read=lambda ccd, *at, of=counts: of[ccd][slice(*at[:2]), slice(*at[2:])])
-        assert _without_stars(replace(task, strip=replace(task.strip, images=images)), 4095.0) == text
+        text = f"grey level {level} throughout{', saturated' * (level == 4095)}: no star in it"
+        found = sky_strip._without_stars(replace(task, strip=replace(task.strip, images=images)), 4095.0)
+        assert found == ("no star in its 1.11e+04 pixels" if unlike else text)

@@ -68,9 +68,7 @@ def test_a_place_is_in_view_to_half_a_pixel_beyond_the_middles_of_the_outer_pixe
         task = replace(whole, strip=replace(whole.strip, ccd_lines={ccd: lines}))
         last, out = np.array([task.camera.n_px(ccd), lines]) - 1.0, np.array([0.4, 0.6])
         at = np.tile(0.3 * last, (8, 1))
-        at[:4, 0], at[4:, 1] = (
-            np.concatenate([-out, end + out]) for end in last
-        )  # beyond each of four edges
+        at[:4, 0], at[4:, 1] = (np.concatenate([-out, end + out]) for end in last)  # beyond four edges
         p_e = pushbroom_of(task).ground_points(ccd, *at.T, ConstantHeight(900.0))
-        assert _in_view(task, p_e).tolist() == [True, False] * 4, ccd
+        assert _in_view(task, p_e).tolist() == [True, False] * 4
         assert _in_view(whole, p_e)[4::2].all()  # by this one of the CCDs
