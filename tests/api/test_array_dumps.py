@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tasks import arrays_of
 
 import boresight as bs
+from boresight.array_dump import orbit_text
 from boresight.pipeline.files.text_files import toml_tables
 
 MINI = bs.example("mini")
@@ -109,6 +110,27 @@ def test_a_line_of_sight_stated_wrongly_moves_the_matrix_as_its_blind_spot_says(
         assert np.abs(moved - told).max() < 0.1, (moved, told)
 
 
+def test_errors_of_attitudes_are_read_back_as_they_were_given(attitudes: dict) -> None:
+    cov = np.array([[16.0, -9.0, 8.0], [-9.0, 81.0, 70.0], [8.0, 70.0, 2500.0]])  # arcsec²
+    pairs = {f"cov_{'xyz'[i]}{'xyz'[j]}_arcsec2": cov[i, j] for i in range(3) for j in range(i, 3)}
+    sigmas = {f"sigma_{axis}_arcsec": cov[n, n] ** 0.5 for n, axis in enumerate("xyz")}
+    plain = pd.DataFrame(attitudes["attitudes"])[["time", "qx", "qy", "qz", "qw"]]
+    for errors, expected in ((pairs, cov), (sigmas, np.diag(np.diag(cov)))):
+        given = attitudes | {"attitudes": plain.assign(**errors), "line_of_sight_s": [0.0, 0.0, 1.0]}
+        dump = bs.dump_from_arrays(**given)
+        found = dump.heads[0].source.rows.covariance_s / ARCSEC**2
+        np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-12)
+
+
+def test_exposures_without_ids_are_numbered_from_one() -> None:
+    given = arrays_of(MINI)
+    rows = given["exposures"].drop(columns="id").to_dict("records")
+    rows[4]["id"] = "named"
+    dump = bs.dump_from_arrays(**given | {"exposures": rows})
+    ids = pd.read_csv(Path(dump.root) / "exposures.csv")["id"].tolist()
+    assert ids == [f"e00{n:02d}" if n != 5 else "named" for n in range(1, 15)]
+
+
 def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None:
     with pytest.raises(ValueError, match="line_of_sight_s: found None, expected a unit vector"):
         bs.dump_from_arrays(**attitudes)
@@ -160,6 +182,12 @@ def test_messages_name_the_argument_its_row_and_unit() -> None:
     km = [row | {name: row[name] / 1e3 for name in ("x_m", "y_m", "z_m")} for row in given["orbit"]]
     with pytest.raises(ValueError, match=r"orbit, row 0, x_m, y_m, z_m: found 69\d\d\.\d+ m .*metres"):
         bs.dump_from_arrays(**given | {"orbit": km})
+    orbit, axes = pd.DataFrame(given["orbit"]), ["x_m", "y_m", "z_m"]
+    orbit[axes] *= (4.9e7 / np.linalg.norm(orbit[axes], axis=1))[:, None]
+    assert orbit_text("far", "ITRF", orbit)  # to 5e7 m
+    orbit.loc[orbit.index[5:], axes] *= 5.1 / 4.9
+    with pytest.raises(ValueError, match=r"orbit, row 5, x_m, y_m, z_m: found 5\.1e\+07 m"):
+        orbit_text("far", "ITRF", orbit)
     targets = pd.DataFrame(given["targets"])
     targets.loc[3, "lat_deg"] = 102.9
     with pytest.raises(bs.RawDataError, match=r"^targets: row 3, lat_deg: found 102\.9, expected at most 90"):

@@ -5,6 +5,7 @@ import dataclasses
 import doctest
 import importlib
 import inspect
+import io
 import json
 import re
 import resource
@@ -224,6 +225,10 @@ def test_tables_of_a_matrix_and_of_several_have_their_numbers(estimate: bs.Calib
         np.testing.assert_allclose(stated[0], result.theta, rtol=1e-12)
         found = table[[f"correlation_{name}" for name in of]].to_numpy() * np.outer(stated[1], stated[1])
         np.testing.assert_allclose(found, result.cov_theta, rtol=1e-12, atol=1e-20)
+        (shown,) = pd.read_html(io.StringIO(result._repr_html_()), index_col=0)
+        printed = [shown.loc[[f"{name}, arcsec"]].to_numpy() for name in ("theta", "1 sigma")]
+        rows = np.reshape([result.theta, stated[1]], (2, -1, 3)) / ARCSEC  # X, Y, Z of a camera
+        np.testing.assert_allclose(printed, rows, rtol=0.0, atol=5.1e-5)  # four digits are printed
 
 
 def drawn(axes: Axes) -> np.ndarray:
@@ -273,6 +278,9 @@ def test_callers_mistakes_are_named() -> None:
         bs.match_targets(MINI, strips=["nine"])
     with pytest.raises(bs.RawDataError, match=r"dump\.toml"):
         bs.calibrate(ROOT / "docs")
+    for n in (2, 3):
+        with pytest.raises(bs.RawDataError, match="named twice"):
+            bs.calibrate([MINI] * n)
 
 
 def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(

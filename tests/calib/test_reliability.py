@@ -13,11 +13,12 @@ from scipy.stats import binom, kstest
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.reliability import PROBABILITY_FOUND, blind_spots, examine
+from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.installation import theta_between
+from boresight.records.ledger import Subject
 from boresight.simulator.campaign import CameraPair, draw_strips
 
 CAMERAS = CameraPair(BOLD, n_ccds=2, ccd_px=12288)
@@ -184,3 +185,18 @@ def test_of_causes_that_explain_the_same_the_one_of_most_observations_is_told_an
         "strip strip0001",
     }
     assert all(one.rpartition(", ")[2] in f"{found.item}: {found.text}" for one in found.rivals)
+
+
+def test_a_displaced_target_is_told_by_the_linear_form_and_far_off_by_rays():
+    rng = np.random.default_rng(4)
+    by_place, axes_o = rng.normal(size=(2, 3)), rng.normal(size=(3, 2))
+    P, stated_m = by_place @ axes_o, np.array([1200.0, -1600.0])
+    linear_m, taken_m = rng.normal(0.0, 500.0, (2, 2))
+    for variance_m2 in (1.0, 100.0, 1e4):
+        cov_m2 = variance_m2 * np.array([[1.5, 0.4], [0.4, 0.5]])
+        known = {"residual": P @ linear_m, "estimated": P @ taken_m, "covariance": P @ cov_m2 @ P.T}
+        one = Contradiction(subject=Subject("target"), distance=9.0, by_place=by_place, **known)
+        off_m, covariance = one.displaced_m(stated_m, axes_o)
+        rays = 10.0**2 / (10.0**2 + variance_m2)  # 2 km curve by 10 m at 400 km
+        np.testing.assert_allclose(off_m, rays * (stated_m + taken_m) + (1 - rays) * linear_m, rtol=1e-9)
+        np.testing.assert_allclose(covariance, cov_m2, rtol=1e-9)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from drawn_campaigns import TABLE_1, assert_chi_square, squared
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips, strip_pairs
 from boresight.calib.estimate import InstallationEstimate, NotObservable
@@ -121,6 +122,23 @@ def test_pairs_of_several_cameras_are_read_back() -> None:
     np.testing.assert_allclose(*quaternions, rtol=0, atol=5e-16)  # normalised once more: the last bit
     with pytest.raises(ValueError, match="do not add"):
         pairs.merged(replace(pairs, cameras=("a", "b")))
+
+
+def test_rotations_between_three_cameras_have_the_covariance_of_finite_turns() -> None:
+    rng, R = np.random.default_rng(9), Rotation.random(3, random_state=1)
+    R0 = Rotation.from_rotvec(0.02 * rng.normal(size=(3, 3))) * R
+    L, sigma, h = 1e-2 * rng.normal(size=(9, 9)), 1e-2 * rng.uniform(1.0, 3.0, 9), 1e-6  # rad
+    shared = np.zeros((9, len(first().shared_values)))
+    changed = {"cameras": ("a", "b", "c"), "theta": np.ones(9), "theta_with_shared": shared}
+    found = replace(first(), R_cs=R, R_cs0=R0, cov_theta=L @ L.T, **changed)
+    turned = [Rotation.from_rotvec(-h * turn) * R for turn in np.eye(9).reshape(9, 3, 3)]  # by -theta
+    for one, (a, b) in zip(found.between(sigma), ((0, 1), (0, 2), (1, 2)), strict=True):
+        moved = [-(S[a] * S[b].inv() * one.R_ab.inv()).as_rotvec() / h for S in turned]
+        C = np.transpose(moved) @ np.stack([L @ L.T, np.diag(sigma**2)]) @ moved
+        off = -(R[a] * R[b].inv() * R0[b] * R0[a].inv()).as_rotvec()
+        np.testing.assert_allclose(one.theta, off, rtol=1e-9)
+        np.testing.assert_allclose(one.covariance, C[0], rtol=0.0, atol=1e-7)  # of 1e-3 rad²: 2nd order in h
+        assert one.p_value == pytest.approx(chi2(3).sf(squared(off, C.sum(axis=0))), rel=1e-4)
 
 
 def test_a_camera_without_a_matrix_or_without_targets_is_named() -> None:

@@ -4,7 +4,9 @@ from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.special import betainc
 
 from boresight.features.paper import pixels as missions
 from boresight.features.paper.comparison import compare_grid_pixels, compare_table4_pixels
@@ -46,3 +48,17 @@ def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
     text = "\n".join(compare_grid_pixels(table))
     assert "0.0927" in text and "F-test" in text
     assert len(plot_grid_pixels(table).axes) == 6
+
+
+def test_p_values_of_the_grid_have_the_degrees_of_freedom_of_its_pixels_and_of_its_vectors():
+    """Two cells of 5 missions and of 40 redrawn runs; tail of F by the incomplete beta function."""
+    both = ("pixels", 5, 4.1), ("vectors", 40, 2.8)
+    rows = [(name, axis, runs, square, square) for name, runs, square in both for axis in "XYZ"]
+    rest = "row_s_px row_c_px rms_arcsec bound_arcsec cpu_s paper_arcsec paper_bound_arcsec".split()
+    table = pd.DataFrame(2 * rows, columns=["method", "axis", "runs", "nees", "mean_square"])
+    lines = list(compare_grid_pixels(table.assign(**dict.fromkeys(rest, 1.0))))
+    for name, dof, word in (("X", 1, 7), ("Y", 1, 7), ("Z", 1, 7), ("NEES", 3, -1)):
+        p = float(next(line for line in lines if line.startswith(f"{name}  ")).split()[word])
+        n, m = dof * 2 * 5, dof * 2 * 40
+        above = betainc(m / 2, n / 2, m / (m + n * 4.1 / 2.8))
+        assert p == pytest.approx(2.0 * min(above, 1.0 - above), abs=5.1e-4)  # three digits are printed

@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
 
+from boresight.pipeline.head_noise.of_dump import _single
 from boresight.pipeline.head_noise.spectrum import (
     Signal,
+    _between_means,
     _unlike,
     _variance_of_means,
     allan_deviation,
@@ -176,6 +178,26 @@ def test_the_motion_by_which_attitudes_are_carried_is_smoothed_whatever_their_st
         rate = scipy.signal.savgol_filter(angle, window, 2, deriv=1, delta=step)[rows]
         expected = Rotation.from_rotvec(np.outer(angle[rows] + rate, [0.6, 0.0, 0.8]))
         assert (found * expected.inv()).magnitude().max() < 1e-12
+
+
+def test_a_single_head_is_told_from_the_nominal_motion() -> None:
+    off = 1e-3 * np.random.default_rng(6).normal(size=(len(T), 3))
+    R_oi = Rotation.random(len(T), random_state=7)
+    track = HeadTrack(name="a", t_s=T, R_hi=Rotation.from_rotvec(off) * R_SH * R_oi, R_oi=R_oi)
+    apart = Rotation.from_rotvec(off) * Rotation.from_rotvec(-off[len(T) // 2])
+    signal = _single(track, 0.4)
+    np.testing.assert_allclose(signal.values, apart.as_rotvec(), rtol=0.0, atol=1e-14)  # rad: rounding
+    assert (signal.step_s, signal.lowest_hz, signal.pieces) == (pytest.approx(STEP), 0.4, (slice(0, ROWS),))
+
+
+def test_covariance_of_means_is_that_of_all_pairs_of_a_part_in_units_of_the_level() -> None:
+    rng, level = np.random.default_rng(8), np.array([4.0, 0.3, 9.0, 0.05])
+    parts = [np.sqrt(level) * (rng.normal(size=(n, 4)) + 5.0) for n in (40, 2, 25)]
+    for lag in (1, 2):
+        off = [(part - np.vstack(parts).mean(axis=0)) / np.sqrt(level) for part in parts]
+        pairs = [(one[n], one[n + lag]) for one in off for n in range(len(one) - lag)]
+        expected = np.mean([first * later for first, later in pairs])
+        assert _between_means(parts, lag, level) == pytest.approx(expected, rel=1e-12)
 
 
 def test_gradient_of_the_prior_of_alike_heads_is_that_of_differences() -> None:

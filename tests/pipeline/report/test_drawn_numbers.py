@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from astropy.coordinates import SkyCoord
+from astropy.wcs import WCS
 
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
@@ -18,6 +20,7 @@ from boresight.pipeline.report.observations import TargetCard, strip_star_rows
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.sheet import angles
 from boresight.pipeline.report.star_image import star_detection
+from boresight.pipeline.report.strips_on_sky import _tangents
 
 
 def card(row: int, **more: Any) -> TargetCard:
@@ -206,3 +209,13 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
     assert [one.exact * one.scale for one in found["sigma"]] == pytest.approx(
         arcsec * np.array([1e-5, 2e-5, 3e-5])
     )
+
+
+def test_places_on_the_sky_are_those_of_the_gnomonic_projection_of_astropy() -> None:
+    stars = SkyCoord([358.1, 1.4, 359.3, 0.5], [-63.5, -62.9, -65.2, -64.1], unit="deg")
+    place, middle = _tangents(stars.cartesian.xyz.value.T)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype, wcs.wcs.crval = ("RA---TAN", "DEC--TAN"), middle
+    mean, east_north = SkyCoord(stars.cartesian.mean()), wcs.all_world2pix(stars.ra.deg, stars.dec.deg, 1)
+    np.testing.assert_allclose(place.T, east_north, rtol=0.0, atol=1e-11)  # degrees: rounding of radians
+    np.testing.assert_allclose(middle, [mean.ra.deg, mean.dec.deg], rtol=0.0, atol=1e-11)

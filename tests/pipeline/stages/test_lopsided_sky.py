@@ -4,6 +4,9 @@ Eight stages, rows labelled by the start of their exposure, an oblique scan off 
 correlated errors of sample and line.
 """
 
+from dataclasses import replace
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from lopsided import EPOCH
@@ -17,6 +20,7 @@ from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.pipeline.diagnosis.readings import orders_of
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.strip_table import Strip
+from boresight.pipeline.stages import sky_strip
 from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask, sky_sightings, strip_motion
 from boresight.star_id.strip_stars.find import StripStars
@@ -201,3 +205,14 @@ def test_rows_and_columns_in_reverse_begin_at_the_other_end(task, named) -> None
     columns, rows = (order.apply(side).found[0].xy_px for order in orders_of(task.strip))
     np.testing.assert_allclose(rows, np.column_stack([XY[:, 0], LINES - 1.0 - XY[:, 1]]))
     np.testing.assert_allclose(columns, np.column_stack([N_PX - 1.0 - XY[:, 0], XY[:, 1]]))
+
+
+def test_a_strip_without_stars_tells_its_size_or_its_one_grey_level(task: SkyTask) -> None:
+    shapes = {0: (7, 300), 2: (40, 25), 5: (8, 1000)}
+    for level, unlike in ((4094, 0), (4095, 0), (4094, 1), (4094, -1)):  # 4095 is full scale
+        counts = {ccd: np.full(shape, level) for ccd, shape in shapes.items()}
+        counts[5][4, 999] += unlike  # the last pixel of the last middle line
+        images = Mock(shapes=shapes, read=lambda ccd, *at, of=counts: of[ccd][slice(*at[:2]), slice(*at[2:])])
+        text = f"grey level {level} throughout{', saturated' * (level == 4095)}: no star in it"
+        found = sky_strip._without_stars(replace(task, strip=replace(task.strip, images=images)), 4095.0)
+        assert found == ("no star in its 1.11e+04 pixels" if unlike else text)

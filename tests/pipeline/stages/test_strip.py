@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from boresight.features.targets.dump_check import _in_view
 from boresight.geometry.constants import WGS84
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.input_findings import nearest_miss
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
@@ -58,3 +60,15 @@ def test_nearest_miss_is_told_across_and_along_the_track(calibration: DumpCalibr
     # 2 % of the distance: the footprint is a trapezoid on a curved Earth.
     assert (across_m, along_m) == pytest.approx((20e3, 7e3), abs=600.0)
     assert along_s == pytest.approx(along_m / np.linalg.norm(last - first) * duration_s, rel=1e-6)
+
+
+def test_a_place_is_in_view_to_half_a_pixel_beyond_the_middles_of_the_outer_pixels(calibration) -> None:
+    whole = calibration.tasks[0]
+    for ccd, lines in whole.strip.ccd_lines.items():
+        task = replace(whole, strip=replace(whole.strip, ccd_lines={ccd: lines}))
+        last, out = np.array([task.camera.n_px(ccd), lines]) - 1.0, np.array([0.4, 0.6])
+        at = np.tile(0.3 * last, (8, 1))
+        at[:4, 0], at[4:, 1] = (np.concatenate([-out, end + out]) for end in last)  # beyond four edges
+        p_e = pushbroom_of(task).ground_points(ccd, *at.T, ConstantHeight(900.0))
+        assert _in_view(task, p_e).tolist() == [True, False] * 4
+        assert _in_view(whole, p_e)[4::2].all()  # by this one of the CCDs
