@@ -124,8 +124,10 @@ def test_the_evidence_of_a_misfit_is_followed_along_a_ridge():
     def ridge(p):
         return -40.0 * (p[0] - p[1]) ** 2 - 2.0 * (p[0] + p[1] - 3.0) ** 2
 
-    place, value = _largest(ridge, np.array([0.0, 0.0]))
+    place, value = _largest(ridge, np.array([0.0, 0.0]), np.array([-np.inf, -np.inf]))
     assert np.abs(place - 1.5).max() < 0.15 and value > -0.3
+    place, _ = _largest(ridge, np.array([3.0, 0.0]), np.array([2.0, -np.inf]))  # not below 2
+    np.testing.assert_allclose(place, [2.0, 164.0 / 84.0], atol=1e-3)  # where it ends a search
 
 
 @pytest.mark.parametrize(
