@@ -51,14 +51,14 @@ class Stretch:
         """Sizes (A,) of the motion, in stated errors: all, or zero alone where a gyro tells it."""
         return np.zeros(1) if self.by_gyro else SIZES
 
-    def _modes(self) -> tuple[Floats, Floats]:
-        """Of the three axes (`motion_modes`)."""
+    def _modes(self) -> Iterator[tuple[Floats, Floats]]:
+        """Of each axis (`motion_modes`)."""
         t = (self.t_s - self.t_s.mean()) / float(np.median(np.diff(self.t_s)))
         lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
         shapes = [np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS]
         shapes.append(ahead**2 * (ahead / 3.0 + lag / 2.0))
-        own2 = self.own[:, None, None, None] ** 2
-        return motion_modes(self.noise, own2 * np.array(shapes), np.vander(t, 3))
+        for noise, own in zip(self.noise, self.own):
+            yield motion_modes(noise, own**2 * np.array(shapes), np.vander(t, 3))
 
     def log_likelihoods(self, factors: Floats = FACTORS) -> Floats:
         """(3, F) about each axis with errors larger by each of the factors, the motion as fits best."""
@@ -66,7 +66,7 @@ class Stretch:
 
     def _fits(self, sizes: Floats, factors: Floats = FACTORS) -> Iterator[Floats]:
         """Of each axis the logarithm of the likelihood (F, A, S) by factors, sizes (A,) and shapes."""
-        for variance, modes, y in zip(*self._modes(), self.turns.T):
+        for (variance, modes), y in zip(self._modes(), self.turns.T):
             of_mode = factors[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
             yield -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
 
@@ -80,7 +80,7 @@ class Stretch:
     def gains_without(self) -> Floats:
         """(K,) by how much the attitudes are likelier, as a logarithm, if one row says nothing."""
         gains = np.zeros(len(self.t_s))
-        for variance, modes, y, own in zip(*self._modes(), self.turns.T, self.own):
+        for (variance, modes), y, own in zip(self._modes(), self.turns.T, self.own):
             of_mode = 1.0 + self.sizes[:, None, None] ** 2 * variance  # (A, S, M)
             z = modes @ y
             fit = -0.5 * (np.log(of_mode) + z**2 / of_mode).sum(axis=2)
@@ -96,7 +96,7 @@ class Stretch:
         estimate (K,), 1/s; the motion is that of errors of the instants of 1-sigma `spread_s`.
         """
         at, z = np.zeros(len(self.t_s)), np.zeros((len(self.t_s),) * 2)
-        for variance, modes, y, own, rate in zip(*self._modes(), self.turns.T, self.own, self.rate):
+        for (variance, modes), y, own, rate in zip(self._modes(), self.turns.T, self.own, self.rate):
             factor = 1.0 + (spread_s * rate / own) ** 2
             of_mode = factor + self.sizes[:, None, None] ** 2 * variance
             fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=2)
