@@ -282,6 +282,25 @@ def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_
     assert told.value == pytest.approx(-1e3 * late_s, abs=5.0) and told.refutes
 
 
+@pytest.mark.parametrize("late_s", [-0.05, 0.08])
+def test_a_gyro_from_which_two_heads_differ_alike_is_dated_late_or_early_by_as_much(late_s):
+    one = record_of(1, 0.061, **FAST)
+    shifted = replace(one.head.gyro, t_s=one.head.gyro.t_s + late_s)
+    first = SimpleNamespace(**vars(one.head) | {"gyro": shifted, "sigma_installation_rad": 0.0})
+    second = SimpleNamespace(**vars(first) | {"name": "STR8", "gyro": None})
+    (told,) = against_own_motion([replace(one, head=head) for head in (first, second)])
+    assert (told.cause, told.file, told.field, told.unit) == (
+        "times of a gyro",
+        "dump.toml",
+        "gyro.file",
+        "ms",
+    )
+    # 60 rows of 1.2″ about two axes that turn by some 200″/s: 1 sigma is 0.5 ms, the limit 6 of them.
+    assert told.value == pytest.approx(1e3 * late_s, abs=3.0)
+    words = f"dated {abs(told.value):.3g} ms {'late' if late_s > 0.0 else 'early'} against all heads"
+    assert told.text.startswith(words) and told.refutes
+
+
 def test_sound_attitudes_beside_a_gyro_have_no_finding():
     found = [against_own_motion([record_of(seed, 0.061, **FAST | {"rows": 8})]) for seed in range(30)]
     assert found == [[]] * 30

@@ -157,9 +157,8 @@ def test_error_that_comes_back_is_told_harmonic_by_harmonic_in_seconds_of_arc_ea
     assert head.split() == "head port error that comes back every 5918.25 s, arcsec".split()
     labels = [f"cosine {h},1 sigma,sine {h},1 sigma" for h in (1, 2)]
     assert ",".join(row[:26].strip() for row in rows) == ",".join(labels)
-    np.testing.assert_array_equal(
-        np.reshape([row[26:].split() for row in rows], (2, 4, 3)).astype(float), told
-    )
+    values = np.array([row[26:].split() for row in rows], dtype=float)
+    np.testing.assert_array_equal(values.reshape(2, 4, 3), told)
 
 
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
