@@ -13,7 +13,7 @@ from scipy.stats import binom, kstest
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, blind_spots, examine
+from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, _fit, _tests, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -200,3 +200,19 @@ def test_a_displaced_target_is_told_by_the_linear_form_and_far_off_by_rays():
         rays = 10.0**2 / (10.0**2 + variance_m2)  # 2 km curve by 10 m at 400 km
         np.testing.assert_allclose(off_m, rays * (stated_m + taken_m) + (1 - rays) * linear_m, rtol=1e-9)
         np.testing.assert_allclose(covariance, cov_m2, rtol=1e-9)
+
+
+def test_what_is_left_of_a_hypothesis_beside_others_is_what_it_has_as_a_further_unknown(monkeypatch):
+    found = []
+    monkeypatch.setattr("boresight.calib.reliability._tests", lambda one: found.append(one) or _tests(one))
+    examined(drawn(1))
+    (one,) = found
+    table = {(h.cause, h.item): n for n, h in enumerate(one.table)}
+    chosen = [table[cause, "strip strip0001"] for cause in ("clock of the rows", "row period")]
+    own, given, right, _, by_theta = one.beside(one.step, chosen)
+    assert np.max(own[chosen] / given[chosen]) < 1e-9  # rounding: nothing is left of these
+    seen = np.flatnonzero(own > 1e-6 * np.maximum(given, own + by_theta))
+    fits = [_fit(one, [*chosen, n], one.step.weight > 0.0) for n in seen.tolist()]
+    np.testing.assert_allclose(own[seen] ** -0.5, [fit.sigma[-1] for fit in fits], rtol=1e-6)
+    np.testing.assert_allclose(right[seen] / own[seen], [fit.size[-1] for fit in fits], rtol=1e-6)
+    assert len(seen) > 70 and np.min(own[seen] / given[seen]) < 0.5  # some explain much the same
