@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.heads import measured_alignment
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
 from boresight.geometry.attitude_noise import AttitudeNoise
@@ -253,6 +254,20 @@ def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
     for found, dof in ((nees, 9 * runs), (chi2_all, dof_all), (gain, dof_gain)):
         low, high = chi2(df=dof).ppf([0.0005, 0.9995])
         assert low < found < high, (found / runs, dof / runs)
+
+
+@pytest.mark.parametrize("which", ["first", "last"])
+def test_an_attitude_between_the_first_or_last_two_of_the_reference_head_measures_the_alignment(
+    which,
+) -> None:
+    strip, true = flown(0, 2)[0], R_A.inv() * R_B
+    (other,), times = strip.others, strip.usable()[0]
+    begin, end = times[:2] if which == "first" else times[-2:]
+    few = other.take((other.t_s > begin) & (other.t_s < end))
+    assert len(few.t_s) == 1 and (few.R_sh * true.inv()).magnitude() > 700.0 * ARCSEC  # by the launch
+    found = measured_alignment([replace(strip, others=(few,))], "B")
+    # Errors of both heads about their lines of sight are 12″ together; the limit is 5 of these.
+    assert (found * true.inv()).magnitude() < 60.0 * ARCSEC
 
 
 def test_the_covariance_of_all_heads_has_three_rows_a_head_and_begins_with_that_of_the_reference() -> None:
