@@ -1,7 +1,6 @@
 """The virtual CCD: its place by least squares, and that stitched strips show no seam."""
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from strips import EARTH, PERIOD_S, R_CS, attitude, orbit
 
 from boresight.features.exports.virtual_ccd import VirtualStrip, _nodes, virtual_camera
-from boresight.features.exports.virtual_ccd_command import virtual_ccd_command
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects
@@ -244,21 +242,3 @@ def test_what_no_detector_saw_stays_unknown(scene):
 def test_nodes_are_no_denser_than_asked_for_and_end_with_the_pixels(first, last, step, count):
     nodes = _nodes(np.arange(first, last + 1.0), step)
     assert np.allclose(nodes, first + (last - first) * np.arange(count + 1) / count, rtol=1e-15)
-
-
-@pytest.mark.parametrize(("n_ccds", "middle"), [(1, 0), (2, 1), (3, 1), (5, 2)])
-def test_an_rpc_states_the_error_of_the_middle_ccd_at_the_middle_height(
-    n_ccds, middle, monkeypatch, tmp_path
-):
-    strip = SimpleNamespace(ccd_lines={ccd: 100 + ccd for ccd in reversed(range(n_ccds))})
-    stated, error = [], SimpleNamespace(largest_px=0.0)
-    for name, function in {
-        "open_calibrated": lambda result, dump, camera: SimpleNamespace(dump=SimpleNamespace(terrain=None)),
-        "whole_strip_model": lambda calibrated, strip_id: SimpleNamespace(strip=strip),
-        "surface_of": lambda terrain: SimpleNamespace(height_range_m=lambda: (200.0, 500.0)),
-        "ground_error": lambda calibrated, model, *of: of,
-        "write_virtual_strip": lambda *given: stated.append(given[-1]) or (1, 1, error),
-    }.items():
-        monkeypatch.setattr(f"{virtual_ccd_command.__module__}.{name}", function)
-    virtual_ccd_command(tmp_path, "s01", tmp_path / "s01.tif")
-    assert stated == [(middle, 100 + middle, 350.0)]  # CCD, its lines, m

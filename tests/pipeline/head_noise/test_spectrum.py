@@ -213,11 +213,10 @@ def test_gradient_of_the_prior_of_alike_heads_is_that_of_differences() -> None:
 
 
 def test_density_of_an_axis_is_that_of_white_and_first_order_noise_and_its_changes_are_differences() -> None:
-    rng, step_s = np.random.default_rng(6), 0.3
-    omega = np.array([0.02, 0.7, 1.9, 3.1])  # rad a sample
-    x = rng.normal(size=(2, 3, 3)) * [0.5, 0.5, 1.5]  # heads, axes; logarithms of sizes and time
+    step_s, omega = 0.3, np.array([0.02, 0.7, 1.9, 3.1])  # s; rad a sample
+    x = np.random.default_rng(6).normal(size=(2, 3, 3)) * [0.5, 0.5, 1.5]  # heads, axes; logarithms
     density, by_x = _axes_density(x, omega, step_s)
-    lags = np.arange(-2000, 2001)  # of the autocovariance: correlation times up to 20 steps
+    lags = np.arange(-2000, 2001)  # of the autocovariance: correlation times of 30 steps at most
     white, correlated, time_s = np.moveaxis(np.exp(x), -1, 0)[..., None]
     covariance = correlated**2 * np.exp(-step_s * np.abs(lags) / time_s) + white**2 * (lags == 0)
     np.testing.assert_allclose(density, np.einsum("fl,hal->fha", np.cos(np.outer(omega, lags)), covariance))

@@ -70,21 +70,18 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
 
 
 def test_bars_of_a_ccd_are_its_mean_sigma_and_spread_those_across_left_of_those_along() -> None:
-    metres = {"across": [1.0, 2.0, 6.0, -1.0, -3.0], "along": [0.5, 1.5, 1.0, 4.0, -2.0]}
-    ground = {f"residual_{name}_m": [*values, 90.0] for name, values in metres.items()}
-    ground |= {"state": ["used"] * 5 + ["rejected"], "ccd": [0, 0, 0, 2, 2, 2]}
-    svg = figures.ccd_means(SimpleNamespace(ground=pa.table(ground))).svg  # type: ignore[arg-type]
+    metres = {"residual_across_m": [1, 2, 6, -1, -3, 50], "residual_along_m": [0.5, 1.5, 1, 4, -2, 90]}
+    ground = pa.table({"state": ["used"] * 5 + ["rejected"], "ccd": [0, 0, 0, 2, 2, 2]} | metres)
+    svg = figures.ccd_means(SimpleNamespace(ground=ground)).svg  # type: ignore[arg-type]
     to_x, (to_y,) = scales(svg)
     for values, off, name in zip(metres.values(), (-0.08, 0.08), "xy"):
-        mean, spread = np.array([[np.mean(one), np.std(one)] for one in (values[:3], values[3:])]).T
+        mean, spread = np.array([[np.mean(one), np.std(one)] for one in (values[:3], values[3:5])]).T
         parts = re.findall(rf'd="([^"]+)" style="[^"]*stroke:var\(--{name}\);[^"]*" clip', svg)
         sizes = spread, spread / np.sqrt([3.0, 2.0]), 0.0 * mean  # thin, thick, mark
         for d, half, ends in zip(parts, sizes, ([-1, 1], [-1, 1], [0]), strict=True):
             x, y = np.array(re.findall(r"[ML]([\d.]+) ([\d.]+)", d), dtype=float).reshape(2, -1, 2).T
-            np.testing.assert_allclose(
-                to_x(x), [[off, 2.0 + off]] * len(ends), atol=0.01
-            )  # tenths of a point
-            np.testing.assert_allclose(to_y(y), mean + np.outer(ends, half), atol=0.01)  # m
+            np.testing.assert_allclose(to_x(x) - [0.0, 2.0], off, atol=0.01)  # numbers stand on tenths of a
+            np.testing.assert_allclose(to_y(y), mean + np.outer(ends, half), atol=0.01)  # point, 3 mm
 
 
 @pytest.mark.parametrize(
