@@ -15,6 +15,7 @@ from astropy.wcs import WCS
 
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
+from boresight.pipeline.report.first_screen import _helps
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard, strip_star_rows
 from boresight.pipeline.report.saved import Saved
@@ -224,6 +225,20 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
     assert [one.exact * one.scale for one in found["sigma"]] == pytest.approx(
         arcsec * np.array([1e-5, 2e-5, 3e-5])
     )
+
+
+def test_what_a_change_leaves_is_in_seconds_of_arc_the_one_that_gains_most_about_the_weakest_axis_first() -> (
+    None
+):
+    rad = {"more stars": [2e-6, 3e-6, 9e-6], "more strips": [4e-6, 5e-6, 6e-6]}
+    told = [{"change": change, "sigma_rad": one} for change, one in rad.items()]
+    saved = SimpleNamespace(context={"improvements": told})
+    saved.context_number = partial(Saved.context_number, saved)
+    helps = _helps(saved, [SimpleNamespace(exact=x) for x in (8e-6, 8e-6, 12e-6)], 2)  # type: ignore[arg-type]
+    assert {one.change: one.gain for one in helps} == pytest.approx({"more strips": 0.5, "more stars": 0.25})
+    for one, change in zip(helps, ("more strips", "more stars"), strict=True):
+        found = [x.exact * x.scale for x in one.sigma_arcsec]
+        assert found == pytest.approx(np.degrees(rad[change]) * 3600.0)
 
 
 def test_places_on_the_sky_are_those_of_the_gnomonic_projection_of_astropy() -> None:
