@@ -227,9 +227,7 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
     )
 
 
-def test_what_a_change_leaves_is_in_seconds_of_arc_the_one_that_gains_most_about_the_weakest_axis_first() -> (
-    None
-):
+def test_what_a_change_leaves_is_in_seconds_of_arc_the_one_that_helps_the_weakest_axis_most_first() -> None:
     rad = {"more stars": [2e-6, 3e-6, 9e-6], "more strips": [4e-6, 5e-6, 6e-6]}
     told = [{"change": change, "sigma_rad": one} for change, one in rad.items()]
     saved = SimpleNamespace(context={"improvements": told})

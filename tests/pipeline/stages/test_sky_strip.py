@@ -17,14 +17,8 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
-from boresight.pipeline.diagnosis.losses import (
-    OF_STARS,
-    OF_TARGETS,
-    displaced_stars,
-    lost_ccds,
-    named_alone,
-    star_ledger,
-)
+from boresight.pipeline.diagnosis import losses
+from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds, named_alone, star_ledger
 from boresight.pipeline.diagnosis.readings import exchanged_in_sky, reversed_strips, strips_without_stars
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
@@ -244,7 +238,7 @@ def test_stars_that_a_ccd_shows_60_lines_off_are_paired_with_the_stars_that_are_
     found = replace(one.found, xy_px=one.found.xy_px + off)
     gone = replace_named(one, found, one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
     counts = counted(dump, replace(side, found=(found,)), [gone], calibration)
-    (far,) = displaced_stars(dump, side, [gone], counts, calibration.estimate.R_cs)
+    (far,) = losses.displaced_stars(dump, side, [gone], counts, calibration.estimate.R_cs)
     true, told = (dict(zip(those.rows.tolist(), those.names.tolist())) for those in (one, far))
     both = true.keys() & told.keys()  # others had no name for certain
     assert len(both) >= 4 and all(true[row] == told[row] and off[row, 1] > 0.0 for row in both)
