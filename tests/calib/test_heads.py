@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.heads import measured_alignment
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
 from boresight.geometry.attitude_noise import AttitudeNoise
@@ -253,6 +254,15 @@ def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
     for found, dof in ((nees, 9 * runs), (chi2_all, dof_all), (gain, dof_gain)):
         low, high = chi2(df=dof).ppf([0.0005, 0.9995])
         assert low < found < high, (found / runs, dof / runs)
+
+
+def test_attitudes_between_two_of_the_reference_head_alone_measure_the_alignment() -> None:
+    whole, true = flown(0, 2)[0], R_A.inv() * R_B
+    two = {"exposures": whole.exposures[:2], "R_oi_exposures": whole.R_oi_exposures[:2]}
+    strip = replace(whole, attitudes=whole.attitudes.take(np.arange(2)), **two)
+    assert (strip.others[0].R_sh * true.inv()).magnitude() > 700.0 * ARCSEC  # by the launch
+    error = measured_alignment([strip], "B") * true.inv()
+    assert error.magnitude() < 60.0 * ARCSEC  # 5 sigma of both heads about their lines of sight
 
 
 def test_the_covariance_of_all_heads_has_three_rows_a_head_and_begins_with_that_of_the_reference() -> None:

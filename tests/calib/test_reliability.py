@@ -13,7 +13,7 @@ from scipy.stats import binom, kstest
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, blind_spots, examine
+from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, _fit, _tests, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -200,3 +200,17 @@ def test_a_displaced_target_is_told_by_the_linear_form_and_far_off_by_rays():
         rays = 10.0**2 / (10.0**2 + variance_m2)  # 2 km curve by 10 m at 400 km
         np.testing.assert_allclose(off_m, rays * (stated_m + taken_m) + (1 - rays) * linear_m, rtol=1e-9)
         np.testing.assert_allclose(covariance, cov_m2, rtol=1e-9)
+
+
+def test_what_is_left_of_a_hypothesis_beside_others_is_what_it_has_as_a_further_unknown(monkeypatch):
+    found = []
+    monkeypatch.setattr("boresight.calib.reliability._tests", lambda one: found.append(one) or _tests(one))
+    examined(drawn(1))
+    (one,) = found
+    chosen = [n for n, h in enumerate(one.table) if h.item == "strip strip0001"][:2]  # its clock and period
+    own, given, right, _, by_theta = one.beside(one.step, chosen)
+    seen = np.flatnonzero(own > 1e-6 * np.maximum(given, own + by_theta))
+    fits = [_fit(one, [*chosen, n], one.step.weight > 0.0) for n in seen.tolist()]
+    alone = np.array([(fit.size[-1], fit.sigma[-1]) for fit in fits])
+    np.testing.assert_allclose(np.transpose([right / own, own**-0.5])[seen], alone, rtol=1e-6)
+    assert len(seen) > 70 and np.min(own[seen] / given[seen]) < 0.5  # some explain much the same

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from drawn_campaigns import BOLD, CAMERAS, TABLE_1
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest, norm
 
+from boresight.calib import verdict as rules
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import Finding
@@ -230,3 +232,14 @@ def test_weakest_axis_is_that_of_the_largest_variance():
     axis = verdict.weakest_axis_c
     assert verdict.weakest_sigma_rad == pytest.approx(np.sqrt(axis @ estimate.cov_theta @ axis))
     assert verdict.weakest_sigma_rad >= estimate.sigma_theta.max()
+
+
+def test_of_causes_of_a_bias_the_first_is_told_and_of_heads_the_one_of_the_least_likely_check():
+    bias = SimpleNamespace(names=("clock", "along", "up"), value=[9.0, -4.0, 6.0], sigma=[0.1, 1.0, 2.0])
+    failed = SimpleNamespace(kind=CheckKind.ORBIT_BIAS, fails=True, p_value=1e-9)
+    others = [SimpleNamespace(field=f"f{n}", file="dump.toml", cause="c", item=f"i{n}") for n in range(2)]
+    (told,) = rules._orbit_finding(SimpleNamespace(bias=bias), [failed], others, "targets.csv")
+    assert told.text.endswith("in targets.csv; or f0 in dump.toml.") and told.rivals == ("c, i0",)
+    assert (told.value, told.sigma) == (-4.0, 1.0)  # m: 4 sigma and 3; the clock is not of the orbit
+    checks = [SimpleNamespace(names=((f"h{p}",),), p_value=p, statistic=9.0, expected=3.0) for p in (2, 1, 3)]
+    assert [one.subjects[0].head for one in rules._head_findings(checks)] == ["h1"]

@@ -11,7 +11,7 @@ from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 from scipy.spatial.transform import Rotation
 
-from boresight.features.exports.ground_error import GroundError
+from boresight.features.exports.ground_error import GroundError, ground_error
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata
 from boresight.features.exports.virtual_ccd import VirtualStrip
 from boresight.geometry.attitude import AttitudeTrack
@@ -113,6 +113,7 @@ def test_the_file_has_the_rpc_in_its_tags_and_beside_it(finished: tuple[Path, Pa
     assert "its RPC misses the virtual camera by up to 0.0" in told.output
     calibrated = open_calibrated(result, dump)
     model, surface = whole_strip_model(calibrated, "s01"), surface_of(calibrated.dump.terrain)
+    middle = 2, model.strip.ccd_lines[2], sum(surface.height_range_m()) / 2.0  # of four CCDs
     smooth = -0.5, model.strip.lines - 0.5
     strip = VirtualStrip(model.pushbroom, surface, smooth_rows=smooth)
     line = np.linspace(50.0, model.strip.lines - 50.0, 20)
@@ -122,6 +123,8 @@ def test_the_file_has_the_rpc_in_its_tags_and_beside_it(finished: tuple[Path, Pa
             beside.unlink()
         with rasterio.open(out) as image:
             rpc = image.rpcs
+        error = ground_error(calibrated, model, *middle)
+        assert (rpc.err_bias, rpc.err_rand) == pytest.approx((error.bias_m, error.random_m), abs=5e-5)  # m
         for ccd, begin, end in strip.seams(float(line.mean())):
             sample = np.linspace(begin + 2.0, end - 2.0, 20)
             raw = strip.source_pixels(ccd, sample, line)

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import RunSettings, Settings
 from boresight.pipeline.run.unit_store import UnitStore
-from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
-from boresight.pipeline.stages.strip_tasks import strips_to_match
+from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
+from boresight.pipeline.stages.strip_tasks import _without_hidden_points, strips_to_match
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 
@@ -35,6 +36,22 @@ def store(demo: Path, tmp_path: Path) -> UnitStore:
 @pytest.fixture(scope="module")
 def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
     return match_strips(tasks, StageRunner(), "matching-0")
+
+
+def test_measured_points_beyond_the_horizon_are_left_out_whatever_their_direction(tasks):
+    seen_at = tasks[0].orbit.positions_e(pushbroom_of(tasks[0]).instants_of_lines(0, np.array([100.0])))[0]
+    to_top = Rotation.align_vectors([seen_at], [[0.0, 0.0, 1.0]])[0]
+    radius_m = 6371e3
+    far = np.tile([0.5, 1.2], 8) * np.arccos(radius_m / np.linalg.norm(seen_at))  # of the way to the horizon
+    ways = Rotation.from_euler("ZY", np.column_stack([np.arange(16) // 2 * np.pi / 4.0, far]))
+    p_e = radius_m * (to_top * ways).apply([0.0, 0.0, 1.0])
+    targets = [SimpleNamespace(p_e=one, target_id=f"p{n}") for n, one in enumerate(p_e)]
+    of_line = {"ccd": np.zeros(16, dtype=int), "xy_px": np.full((16, 2), 100.0), "targets": targets}
+    points = SimpleNamespace(**of_line, take=lambda kept: kept.tolist())
+    left, found = _without_hidden_points(replace(tasks[0], points=points), False)
+    assert left.points == [True, False] * 8
+    told = {one.subject.id: one.detail.partition(" of ")[0] for one in found}
+    assert told == dict.fromkeys((f"p{n}" for n in range(1, 16, 2)), "beyond the horizon")
 
 
 def test_matrix_is_that_of_searching_every_strip(store, all_searched, monkeypatch):

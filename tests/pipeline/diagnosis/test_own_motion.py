@@ -282,6 +282,18 @@ def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_
     assert told.value == pytest.approx(-1e3 * late_s, abs=5.0) and told.refutes
 
 
+@pytest.mark.parametrize("late_s", [-0.05, 0.08])
+def test_a_gyro_from_which_two_heads_differ_alike_is_dated_late_or_early_by_as_much(late_s):
+    one = record_of(1, 0.061, **FAST)
+    gyro = replace(one.head.gyro, t_s=one.head.gyro.t_s + late_s)
+    own = vars(one.head) | {"gyro": gyro, "sigma_installation_rad": 0.0}
+    heads = [replace(one, head=SimpleNamespace(**own | {"name": name})) for name in ("STR7", "STR8")]
+    (told,) = against_own_motion(heads)
+    assert (told.cause, told.field, told.unit) == ("times of a gyro", "gyro.file", "ms")
+    assert told.value == pytest.approx(1e3 * late_s, abs=3.0)  # ms: 6 sigma of 60 rows of 1.2″ at 200″/s
+    assert f" ms {'late' if late_s > 0.0 else 'early'} against all heads" in told.text
+
+
 def test_sound_attitudes_beside_a_gyro_have_no_finding():
     found = [against_own_motion([record_of(seed, 0.061, **FAST | {"rows": 8})]) for seed in range(30)]
     assert found == [[]] * 30

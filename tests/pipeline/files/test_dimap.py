@@ -213,7 +213,7 @@ def test_last_column_may_be_one_beyond_the_image_but_not_two(tmp_path):
             read(tmp_path / "dimap.xml")
 
 
-def test_product_whose_corners_lie_elsewhere_is_refused(tmp_path):
+def test_product_whose_corners_lie_elsewhere_is_refused(tmp_path, monkeypatch):
     (tmp_path / "dimap.xml").write_text(dimap_text())
     model = read(tmp_path / "dimap.xml").pushbroom
     column, row = np.array([1.0, 20_000.0]), np.array([1.0, 9_000.0])
@@ -234,6 +234,8 @@ def test_product_whose_corners_lie_elsewhere_is_refused(tmp_path):
     assert framed(0.0).width_px == 20_000  # the height of 800 m is not stated
     with pytest.raises(RawDataError, match=r"COL 1, ROW 1.* m from the line of sight of its pixel"):
         framed(0.05)
+    monkeypatch.setattr("boresight.pipeline.files.dimap_metadata._CORNER_M", 0.2)  # a third of a pixel
+    assert framed(0.0).width_px == 20_000
 
 
 def dense(text, first_s, count):

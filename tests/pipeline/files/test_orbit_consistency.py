@@ -72,6 +72,14 @@ def test_wrong_velocities_are_found_and_the_cause_is_named(fault, frame, wrong, 
         assert found.factor == pytest.approx(np.median(wrong(p, v) / v), rel=1e-3)
 
 
+def test_a_factor_of_the_velocities_is_found_below_the_noise_of_each_since_many_tell_it():
+    t, p, v = ephemeris("ITRF", 60.0, 800)
+    noisy = 1.004 * v + np.random.default_rng(2).normal(0.0, 12.0, v.shape)  # m/s, where 30 are wrong
+    found = find_orbit_fault(t, p, noisy, "ITRF")
+    assert found is not None and found.fault is OrbitFault.SCALED, found
+    assert found.factor == pytest.approx(1.004, abs=2e-4)  # 12 m/s by the root of 800 velocities: 3.5 sigma
+
+
 @pytest.mark.parametrize(("step_s", "n"), [(0.5, 60), (1.0, 70), (30.0, 200)])
 @pytest.mark.parametrize("inclination_deg", [28.5, 97.5])
 @pytest.mark.parametrize(

@@ -386,6 +386,15 @@ def test_mutated_polynomials_are_read_or_refused(kind: int, tmp_path: Path) -> N
     assert refused > 3
 
 
+def test_a_packet_that_states_one_coefficient_more_than_it_has_is_refused(tmp_path: Path) -> None:
+    write_texts(tmp_path)
+    write_polynomials(tmp_path / "a.bc", ticks_of(tmp_path, 0.5 * np.arange(12.0)), 4)
+    right, wrong = (np.float64(2 * (1 + 128 + 128**2 + 128**3) + n).tobytes() for n in (0, 1))  # degree 1
+    (tmp_path / "b.bc").write_bytes((tmp_path / "a.bc").read_bytes().replace(right, wrong, 1))
+    with pytest.raises(RawDataError, match="segment of type 4: found counts that do not fit"):
+        read_ck(tmp_path / "b.bc", "b.bc", EPOCH, "SAT_STR1", kernels(tmp_path, *ALL))
+
+
 def test_polynomials_over_too_many_hours_are_refused(tmp_path: Path) -> None:
     write_texts(tmp_path)
     ticks = ticks_of(tmp_path, np.array([0.0, 2e8, 4e8, 6e8]))

@@ -12,6 +12,7 @@ from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors,
 from boresight.pipeline.head_noise.of_dump import _single
 from boresight.pipeline.head_noise.spectrum import (
     Signal,
+    _axes_density,
     _between_means,
     _unlike,
     _variance_of_means,
@@ -209,3 +210,16 @@ def test_gradient_of_the_prior_of_alike_heads_is_that_of_differences() -> None:
         step[place] = 1e-5
         slope = (_unlike(x + step, start)[0] - _unlike(x - step, start)[0]) / 2e-5
         assert gradient[place] == pytest.approx(slope, abs=1e-6)  # of a quadratic form: rounding alone
+
+
+def test_density_of_an_axis_is_that_of_white_and_first_order_noise_and_its_changes_are_differences() -> None:
+    step_s, omega = 0.3, np.array([0.02, 0.7, 1.9, 3.1])  # s; rad a sample
+    x = np.random.default_rng(6).normal(size=(2, 3, 3)) * [0.5, 0.5, 1.5]  # heads, axes; logarithms
+    density, by_x = _axes_density(x, omega, step_s)
+    lags = np.arange(-2000, 2001)  # of the autocovariance: correlation times of 30 steps at most
+    white, correlated, time_s = np.moveaxis(np.exp(x), -1, 0)[..., None]
+    covariance = correlated**2 * np.exp(-step_s * np.abs(lags) / time_s) + white**2 * (lags == 0)
+    np.testing.assert_allclose(density, np.einsum("fl,hal->fha", np.cos(np.outer(omega, lags)), covariance))
+    for p, h in enumerate(1e-5 * np.eye(3)):
+        slope = (_axes_density(x + h, omega, step_s)[0] - _axes_density(x - h, omega, step_s)[0]) / 2e-5
+        np.testing.assert_allclose(by_x[..., p], slope, rtol=1e-6, atol=1e-8 * density.max())  # curvature

@@ -15,6 +15,7 @@ from astropy.wcs import WCS
 
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
+from boresight.pipeline.report.first_screen import _helps
 from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard, strip_star_rows
 from boresight.pipeline.report.saved import Saved
@@ -67,6 +68,21 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
         for n, panel in enumerate(to_y):  # that of x, then that of y; numbers stand on tenths of a point
             np.testing.assert_allclose(to_x(at[2 * n :][:2, 0]), x, atol=1e-3 * np.ptp(x))
             np.testing.assert_allclose(panel(at[2 * n :][:2, 1]), arcsec[:, n], atol=4e-3)
+
+
+def test_bars_of_a_ccd_are_its_mean_sigma_and_spread_those_across_left_of_those_along() -> None:
+    metres = {"residual_across_m": [1, 2, 6, -1, -3, 50], "residual_along_m": [0.5, 1.5, 1, 4, -2, 90]}
+    ground = pa.table({"state": ["used"] * 5 + ["rejected"], "ccd": [0, 0, 0, 2, 2, 2]} | metres)
+    svg = figures.ccd_means(SimpleNamespace(ground=ground)).svg  # type: ignore[arg-type]
+    to_x, (to_y,) = scales(svg)
+    for values, off, name in zip(metres.values(), (-0.08, 0.08), "xy"):
+        mean, spread = np.array([[np.mean(one), np.std(one)] for one in (values[:3], values[3:5])]).T
+        parts = re.findall(rf'd="([^"]+)" style="[^"]*stroke:var\(--{name}\);[^"]*" clip', svg)
+        sizes = spread, spread / np.sqrt([3.0, 2.0]), 0.0 * mean  # thin, thick, mark
+        for d, half, ends in zip(parts, sizes, ([-1, 1], [-1, 1], [0]), strict=True):
+            x, y = np.array(re.findall(r"[ML]([\d.]+) ([\d.]+)", d), dtype=float).reshape(2, -1, 2).T
+            np.testing.assert_allclose(to_x(x) - [0.0, 2.0], off, atol=0.01)  # numbers stand on tenths of a
+            np.testing.assert_allclose(to_y(y), mean + np.outer(ends, half), atol=0.01)  # point, 3 mm
 
 
 @pytest.mark.parametrize(
@@ -209,6 +225,18 @@ def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
     assert [one.exact * one.scale for one in found["sigma"]] == pytest.approx(
         arcsec * np.array([1e-5, 2e-5, 3e-5])
     )
+
+
+def test_what_a_change_leaves_is_in_seconds_of_arc_the_one_that_helps_the_weakest_axis_most_first() -> None:
+    rad = {"more stars": [2e-6, 3e-6, 9e-6], "more strips": [4e-6, 5e-6, 6e-6]}
+    told = [{"change": change, "sigma_rad": one} for change, one in rad.items()]
+    saved = SimpleNamespace(context={"improvements": told})
+    saved.context_number = partial(Saved.context_number, saved)
+    helps = _helps(saved, [SimpleNamespace(exact=x) for x in (8e-6, 8e-6, 12e-6)], 2)  # type: ignore[arg-type]
+    assert {one.change: one.gain for one in helps} == pytest.approx({"more strips": 0.5, "more stars": 0.25})
+    for one, change in zip(helps, ("more strips", "more stars"), strict=True):
+        found = [x.exact * x.scale for x in one.sigma_arcsec]
+        assert found == pytest.approx(np.degrees(rad[change]) * 3600.0)
 
 
 def test_places_on_the_sky_are_those_of_the_gnomonic_projection_of_astropy() -> None:

@@ -133,6 +133,10 @@ def test_variance_of_a_cross_angle_is_that_of_everything_it_depends_on():
     motion = motion_of(draw_strips(plan, CameraPair(R_cs), np.random.default_rng(5))[0][0])
     motion = replace(motion, covariance_s=motion.covariance_s * [[1, 1, 2], [1, 1, 2], [2, 2, 4]])
     at = cross_angles([motion], R_cs, settings)
+    strip = motion.strip
+    nearest = [min(strip.exposures, key=lambda one: abs(one.t_s - t)) for t in strip.ground.t_s.tolist()]
+    pairs = [(id, e.exposure_id, hip) for id, e in zip(strip.ground.target_id, nearest) for hip in e.hip]
+    assert list(zip(at.target_id, at.exposure_id, at.hip)) == pairs and set(at.strip_id) == {strip.strip_id}
     variance = np.zeros(len(at.z))
     for moved in (*moved_targets(motion, vibration_rad, position_m), *moved_attitudes(motion)):
         variance += (cross_angles([moved], R_cs, settings).z - at.z) ** 2

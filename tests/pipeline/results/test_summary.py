@@ -148,6 +148,16 @@ def test_stars_of_scans_are_not_called_targets(ranges_m: Any, words: str) -> Non
     assert _seen(SimpleNamespace(n_targets=7), strips) == words
 
 
+def test_error_that_comes_back_is_told_harmonic_by_harmonic_in_seconds_of_arc_each_beside_its_sigma() -> None:
+    told = 0.25 * np.arange(24.0).reshape(2, 4, 3)  # harmonic, row, axis; arc-seconds
+    names = ("cosine_rad", "sigma_cosine_rad", "sine_rad", "sigma_sine_rad")
+    rad = np.radians(told / 3600.0).swapaxes(0, 1)
+    wave = SimpleNamespace(head="port", period_s=5918.25, **dict(zip(names, rad)))
+    rows = calibration_summary(calibration(periodic=(wave,))).splitlines()[-9:-1]
+    assert [row[:26].strip() for row in rows[::2]] == ["cosine 1", "sine 1", "cosine 2", "sine 2"]
+    np.testing.assert_array_equal(np.array([row[26:].split() for row in rows], dtype=float), np.vstack(told))
+
+
 def test_matrix_that_did_not_converge_is_not_to_be_used() -> None:
     assert "do not use this matrix" in calibration_summary(calibration(converged_covariance=False))
     assert "do not use" not in calibration_summary(calibration())

@@ -40,7 +40,7 @@ def test_each_ccd_has_a_part_of_the_look_distortion_unless_the_dump_states_it() 
     pixel_rad = 1e-5 / 8.0
     two = replace(CAMERA, ccds=(DETECTOR, replace(DETECTOR, n_px=300, y_first_m=0.005)))
     usual = calibration_settings(Settings(), STATED, two)
-    assert usual.ccd_px == (512, 300)
+    assert usual.ccd_px == (512, 300) and replace(usual, ccd_px=(2, 2)).ccd_px == (2, 2)  # have a slope
     assert usual.sigma_ccd_rad == pytest.approx((0.08 * pixel_rad,) * 3, rel=1e-12)  # 0.2 of 0.4 px
     stated = STATED.model_copy(update={"look_ccd_shift_px": 0.7, "look_ccd_bend_px": 0.0})
     used = calibration_settings(Settings(), stated, two)

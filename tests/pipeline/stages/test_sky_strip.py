@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.diagnosis import losses
 from boresight.pipeline.diagnosis.losses import OF_STARS, OF_TARGETS, lost_ccds, named_alone, star_ledger
 from boresight.pipeline.diagnosis.readings import exchanged_in_sky, reversed_strips, strips_without_stars
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -229,6 +230,18 @@ def test_stars_missing_in_a_strip_are_told_by_ccd_by_image_and_by_strip(calibrat
     (alone,) = reversed_strips(dump, reversed_side)  # the only strip: no other one gives a matrix
     assert alone.refutes and alone.item == "strip sky01" and "columns reversed" in alone.text
     assert list(reversed_strips(dump, side)) == []
+
+
+def test_stars_that_a_ccd_shows_60_lines_off_are_paired_with_the_stars_that_are_missing(calibration):
+    dump, side, (one,) = open_dump(SKY), calibration.sky, calibration.named
+    off = np.outer(np.isin(one.found.ccd, [1, 2]), [0.0, 60.0])
+    found = replace(one.found, xy_px=one.found.xy_px + off)
+    gone = replace_named(one, found, one.rows[~np.isin(found.ccd[one.rows], [1, 2])])
+    counts = counted(dump, replace(side, found=(found,)), [gone], calibration)
+    (far,) = losses.displaced_stars(dump, side, [gone], counts, calibration.estimate.R_cs)
+    true, told = (dict(zip(those.rows.tolist(), those.names.tolist())) for those in (one, far))
+    both = true.keys() & told.keys()  # others had no name for certain
+    assert len(both) >= 4 and all(true[row] == told[row] and off[row, 1] > 0.0 for row in both)
 
 
 def test_a_star_counts_as_found_within_the_errors_that_are_stated(calibration):
