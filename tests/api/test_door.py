@@ -117,7 +117,7 @@ def test_a_command_loads_what_it_needs(
     words: list[str], limit: float, unneeded: set[str], libraries_s: list[float]
 ) -> None:
     spent_s: list[float] = []
-    while len(spent_s) < 4 and min(spent_s, default=np.inf) > limit * min(libraries_s):
+    while len(spent_s) < 8 and min(spent_s, default=np.inf) > limit * min(libraries_s):
         if spent_s:  # a first run compiles
             libraries_s.append(loaded(LIBRARIES)[0])
         took_s, modules = loaded(PROGRAM, *words)
