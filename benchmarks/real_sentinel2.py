@@ -19,6 +19,7 @@ import argparse
 import re
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ from boresight.features.operators.sentinel2_product import Sentinel2, read_senti
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import calibrate_jointly
@@ -82,12 +84,17 @@ def places_e(grid: np.ndarray) -> np.ndarray:
     return ecef_from_geodetic(np.radians(grid[:, 4]), np.radians(grid[:, 3]), grid[:, 5], WGS84)
 
 
+def interpolated(model: Pushbroom, interpolation: str) -> Pushbroom:
+    """The model with another interpolation of its attitudes."""
+    return replace(model, attitude=replace(model.attitude, interpolation=interpolation))
+
+
 def against_grid(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str, limit_m: float) -> None:
     """Print how far our places of pixels are from the operator's."""
     off = []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        model = operator_pushbroom(strip, detector - 1, orbit, interpolation=interpolation)
+        model = interpolated(operator_pushbroom(strip, detector - 1, orbit), interpolation)
         ours = [
             model.ground_points(detector - 1, [row[2]], [row[1] - 1.0], ConstantHeight(row[5]))[0]
             for row in rows
@@ -108,7 +115,8 @@ def looks(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str) -> tupl
     v_s, u_c, t_s = [], [], []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        model = operator_pushbroom(strip, detector - 1, orbit, interpolation=interpolation, refined=False)
+        plain = operator_pushbroom(replace(strip, refining=None), detector - 1, orbit)
+        model = interpolated(plain, interpolation)
         t = model.instants(rows[:, 1] - 1.0)
         u_i, _ = apparent_ground_directions(places_e(rows), t, orbit, orbit.earth, model.effects)
         v_s.append(model.attitude.R_si(t).apply(u_i))

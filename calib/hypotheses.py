@@ -249,7 +249,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
         found += _in_each(_passes(of), _errors(of, "attitude or mounting", ABOUT_TRACK, of.turns()))
         found += _of_season(of)
         found += _in_each(_later_passes(of), _errors(of, "mounting moved", ABOUT_AXES, of.turns()))
-        found += _of_images(of)
+        found += _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
@@ -529,10 +529,6 @@ def _focal_length(of: HypothesisInputs) -> Hypothesis:
     v[:, 2] = 0.0
     change = -PERCENT * np.einsum("jab,jb->ja", across, v) * u_c[:, 2:]
     return _error(of, "focal length of the remote-sensing camera", change)
-
-
-def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    yield from _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
 
 
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:

@@ -529,7 +529,7 @@ def _draw_sky_strip(
     seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
     sigma = plan.sigma_c_px * cameras.pixel_rad
     measured = noisy(seen, sigma, rng)
-    stars = GroundSightings(
+    stars = GroundSightings.of_stars(
         target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
         ccd=ccd,
         xy_px=np.column_stack([sample, t - scan.t_s]),
@@ -537,11 +537,7 @@ def _draw_sky_strip(
         u_c=measured,
         u_i=catalogue_i,
         cov_c=isotropic_covariance(measured, sigma),
-        range_m=np.full(J, np.inf),
-        v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
-        earth_i=np.zeros((len(catalogue_i), 3, 3)),
-        light_i=np.zeros((len(catalogue_i), 3, 4)),
     )
     return StripSightings(
         strip_id=name,

@@ -208,7 +208,7 @@ def exposures_of_slopes(along_m: float, across_m: float) -> Iterator[tuple[float
         found = []
         for azimuth in range(91):
             R_cs = star_camera_rotation(from_zenith, azimuth, 0.0)
-            x, y, _ = predicted_sigma(R_cs, shapes, (1.0, 0.0), one, none)[0] * ARCSEC * HEIGHT_M
+            x, y, _ = predicted_sigma(R_cs, shapes, [(1.0, 0.0)], one, none)[0] * ARCSEC * HEIGHT_M
             found.append((abs(np.log(y / x * across_m / along_m)), azimuth, (x**2 + y**2)))
         misfit, azimuth, size = min(found)
         if misfit < 0.02:

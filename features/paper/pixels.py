@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.features.paper.geometry_search import bound_of_frames
+from boresight.features.paper.geometry_search import covariance_shapes, predicted_sigma
 from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.paper.wang import attitudes_of
@@ -121,7 +121,8 @@ def table4_from_pixels(
 
 def _paper_bound(cells: Sequence[tuple[float, float]], frame: tuple[int, int]) -> Floats:
     """Bound (3,) of the paper's cameras over `cells`, arcsec, from 400 frames of (stars, targets)."""
-    return bound_of_frames(ExperimentSettings().cameras, cells, 400.0 * frame[0], 400.0 * frame[1])
+    cameras, numbers = ExperimentSettings().cameras, (np.full(1, 400.0 * n) for n in frame)
+    return predicted_sigma(cameras.R_cs, covariance_shapes(cameras), cells, *numbers)[0]
 
 
 def _cells_from_pixels(

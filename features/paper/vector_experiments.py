@@ -27,12 +27,7 @@ from boresight.features.paper.geometry_search import (
     predicted_sigma,
     star_camera_rotation,
 )
-from boresight.features.paper.geopositioning import (
-    GroundErrors,
-    MotionPrior,
-    check_point_errors,
-    smoothed_attitude,
-)
+from boresight.features.paper.geopositioning import GroundErrors, check_point_errors, smoothed_attitude
 from boresight.features.paper.paper_tables import (
     FIGURE_7_SIGMA_ARCSEC,
     FIGURES_5_6_Z_ARCSEC,
@@ -278,7 +273,7 @@ def _one_matrix_per_image(
     ours = _estimated(strips[:n], R_cs0, stated).R_cs
     for k, strip in enumerate(strips[n:]):
         R_cs = {("ours", 0): ours} | {key: of_images[k] for key, of_images in matrices.items()}
-        readings = ("smoothed", smoothed_attitude(strip, MotionPrior())), ("exposure", _nearest(strip))
+        readings = ("smoothed", smoothed_attitude(strip)), ("exposure", _nearest(strip))
         for (attitude, R_si), (method, matrix) in product(readings, R_cs.items()):
             look_i = (matrix * R_si).inv().apply(strip.ground.u_c)
             yield (attitude, *method), check_point_errors(strip, look_i)
@@ -299,11 +294,8 @@ def figure4(settings: ExperimentSettings) -> pd.DataFrame:
     """
     t = np.arange(121) / 5.0  # s; Table 2: 5 Hz
     waves, rng = _waves(settings, t)
-    noise = (0.06**2, 0.0)
-    shapes = covariance_shapes(settings.cameras)
-    sigma = predicted_sigma(
-        settings.cameras.R_cs, shapes, noise, np.full(1, float(settings.stars)), np.ones(1)
-    )[0]
+    shapes, stars = covariance_shapes(settings.cameras), np.full(1, float(settings.stars))
+    sigma = predicted_sigma(settings.cameras.R_cs, shapes, [(0.06, 0.0)], stars, np.ones(1))[0]
     table = {
         "axis": np.repeat(ATTITUDE_AXES, len(t)),
         "t_s": np.tile(t, 3),
@@ -432,7 +424,7 @@ def _check_points(
     }
     for place in range(n, len(strips)):
         strip = strips[place]
-        R_si = smoothed_attitude(strip, MotionPrior())
+        R_si = smoothed_attitude(strip)
         for method, matrix in R_cs.items():
             yield method, check_point_errors(strip, (matrix * R_si).inv().apply(strip.ground.u_c))
         yield "floor", check_point_errors(strip, truth.R_ci[place].inv().apply(truth.look_c[place]))
