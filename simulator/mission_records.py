@@ -72,16 +72,12 @@ class StatedErrors:
 
 @record
 class RenderedExposure:
-    """One image of the star camera. `image()` renders it: (height, width), uint8 or uint16."""
+    """One image of the star camera."""
 
     exposure_id: str
     t_s: float  # middle of the exposure
     exposure_s: float
-    _render: Callable[[], Image]
-
-    def image(self) -> Image:
-        """The rendered image (height, width)."""
-        return self._render()
+    image: Callable[[], Image]  # renders it: (height, width), uint8 or uint16
 
 
 @record
@@ -95,12 +91,10 @@ class RenderedStrip:
     t_first_row_s: float  # middle of the first row
     row_period_s: float
     bits: int
-    _render: Callable[[int], Iterator[Image]]
+    # Renders it in arrays (rows, samples) of so many rows, uint8 or uint16, first row first; the last may be
+    # shorter.
+    blocks: Callable[[int], Iterator[Image]]
     kind: str = "ground"  # or "sky"
-
-    def blocks(self, rows: int = 512) -> Iterator[Image]:
-        """The strip in arrays (rows, samples), uint8 or uint16, first row first; the last may be shorter."""
-        return self._render(rows)
 
 
 @record
@@ -203,11 +197,9 @@ class Truth:
     targets: tuple[TruePoint, ...] = scalar("sightings of the targets")
     check_points: tuple[TruePoint, ...] = scalar("sightings of the check points")
     sky_stars: tuple[TrueStar, ...] = scalar("stars in strips of the sky")
-    _exposure: Callable[[str], TrueExposure] = scalar("computes the stars of an exposure")
-
-    def exposure(self, exposure_id: str) -> TrueExposure:
-        """The stars of one exposure; `KeyError` for an id that the mission does not have."""
-        return self._exposure(exposure_id)
+    exposure: Callable[[str], TrueExposure] = scalar(
+        "computes the stars of an exposure; `KeyError` for an id that the mission does not have"
+    )
 
 
 @record

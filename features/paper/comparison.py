@@ -20,12 +20,12 @@ from boresight.features.paper.paper_tables import (
     TABLE_5,
 )
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.report.panels import AXES
 from boresight.records.record import Floats
 from boresight.simulator.campaign import CameraPair
 
 __all__ = ["COMPARISONS", "errors_of_axes", "noise_law", "rms_of"]
 
-AXES = ("X", "Y", "Z")  # of frame c
 # Height of the paper's satellite, m.
 HEIGHT_M = 530e3
 GAIN_M = float(np.mean([row[k] - row[k + 1] for row in TABLE_5.values() for k in (0, 2)]))  # over Wang
