@@ -482,12 +482,12 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
     """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
     change = []
     for one in of.prepared:
-        dv_s = np.zeros_like(one.v_s)
+        dv_s, used = np.zeros_like(one.v_s), one.attitudes.usable
         directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
         if directions_i is not None:
             dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
-        if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
-            dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
+        if turns_s is not None and len(turns_s) == len(used):  # else another head carries the strip
+            dv_s = dv_s + np.cross(one.weights @ turns_s[used], one.v_s)
         change.append(-dv_s)
     stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
     moves_c = of.in_c(np.concatenate(change))
@@ -537,7 +537,7 @@ def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
     for k, part in enumerate(PARTS):
         what, comma, which = part.partition(",")
         change = [
-            cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
+            cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.attitudes.usable, :, k])[:, :, None]
             for one, effect in zip(of.prepared, of.effects)
         ]
         change_c = (of.C @ np.concatenate(change))[:, :, 0]

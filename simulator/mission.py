@@ -347,7 +347,7 @@ def _terrain_report(
 ) -> TerrainReport:
     error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
     reported = (heights + error).astype(np.float32)
-    return TerrainReport(reported, affine, 4326, "egm96", scenario.terrain.error_m)
+    return TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _seen_ground(

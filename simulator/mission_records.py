@@ -43,12 +43,11 @@ Image = NDArray[Any]
 
 @record
 class OrbitReport:
-    """Reported positions and velocities at even steps, with the receiver's error."""
+    """Reported positions and velocities at even steps, ITRF, with the receiver's error."""
 
-    frame: str = scalar('"ITRF", as in a CCSDS OEM')
     t_s: Array = array("K", "instants, s")
-    positions_m: Array = array("K, 3", "in `frame`, m")
-    velocities_m_s: Array = array("K, 3", "in `frame`, m/s")
+    positions_m: Array = array("K, 3", "in ITRF, m")
+    velocities_m_s: Array = array("K, 3", "in ITRF, m/s")
 
 
 @record
@@ -123,12 +122,10 @@ class GroundTarget:
 
 @record
 class TerrainReport:
-    """The grid of heights that the user gets. `affine` as in `ChipImage`, in degrees."""
+    """The grid of heights that the user gets, EPSG:4326: columns run along longitude."""
 
-    heights_m: NDArray[np.float32] = array("H, W", "heights, rows from north to south, m")
+    heights_m: NDArray[np.float32] = array("H, W", "above the geoid EGM96, rows from north to south, m")
     affine: tuple[float, float, float, float, float, float] = array("6", "as in `ChipImage`, degrees")
-    epsg: int = scalar("4326: columns run along longitude")
-    height_kind: str = scalar('"egm96": above the geoid')
     sigma_m: float = scalar("1 sigma of the heights, m")
 
 
