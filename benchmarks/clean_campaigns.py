@@ -27,8 +27,7 @@ from pathlib import Path
 
 import record  # of this folder; sets the number of threads before NumPy is loaded
 
-sys.path.insert(0, str(record.ROOT / "tests"))
-sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
+sys.path.extend(str(record.ROOT / place) for place in ("tests", "tests/pipeline/faults"))
 
 import numpy as np  # isort: skip
 from drawn_campaigns import draw_other_camera

@@ -102,8 +102,7 @@ def ground_rms(strips: list[StripSightings], looks: list[np.ndarray], R_cs: Rota
     """rms errors (2,) along and across at the check points, m."""
     parts = []
     for strip, look in zip(strips, looks):
-        R_si = smoothed_attitude(strip)
-        parts.append(check_point_errors(strip, (R_cs * R_si).inv().apply(look)))
+        parts.append(check_point_errors(strip, (R_cs * smoothed_attitude(strip)).inv().apply(look)))
     rows = [np.concatenate([getattr(part, name) for part in parts]) for name in ("along_m", "across_m")]
     return np.sqrt(np.mean(np.square(rows), axis=1))
 

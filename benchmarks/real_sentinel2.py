@@ -36,7 +36,6 @@ from boresight.features.operators.sentinel2_product import Sentinel2, read_senti
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
-from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration.joint import calibrate_jointly
@@ -84,8 +83,9 @@ def places_e(grid: np.ndarray) -> np.ndarray:
     return ecef_from_geodetic(np.radians(grid[:, 4]), np.radians(grid[:, 3]), grid[:, 5], WGS84)
 
 
-def interpolated(model: Pushbroom, interpolation: str) -> Pushbroom:
-    """The model with another interpolation of its attitudes."""
+def model_of(strip: Sentinel2, detector: int, orbit, interpolation: str):
+    """The operator's model of a detector with an interpolation of its attitudes."""
+    model = operator_pushbroom(strip, detector - 1, orbit)
     return replace(model, attitude=replace(model.attitude, interpolation=interpolation))
 
 
@@ -94,7 +94,7 @@ def against_grid(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str, 
     off = []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        model = interpolated(operator_pushbroom(strip, detector - 1, orbit), interpolation)
+        model = model_of(strip, detector, orbit, interpolation)
         ours = [
             model.ground_points(detector - 1, [row[2]], [row[1] - 1.0], ConstantHeight(row[5]))[0]
             for row in rows
@@ -115,8 +115,7 @@ def looks(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str) -> tupl
     v_s, u_c, t_s = [], [], []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        plain = operator_pushbroom(replace(strip, refining=None), detector - 1, orbit)
-        model = interpolated(plain, interpolation)
+        model = model_of(replace(strip, refining=None), detector, orbit, interpolation)
         t = model.instants(rows[:, 1] - 1.0)
         u_i, _ = apparent_ground_directions(places_e(rows), t, orbit, orbit.earth, model.effects)
         v_s.append(model.attitude.R_si(t).apply(u_i))

@@ -152,7 +152,9 @@ class GroundSightings(RowRecord):
 
     @classmethod
     def of_stars(cls, t_s: Floats, **columns: Any) -> GroundSightings:
-        """Stars in place of targets: no position of the satellite, Earth or effect on light moves them."""
+        """Stars in place of targets at instants (N,): no position of the satellite, Earth or effect on light
+        moves them.
+        """
         n = len(t_s)
         columns |= {"earth_i": np.zeros((n, 3, 3)), "light_i": np.zeros((n, 3, 4))}
         return cls(t_s=t_s, range_m=np.full(n, np.inf), v_rel_i=np.zeros((n, 3)), **columns)
